@@ -1,0 +1,110 @@
+//! From an image to discs: subpixel contours, ellipses with covariance, and the pattern they form.
+
+use crate::conic::Ellipse;
+use crate::frames::Pixel;
+use crate::target::{DotId, MarkKind, Polarity};
+use nalgebra::SMatrix;
+
+/// Edge points of one contour, structure of arrays; independent of each other, each with its own sigma.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct EdgePoints {
+    /// Position, px.
+    pub u_px: Vec<f64>,
+    /// Position, px.
+    pub v_px: Vec<f64>,
+    /// Standard deviation normal to the contour, px.
+    pub sigma_px: Vec<f64>,
+}
+
+/// One disc found in an image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Disc {
+    /// Ellipse fitted to the contour.
+    pub ellipse: Ellipse,
+    /// Covariance of `(u0, v0, a, b, phi)` (see [`crate::conic`]).
+    pub covariance: SMatrix<f64, 5, 5>,
+    /// The contour it was fitted to, already corrected for blur.
+    pub edge: EdgePoints,
+    /// `Bright` or `Dark`, never `Auto`.
+    pub polarity: Polarity,
+    /// Standard deviation of the blur of the edge, px.
+    pub blur_px: f64,
+    /// Step of the grey level across the edge, grey levels (positive).
+    pub contrast: f64,
+    /// Mark, where the shape is one that is still a disc (`Ring`).
+    pub mark: Option<MarkKind>,
+}
+
+/// A closed shape that is no disc but may be a mark.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shape {
+    /// Centroid, px.
+    pub center_px: Pixel,
+    /// Square root of area / pi, px.
+    pub radius_px: f64,
+    /// What it looks like, where it looks like a mark.
+    pub mark: MarkKind,
+}
+
+/// Why a closed contour is not a disc.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum RejectionReason {
+    /// It touches the border of the image.
+    CutByBorder,
+    /// Contour and ellipse differ too much: largest gap and limit, px.
+    NotElliptical {
+        /// Root mean square distance of the contour from its ellipse, px.
+        rms_px: f64,
+        /// The limit that it exceeds, px.
+        limit_px: f64,
+    },
+    /// Two discs that touch or overlap.
+    Overlapping,
+    /// Minor semi-axis below the smallest that can be measured.
+    TooSmall {
+        /// Minor semi-axis, px.
+        semi_minor_px: f64,
+    },
+    /// Contrast too close to the noise.
+    LowContrast {
+        /// Grey step over the standard deviation of the noise.
+        contrast_to_noise: f64,
+    },
+    /// Part of the contour is hidden (glare, shadow, another object).
+    Incomplete {
+        /// Part of the contour that was seen, 0 to 1.
+        coverage: f64,
+    },
+}
+
+/// A candidate that was turned down.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rejection {
+    /// Where it is, px.
+    pub center_px: Pixel,
+    /// Its size: square root of area / pi, px.
+    pub radius_px: f64,
+    /// Why.
+    pub reason: RejectionReason,
+}
+
+/// Everything found in one image.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Detection {
+    /// Accepted discs.
+    pub discs: Vec<Disc>,
+    /// Square and triangle marks.
+    pub shapes: Vec<Shape>,
+    /// Candidates turned down, each with its reason.
+    pub rejections: Vec<Rejection>,
+}
+
+/// A disc that knows its place in the pattern.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LabelledDisc {
+    /// Index into [`Detection::discs`].
+    pub disc: usize,
+    /// Its label.
+    pub id: DotId,
+}

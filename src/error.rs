@@ -1,0 +1,166 @@
+//! The one error type: four families, by whose turn it is to act.
+//!
+//! | family | whose turn | exit code |
+//! |---|---|---|
+//! | [`Error::Invalid`] | the caller: a file, a key, a number is wrong | 2 |
+//! | [`Error::Insufficient`] | the experimenter: the data cannot answer the question | 3 |
+//! | [`Error::Unusable`] | look at the report: the answer is not to be trusted | 1 |
+//! | [`Error::Bug`] | us | 4 |
+//!
+//! Fields are numbers; the words are made in one place, here.
+
+use thiserror::Error;
+
+/// Result of every fallible function of the library.
+pub type Result<T> = std::result::Result<T, Error>;
+
+/// What went wrong, by whose turn it is.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum Error {
+    /// The caller gave something that has no meaning.
+    #[error(transparent)]
+    Invalid(#[from] Invalid),
+    /// The images or views do not hold enough to answer.
+    #[error(transparent)]
+    Insufficient(#[from] Insufficient),
+    /// There is an answer, but it must not be used as it stands.
+    #[error(transparent)]
+    Unusable(#[from] Unusable),
+    /// A promise of the library to itself was broken.
+    #[error("internal error: {0}; please report it with the rig file")]
+    Bug(String),
+}
+
+impl Error {
+    /// Exit code of the program for this family (see `docs/` and `program.md` of the design).
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Error::Unusable(_) => 1,
+            Error::Invalid(_) => 2,
+            Error::Insufficient(_) => 3,
+            Error::Bug(_) => 4,
+        }
+    }
+}
+
+/// Wrong input: the caller can mend it.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum Invalid {
+    /// A number that must be finite and within limits is not.
+    #[error("{name} = {value} is not allowed: expected {expected}")]
+    Value {
+        /// Name as the user knows it.
+        name: String,
+        /// The offending value.
+        value: f64,
+        /// What would have been accepted.
+        expected: String,
+    },
+    /// Text of a file does not say what it should.
+    #[error("{file}:{line}: {message}")]
+    Syntax {
+        /// File as the user named it.
+        file: String,
+        /// Line, counted from 1; 0 where the whole file is meant.
+        line: usize,
+        /// What is wrong and what was expected.
+        message: String,
+    },
+    /// A file cannot be read or written.
+    #[error("{path}: {message}")]
+    File {
+        /// Path as the user named it.
+        path: String,
+        /// What happened and what to do.
+        message: String,
+    },
+    /// An image has another size than the camera's other images.
+    #[error(
+        "{path}: the image is {width} x {height} px, but the other images of camera \"{camera}\" are {expected_width} x {expected_height} px; all images of a camera must have one size"
+    )]
+    ImageSize {
+        /// Path of the image.
+        path: String,
+        /// Name of the camera.
+        camera: String,
+        /// Width found.
+        width: usize,
+        /// Height found.
+        height: usize,
+        /// Width of the camera's first image.
+        expected_width: usize,
+        /// Height of the camera's first image.
+        expected_height: usize,
+    },
+    /// Two statements of the caller exclude each other.
+    #[error("{0}")]
+    Contradiction(String),
+}
+
+/// Not enough, or degenerate, data: the experimenter can mend it.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum Insufficient {
+    /// Fewer views than the model has unknowns for.
+    #[error(
+        "camera \"{camera}\" has {found} usable view(s), at least {needed} are needed; record the target in more positions, tilted differently"
+    )]
+    TooFewViews {
+        /// Name of the camera.
+        camera: String,
+        /// Usable views found.
+        found: usize,
+        /// Views needed.
+        needed: usize,
+    },
+    /// The image does not show the discs that the target has.
+    #[error("{image}: found {found} disc(s), the target needs {needed}; {hint}")]
+    TooFewDiscs {
+        /// Image name.
+        image: String,
+        /// Discs found.
+        found: usize,
+        /// Discs needed.
+        needed: usize,
+        /// What was seen instead and what to do.
+        hint: String,
+    },
+    /// The discs are there but do not form the target's pattern.
+    #[error("{image}: {message}")]
+    Pattern {
+        /// Image name.
+        image: String,
+        /// What does not fit and what to do.
+        message: String,
+    },
+    /// The views do not determine a quantity that the next step needs.
+    #[error("{0}")]
+    Degenerate(String),
+    /// The adjustment fits one camera, but not the other with the same scene.
+    #[error("{0}")]
+    Inconsistent(String),
+}
+
+/// A result that must not be used without looking at the report.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum Unusable {
+    /// The adjustment did not reach its minimum.
+    #[error("the adjustment stopped ({reason}) with a Newton decrement of {decrement:.2e}, wanted {wanted:.0e}")]
+    NotConverged {
+        /// Name of the termination.
+        reason: String,
+        /// Newton decrement reached, in sigmas.
+        decrement: f64,
+        /// Newton decrement wanted, in sigmas.
+        wanted: f64,
+    },
+}
+
+impl Invalid {
+    /// A [`Invalid::Value`] from borrowed words.
+    pub fn value(name: impl Into<String>, value: f64, expected: impl Into<String>) -> Self {
+        Invalid::Value { name: name.into(), value, expected: expected.into() }
+    }
+}

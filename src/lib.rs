@@ -1,0 +1,17 @@
+//! Stereo PIV calibration directly in the laser sheet.
+//!
+//! Two cameras look obliquely at a thin laser sheet, their sensors tilted (Scheimpflug). From images of discs
+//! spivcal finds subpixel contours, adjusts both cameras, the motion between them and the unknown target in one
+//! bundle adjustment, and gives the plane of the sheet, all with standard deviations.
+//!
+#![doc = include_str!("MAP.md")]
+
+pub mod conic;
+pub mod detect;
+pub mod error;
+pub mod frames;
+pub mod image;
+pub mod rigid;
+pub mod target;
+
+pub use error::{Error, Result};
