@@ -1,0 +1,413 @@
+//! Levenberg-Marquardt on numbers: block-arrow normal equations, Schur elimination, stop on the Newton decrement.
+//!
+//! Minimises `F(x) = 1/2 sum rho(|r_i(x)|^2)`. The unknowns fall into one global part g and blocks v (the views) that
+//! only meet through g:
+//!
+//! ```text
+//! H = | H_gg   H_gv |      b = -gradient,   (H + lambda D) step = b,   D = diag(H)
+//!     | H_vg   H_vv |
+//! S      = H_gg - sum_v H_gv H_vv^-1 H_vg                      reduced matrix (Schur complement)
+//! delta  = sqrt(b^T H^-1 b)                                    Newton decrement, in sigmas
+//! ```
+//! The decrement is the length of the remaining Newton step in units of the estimate's own standard deviations: below
+//! 1e-6 nothing that is left can matter, whatever the units, also in a weak valley where the cost no longer moves.
+//!
+//! | symbol | identifier | shape | meaning |
+//! |---|---|---|---|
+//! | H_gg, b_g | [`NormalEquations::h_gg`], `b_g` | n x n, n | global part |
+//! | H_vv, H_vg, b_v | [`Block`] | d x d, d x n, d | one view |
+//! | lambda | `lambda` | 1 | damping, times the diagonal of H (Marquardt) |
+//! | rho | `gain` | 1 | cost decrease over predicted decrease; radius law of Nielsen |
+//!
+//! Source: Marquardt (1963); Nielsen, "Damping parameter in Marquardt's method" (1999); Triggs et al., "Bundle
+//! adjustment - a modern synthesis" (2000), section 6.
+//!
+//! This room knows numbers, never cameras. Not for problems whose blocks meet each other directly.
+
+mod factor;
+mod posterior;
+mod reduced;
+
+pub use factor::{SymmetricEigen, symmetric_eigen};
+pub use posterior::{BlockPosterior, Posterior, posterior};
+
+use nalgebra::{DMatrix, DVector};
+use reduced::Reduced;
+
+/// Sizes of the unknowns.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Layout {
+    /// Number of global unknowns.
+    pub global: usize,
+    /// Number of unknowns of each block.
+    pub blocks: Vec<usize>,
+}
+
+/// One block (a view) of the normal equations.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Block {
+    /// `H_vv`, d x d.
+    pub h_vv: DMatrix<f64>,
+    /// `H_vg`, d x n.
+    pub h_vg: DMatrix<f64>,
+    /// `b_v`, d.
+    pub b_v: DVector<f64>,
+}
+
+/// Gauss-Newton normal equations of block-arrow shape.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NormalEquations {
+    /// Global part of H, n x n.
+    pub h_gg: DMatrix<f64>,
+    /// Global part of the negative gradient, n.
+    pub b_g: DVector<f64>,
+    /// The views.
+    pub blocks: Vec<Block>,
+    /// Cost at the point of linearisation.
+    pub cost: f64,
+}
+
+impl NormalEquations {
+    /// Zero equations of this layout.
+    pub fn zeros(layout: &Layout) -> Self {
+        let n = layout.global;
+        let block =
+            |&d: &usize| Block { h_vv: DMatrix::zeros(d, d), h_vg: DMatrix::zeros(d, n), b_v: DVector::zeros(d) };
+        Self {
+            h_gg: DMatrix::zeros(n, n),
+            b_g: DVector::zeros(n),
+            blocks: layout.blocks.iter().map(block).collect(),
+            cost: 0.0,
+        }
+    }
+}
+
+/// A step of all unknowns.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Step {
+    /// Of the global unknowns.
+    pub global: DVector<f64>,
+    /// Of each block.
+    pub blocks: Vec<DVector<f64>>,
+}
+
+/// What the solver needs to know about a problem.
+pub trait Problem {
+    /// A point in the space of unknowns; need not be a vector.
+    type State: Clone;
+    /// Sizes of the unknowns.
+    fn layout(&self) -> Layout;
+    /// Cost, or `None` where the state has no meaning (a point behind a camera): the step is then rejected.
+    fn cost(&self, state: &Self::State) -> Option<f64>;
+    /// Normal equations at the state, with the cost; `None` as for [`Problem::cost`].
+    fn linearise(&self, state: &Self::State) -> Option<NormalEquations>;
+    /// The state after a step; `None` where there is none.
+    fn retract(&self, state: &Self::State, step: &Step) -> Option<Self::State>;
+}
+
+/// When to stop.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Options {
+    /// Newton decrement, in sigmas, below which the minimum is reached.
+    pub decrement: f64,
+    /// Most linearisations.
+    pub iterations: usize,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { decrement: 1e-6, iterations: 100 }
+    }
+}
+
+/// Why the iteration ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Termination {
+    /// The Newton decrement fell below its limit.
+    Converged,
+    /// The limit of iterations came first.
+    IterationLimit,
+    /// No step, however short, lowers the cost.
+    Stalled,
+    /// The caller asked to stop.
+    Cancelled,
+    /// The start itself has no meaning.
+    BadStart,
+}
+
+impl Termination {
+    /// The word for it in files and reports.
+    pub fn word(self) -> &'static str {
+        match self {
+            Termination::Converged => "converged",
+            Termination::IterationLimit => "iteration limit",
+            Termination::Stalled => "stalled",
+            Termination::Cancelled => "cancelled",
+            Termination::BadStart => "bad start",
+        }
+    }
+}
+
+/// Progress of one iteration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Iteration {
+    /// Linearisations so far.
+    pub number: usize,
+    /// Current cost.
+    pub cost: f64,
+    /// Newton decrement, in sigmas.
+    pub decrement: f64,
+}
+
+/// Where the iteration ended.
+#[derive(Debug, Clone)]
+pub struct Outcome<S> {
+    /// Best state.
+    pub state: S,
+    /// Its cost.
+    pub cost: f64,
+    /// Its Newton decrement, in sigmas.
+    pub decrement: f64,
+    /// Linearisations made.
+    pub iterations: usize,
+    /// Why it ended.
+    pub termination: Termination,
+    /// Normal equations at the state (`None` only for a bad start).
+    pub equations: Option<NormalEquations>,
+}
+
+/// Damping with which the "undamped" Newton decrement is computed: it bounds what rounding in an exactly flat
+/// direction can add to about 1e-8 sigmas, and changes a direction determined to one part in 1e5 by one percent.
+const FLAT_RIDGE: f64 = 1e-12;
+/// Damping beyond which steps no longer change the state.
+const LAMBDA_MAX: f64 = 1e12;
+
+/// Minimises a problem from a start. `observe` sees every iteration and returns false to cancel.
+pub fn minimise<P: Problem>(
+    problem: &P,
+    start: P::State,
+    options: &Options,
+    observe: &mut dyn FnMut(&Iteration) -> bool,
+) -> Outcome<P::State> {
+    let mut state = start;
+    let Some(mut equations) = problem.linearise(&state) else {
+        return Outcome {
+            state,
+            cost: f64::INFINITY,
+            decrement: f64::INFINITY,
+            iterations: 0,
+            termination: Termination::BadStart,
+            equations: None,
+        };
+    };
+    let mut lambda = 1e-3;
+    let mut growth = 2.0;
+    let mut iterations = 1;
+    let (mut decrement, termination) = loop {
+        let decrement = Reduced::of(&equations, FLAT_RIDGE).map_or(f64::INFINITY, |r| r.decrement());
+        if !observe(&Iteration { number: iterations, cost: equations.cost, decrement }) {
+            break (decrement, Termination::Cancelled);
+        }
+        if decrement < options.decrement {
+            break (decrement, Termination::Converged);
+        }
+        if iterations >= options.iterations {
+            break (decrement, Termination::IterationLimit);
+        }
+        match accepted_step(problem, &state, &equations, &mut lambda, &mut growth) {
+            Some((next, next_equations)) => (state, equations) = (next, next_equations),
+            None => break (decrement, Termination::Stalled),
+        }
+        iterations += 1;
+    };
+    if !decrement.is_finite() {
+        decrement = f64::INFINITY;
+    }
+    let cost = equations.cost;
+    Outcome { state, cost, decrement, iterations, termination, equations: Some(equations) }
+}
+
+/// Shortens the step until the cost falls; `None` where nothing helps.
+fn accepted_step<P: Problem>(
+    problem: &P,
+    state: &P::State,
+    equations: &NormalEquations,
+    lambda: &mut f64,
+    growth: &mut f64,
+) -> Option<(P::State, NormalEquations)> {
+    while *lambda < LAMBDA_MAX {
+        if let Some(trial) = trial_step(problem, state, equations, *lambda) {
+            // Nielsen's law, allowed to fall by 30 so that the weak valley is undamped after few steps.
+            *lambda = (*lambda * (1.0 - (2.0 * trial.gain - 1.0).powi(3)).clamp(1.0 / 30.0, 2.0)).max(1e-14);
+            *growth = 2.0;
+            return Some((trial.state, trial.equations));
+        }
+        *lambda *= *growth;
+        *growth *= 2.0;
+    }
+    None
+}
+
+struct Trial<S> {
+    state: S,
+    equations: NormalEquations,
+    gain: f64,
+}
+
+fn trial_step<P: Problem>(
+    problem: &P,
+    state: &P::State,
+    equations: &NormalEquations,
+    lambda: f64,
+) -> Option<Trial<P::State>> {
+    let reduced = Reduced::of(equations, lambda)?;
+    let step = reduced.step();
+    let next = problem.retract(state, &step)?;
+    let predicted = reduced.predicted_decrease(&step);
+    let rounding = 1e-13 * equations.cost;
+    let cost = problem.cost(&next)?;
+    let decrease = equations.cost - cost;
+    // Below rounding the cost cannot judge a step; Newton's own prediction has to do.
+    let gain = if predicted <= rounding && decrease.abs() <= rounding { 1.0 } else { decrease / predicted };
+    if !(gain > 1e-4) {
+        return None;
+    }
+    let equations = problem.linearise(&next)?;
+    Some(Trial { state: next, equations, gain })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Exponential decays with a common rate: each block has its own amplitude, the rate is global.
+    struct Decay {
+        data: Vec<Vec<f64>>,
+    }
+    impl Decay {
+        fn rows(&self, s: &(f64, Vec<f64>)) -> Vec<(usize, f64, f64, f64)> {
+            let mut rows = vec![];
+            for (v, ys) in self.data.iter().enumerate() {
+                for (i, y) in ys.iter().enumerate() {
+                    let t = i as f64 * 0.3;
+                    let e = (-s.0 * t).exp();
+                    rows.push((v, s.1[v] * e - y, -s.1[v] * t * e, e));
+                }
+            }
+            rows
+        }
+    }
+    impl Problem for Decay {
+        type State = (f64, Vec<f64>);
+        fn layout(&self) -> Layout {
+            Layout { global: 1, blocks: vec![1; self.data.len()] }
+        }
+        fn cost(&self, s: &Self::State) -> Option<f64> {
+            (s.0 > 0.0).then(|| self.rows(s).iter().map(|r| 0.5 * r.1 * r.1).sum())
+        }
+        fn linearise(&self, s: &Self::State) -> Option<NormalEquations> {
+            let mut n = NormalEquations::zeros(&self.layout());
+            n.cost = self.cost(s)?;
+            for (v, r, jg, jv) in self.rows(s) {
+                n.h_gg[(0, 0)] += jg * jg;
+                n.b_g[0] -= jg * r;
+                let b = &mut n.blocks[v];
+                b.h_vv[(0, 0)] += jv * jv;
+                b.h_vg[(0, 0)] += jv * jg;
+                b.b_v[0] -= jv * r;
+            }
+            Some(n)
+        }
+        fn retract(&self, s: &Self::State, d: &Step) -> Option<Self::State> {
+            Some((s.0 + d.global[0], s.1.iter().zip(&d.blocks).map(|(a, b)| a + b[0]).collect()))
+        }
+    }
+
+    fn decay() -> Decay {
+        let noise = |v: usize, i: usize| 0.01 * ((v * 31 + i * 17) as f64 * 1.7).sin();
+        let curve =
+            |v: usize| (0..12).map(|i| (1.0 + v as f64) * (-0.7 * i as f64 * 0.3).exp() + noise(v, i)).collect();
+        Decay { data: (0..3).map(curve).collect() }
+    }
+
+    #[test]
+    fn reaches_the_stationary_point_and_says_so() {
+        let p = decay();
+        let out = minimise(&p, (3.0, vec![0.2; 3]), &Options::default(), &mut |_| true);
+        assert_eq!(out.termination, Termination::Converged);
+        assert!(out.decrement < 1e-6);
+        // Stationary: the cost rises in every coordinate direction.
+        for (dg, dv) in [(1e-4, 0.0), (-1e-4, 0.0), (0.0, 1e-4), (0.0, -1e-4)] {
+            let moved = (out.state.0 + dg, out.state.1.iter().map(|a| a + dv).collect());
+            assert!(p.cost(&moved).unwrap() > out.cost);
+        }
+    }
+
+    #[test]
+    fn covariance_is_the_inverse_of_the_full_matrix() {
+        let p = decay();
+        let out = minimise(&p, (1.0, vec![1.0; 3]), &Options::default(), &mut |_| true);
+        let rows = p.rows(&out.state);
+        let mut h = DMatrix::<f64>::zeros(4, 4);
+        for (v, _, jg, jv) in rows {
+            let mut j = DVector::zeros(4);
+            (j[0], j[1 + v]) = (jg, jv);
+            h += &j * j.transpose();
+        }
+        let full = h.try_inverse().unwrap();
+        let post = posterior(out.equations.as_ref().unwrap());
+        assert_eq!(post.nullity, 0);
+        assert!((post.global[(0, 0)] - full[(0, 0)]).abs() < 1e-12 * full[(0, 0)]);
+        for v in 0..3 {
+            let b = &post.blocks[v];
+            assert!((b.own[(0, 0)] - full[(1 + v, 1 + v)]).abs() < 1e-12 * full[(1 + v, 1 + v)]);
+            assert!((b.with_global[(0, 0)] - full[(1 + v, 0)]).abs() < 1e-12 * full[(0, 0)]);
+        }
+        let all = post.full();
+        assert!((all - full).norm() < 1e-12);
+    }
+
+    #[test]
+    fn cancel_and_bad_start_are_said() {
+        let p = decay();
+        let out = minimise(&p, (3.0, vec![0.2; 3]), &Options::default(), &mut |i| i.number < 2);
+        assert_eq!((out.termination, out.iterations), (Termination::Cancelled, 2));
+        let out = minimise(&p, (-1.0, vec![0.2; 3]), &Options::default(), &mut |_| true);
+        assert_eq!(out.termination, Termination::BadStart);
+    }
+
+    #[test]
+    fn a_flat_direction_is_counted_and_does_not_hinder() {
+        // Two global unknowns of which only the sum is seen.
+        struct Sum;
+        impl Problem for Sum {
+            type State = [f64; 2];
+            fn layout(&self) -> Layout {
+                Layout { global: 2, blocks: vec![] }
+            }
+            fn cost(&self, s: &[f64; 2]) -> Option<f64> {
+                let r = s[0] + s[1] - 3.0;
+                Some(0.5 * r * r)
+            }
+            fn linearise(&self, s: &[f64; 2]) -> Option<NormalEquations> {
+                let r = s[0] + s[1] - 3.0;
+                let mut n = NormalEquations::zeros(&self.layout());
+                n.h_gg.fill(1.0);
+                n.b_g.fill(-r);
+                n.cost = 0.5 * r * r;
+                Some(n)
+            }
+            fn retract(&self, s: &[f64; 2], d: &Step) -> Option<[f64; 2]> {
+                Some([s[0] + d.global[0], s[1] + d.global[1]])
+            }
+        }
+        let out = minimise(&Sum, [0.0, 0.5], &Options::default(), &mut |_| true);
+        assert_eq!(out.termination, Termination::Converged);
+        assert!((out.state[0] + out.state[1] - 3.0).abs() < 1e-6);
+        let post = posterior(out.equations.as_ref().unwrap());
+        assert_eq!(post.nullity, 1);
+        let n = post.null_directions.column(0);
+        assert!((n[0] + n[1]).abs() < 1e-12 && n[0].abs() > 0.5);
+        assert!(post.touched_by_null(0) && post.touched_by_null(1));
+    }
+}
