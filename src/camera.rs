@@ -274,6 +274,22 @@ impl Camera {
         Ok(ProjectionJet { pixel, dq_dp: dq_dxy * dxy_dp, dq_dintrinsics })
     }
 
+    /// Image of a point with its derivative by the point alone; for inner loops.
+    ///
+    /// # Errors
+    /// [`Refusal`] where the point has no image.
+    pub fn image_of_point(&self, p: &Vector3<f64>) -> std::result::Result<(Vector2<f64>, Matrix2x3<f64>), Refusal> {
+        let xy = ideal_point(p)?;
+        let (xd, dxd_dxy, _) = self.distort_jet(&xy)?;
+        let (t, h) = self.on_sensor(&xd)?;
+        let i = &self.intrinsics;
+        let dq_dxy = Matrix2::from_diagonal(&Vector2::new(i.f_px, i.f_px * i.aspect))
+            * self.sensor_by_distorted(&t, h)
+            * dxd_dxy;
+        let iz = 1.0 / p.z;
+        Ok((self.pixel(&t), dq_dxy * Matrix2x3::new(iz, 0.0, -xy.x * iz, 0.0, iz, -xy.y * iz)))
+    }
+
     /// Ray of a pixel: direction (x, y, 1) in the camera frame.
     ///
     /// # Errors
@@ -351,12 +367,17 @@ impl Camera {
         Ok((Vector2::new((xd.x / t.cb + xd.y * t.ta * t.tb) / h, xd.y / t.ca / h), h))
     }
 
+    /// Derivative of [`Self::on_sensor`] by the distorted point.
+    fn sensor_by_distorted(&self, t: &Vector2<f64>, h: f64) -> Matrix2<f64> {
+        let (k, m) = (&self.tilt, self.intrinsics.pupil_ratio);
+        let dh = Vector2::new(-k.tb / m, -k.ta / (k.cb * m));
+        (Matrix2::new(1.0 / k.cb, k.ta * k.tb, 0.0, 1.0 / k.ca) - t * dh.transpose()) / h
+    }
+
     /// Derivatives of [`Self::on_sensor`]: with `t = n / h`, `dt = (dn - t dh) / h`.
     fn sensor_derivatives(&self, xd: &Vector2<f64>, t: &Vector2<f64>, h: f64) -> SensorDerivatives {
         let k = &self.tilt;
         let m = self.intrinsics.pupil_ratio;
-        let dh_dxd = Vector2::new(-k.tb / m, -k.ta / (k.cb * m));
-        let dn_dxd = Matrix2::new(1.0 / k.cb, k.ta * k.tb, 0.0, 1.0 / k.ca);
         let (ca2, cb2) = (k.ca * k.ca, k.cb * k.cb);
         let dn_dalpha = Vector2::new(xd.y * k.tb / ca2, xd.y * k.sa / ca2);
         let dh_dalpha = -xd.y / (ca2 * k.cb * m);
@@ -364,7 +385,7 @@ impl Camera {
         let dh_dbeta = -(xd.x + xd.y * k.ta * k.sb) / (cb2 * m);
         let dh_dpupil = (xd.x * k.tb + xd.y * k.ta / k.cb) / (m * m);
         SensorDerivatives {
-            dxd: (dn_dxd - t * dh_dxd.transpose()) / h,
+            dxd: self.sensor_by_distorted(t, h),
             dalpha: (dn_dalpha - t * dh_dalpha) / h,
             dbeta: (dn_dbeta - t * dh_dbeta) / h,
             dpupil: -t * (dh_dpupil / h),

@@ -4,7 +4,7 @@
 //! only meet through g:
 //!
 //! ```text
-//! H = | H_gg   H_gv |      b = -gradient,   (H + lambda D) step = b,   D = diag(H)
+//! H = | H_gg   H_gv |      b = -gradient,   (H + mu D) step = b,   D = diag(1 / scale^2)
 //!     | H_vg   H_vv |
 //! S      = H_gg - sum_v H_gv H_vv^-1 H_vg                      reduced matrix (Schur complement)
 //! delta  = sqrt(b^T H^-1 b)                                    Newton decrement, in sigmas
@@ -16,11 +16,16 @@
 //! |---|---|---|---|
 //! | H_gg, b_g | [`NormalEquations::h_gg`], `b_g` | n x n, n | global part |
 //! | H_vv, H_vg, b_v | [`Block`] | d x d, d x n, d | one view |
-//! | lambda | `lambda` | 1 | damping, times the diagonal of H (Marquardt) |
+//! | scale | [`Problem::scales`] | n, d | step of each unknown up to which the problem is about linear |
+//! | mu | `mu` | 1 | damping |
 //! | rho | `gain` | 1 | cost decrease over predicted decrease; radius law of Nielsen |
 //!
 //! Source: Marquardt (1963); Nielsen, "Damping parameter in Marquardt's method" (1999); Triggs et al., "Bundle
 //! adjustment - a modern synthesis" (2000), section 6.
+//!
+//! Damping by `diag(H)` (Marquardt) would be the usual choice. Here it stalls: strongly seen unknowns form weak, curved
+//! combinations, and a damping that is small against the diagonal is still large against the valley. The scales are
+//! those on which the *problem* bends, so strong directions are never damped and weak ones only as far as they bend.
 //!
 //! This room knows numbers, never cameras. Not for problems whose blocks meet each other directly.
 
@@ -32,7 +37,7 @@ pub use factor::{SymmetricEigen, symmetric_eigen};
 pub use posterior::{BlockPosterior, Posterior, posterior};
 
 use nalgebra::{DMatrix, DVector};
-use reduced::Reduced;
+use reduced::{Reduced, Ridge};
 
 /// Sizes of the unknowns.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -101,6 +106,8 @@ pub trait Problem {
     fn cost(&self, state: &Self::State) -> Option<f64>;
     /// Normal equations at the state, with the cost; `None` as for [`Problem::cost`].
     fn linearise(&self, state: &Self::State) -> Option<NormalEquations>;
+    /// For each unknown the step up to which the problem is about linear (units of the unknown, positive).
+    fn scales(&self, state: &Self::State) -> Step;
     /// The state after a step; `None` where there is none.
     fn retract(&self, state: &Self::State, step: &Step) -> Option<Self::State>;
 }
@@ -176,11 +183,13 @@ pub struct Outcome<S> {
     pub equations: Option<NormalEquations>,
 }
 
-/// Damping with which the "undamped" Newton decrement is computed: it bounds what rounding in an exactly flat
+/// Ridge, times the diagonal of H, with which the "undamped" Newton decrement is computed: it bounds what rounding in an exactly flat
 /// direction can add to about 1e-8 sigmas, and changes a direction determined to one part in 1e5 by one percent.
 const FLAT_RIDGE: f64 = 1e-12;
-/// Damping beyond which steps no longer change the state.
-const LAMBDA_MAX: f64 = 1e12;
+/// Damping beyond which steps are too short to matter: scales times 1e-12 for residuals of 1e6 sigmas.
+const MU_MAX: f64 = 1e24;
+/// Damping below which it cannot be felt.
+const MU_MIN: f64 = 1e-9;
 
 /// Minimises a problem from a start. `observe` sees every iteration and returns false to cancel.
 pub fn minimise<P: Problem>(
@@ -200,11 +209,10 @@ pub fn minimise<P: Problem>(
             equations: None,
         };
     };
-    let mut lambda = 1e-3;
-    let mut growth = 2.0;
+    let mut radius = Damping { mu: 1.0, growth: 4.0 };
     let mut iterations = 1;
     let (mut decrement, termination) = loop {
-        let decrement = Reduced::of(&equations, FLAT_RIDGE).map_or(f64::INFINITY, |r| r.decrement());
+        let decrement = Reduced::of(&equations, &Ridge::Relative(FLAT_RIDGE)).map_or(f64::INFINITY, |r| r.decrement());
         if !observe(&Iteration { number: iterations, cost: equations.cost, decrement }) {
             break (decrement, Termination::Cancelled);
         }
@@ -214,7 +222,7 @@ pub fn minimise<P: Problem>(
         if iterations >= options.iterations {
             break (decrement, Termination::IterationLimit);
         }
-        match accepted_step(problem, &state, &equations, &mut lambda, &mut growth) {
+        match accepted_step(problem, &state, &equations, &mut radius) {
             Some((next, next_equations)) => (state, equations) = (next, next_equations),
             None => break (decrement, Termination::Stalled),
         }
@@ -227,23 +235,28 @@ pub fn minimise<P: Problem>(
     Outcome { state, cost, decrement, iterations, termination, equations: Some(equations) }
 }
 
+struct Damping {
+    mu: f64,
+    growth: f64,
+}
+
 /// Shortens the step until the cost falls; `None` where nothing helps.
 fn accepted_step<P: Problem>(
     problem: &P,
     state: &P::State,
     equations: &NormalEquations,
-    lambda: &mut f64,
-    growth: &mut f64,
+    damping: &mut Damping,
 ) -> Option<(P::State, NormalEquations)> {
-    while *lambda < LAMBDA_MAX {
-        if let Some(trial) = trial_step(problem, state, equations, *lambda) {
-            // Nielsen's law, allowed to fall by 30 so that the weak valley is undamped after few steps.
-            *lambda = (*lambda * (1.0 - (2.0 * trial.gain - 1.0).powi(3)).clamp(1.0 / 30.0, 2.0)).max(1e-14);
-            *growth = 2.0;
+    let scales = problem.scales(state);
+    while damping.mu < MU_MAX {
+        if let Some(trial) = trial_step(problem, state, equations, damping.mu, &scales) {
+            // Nielsen's law, allowed to fall by 100 so that the weak valley is undamped after few good steps.
+            let factor = (1.0 - (2.0 * trial.gain - 1.0).powi(3)).clamp(0.01, 2.0);
+            *damping = Damping { mu: (damping.mu * factor).max(MU_MIN), growth: 4.0 };
             return Some((trial.state, trial.equations));
         }
-        *lambda *= *growth;
-        *growth *= 2.0;
+        damping.mu *= damping.growth;
+        damping.growth *= 2.0;
     }
     None
 }
@@ -258,13 +271,15 @@ fn trial_step<P: Problem>(
     problem: &P,
     state: &P::State,
     equations: &NormalEquations,
-    lambda: f64,
+    mu: f64,
+    scales: &Step,
 ) -> Option<Trial<P::State>> {
-    let reduced = Reduced::of(equations, lambda)?;
+    let reduced = Reduced::of(equations, &Ridge::Scaled { mu, scales })?;
     let step = reduced.step();
     let next = problem.retract(state, &step)?;
     let predicted = reduced.predicted_decrease(&step);
-    let rounding = 1e-13 * equations.cost;
+    // Pixels of size 1e3 and sigmas of 0.01 px leave 1e-11 in a whitened residual.
+    let rounding = 1e-11 * equations.cost;
     let cost = problem.cost(&next)?;
     let decrease = equations.cost - cost;
     // Below rounding the cost cannot judge a step; Newton's own prediction has to do.
@@ -317,6 +332,9 @@ mod tests {
                 b.b_v[0] -= jv * r;
             }
             Some(n)
+        }
+        fn scales(&self, _: &Self::State) -> Step {
+            Step { global: DVector::from_element(1, 0.3), blocks: vec![DVector::from_element(1, 1.0); self.data.len()] }
         }
         fn retract(&self, s: &Self::State, d: &Step) -> Option<Self::State> {
             Some((s.0 + d.global[0], s.1.iter().zip(&d.blocks).map(|(a, b)| a + b[0]).collect()))
@@ -396,6 +414,9 @@ mod tests {
                 n.b_g.fill(-r);
                 n.cost = 0.5 * r * r;
                 Some(n)
+            }
+            fn scales(&self, _: &[f64; 2]) -> Step {
+                Step { global: DVector::from_element(2, 1.0), blocks: vec![] }
             }
             fn retract(&self, s: &[f64; 2], d: &Step) -> Option<[f64; 2]> {
                 Some([s[0] + d.global[0], s[1] + d.global[1]])

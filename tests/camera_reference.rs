@@ -1,6 +1,8 @@
 //! The camera against projections computed by an independent program (see the note in the data file), and the
 //! paper's misprinted equation 7 against the same numbers.
 
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
 use nalgebra::{Matrix3, Vector2, Vector3};
 use serde_json::Value;
 use spivcal::camera::{Camera, Intrinsics};

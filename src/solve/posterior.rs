@@ -7,7 +7,7 @@
 
 use super::NormalEquations;
 use super::factor::{Cholesky, symmetric_eigen};
-use super::reduced::{damped, eliminate};
+use super::reduced::{Ridge, damped, eliminate};
 use nalgebra::{DMatrix, DVector};
 
 /// Share of information below which a direction counts as undetermined.
@@ -38,6 +38,13 @@ pub struct Posterior {
     pub null_directions: DMatrix<f64>,
     /// Ascending eigenvalues of the scaled reduced matrix.
     pub information_shares: DVector<f64>,
+}
+
+impl BlockPosterior {
+    /// `H_vv^-1 H_vg`: the block moves by minus this times a movement of the global unknowns.
+    pub fn coupling(&self) -> &DMatrix<f64> {
+        &self.coupling
+    }
 }
 
 impl Posterior {
@@ -78,8 +85,8 @@ impl Posterior {
 pub fn posterior(equations: &NormalEquations) -> Posterior {
     let n = equations.h_gg.nrows();
     // Blocks without damping where they allow it: the ridge would hide weak directions.
-    let (s, _, blocks) = eliminate(equations, 0.0)
-        .or_else(|| eliminate(equations, 1e-12))
+    let (s, _, blocks) = eliminate(equations, &Ridge::Relative(0.0))
+        .or_else(|| eliminate(equations, &Ridge::Relative(1e-12)))
         .unwrap_or_else(|| (DMatrix::zeros(n, n), DVector::zeros(n), vec![]));
     let scale = DVector::from_fn(n, |i, _| {
         let d = equations.h_gg[(i, i)];
@@ -99,9 +106,8 @@ pub fn posterior(equations: &NormalEquations) -> Posterior {
         .iter()
         .zip(blocks)
         .map(|(block, eliminated)| {
-            let inverse = Cholesky::of(&damped(&block.h_vv, 0.0))
-                .or_else(|| Cholesky::of(&damped(&block.h_vv, 1e-12)))
-                .map_or_else(
+            let inverse =
+                Cholesky::of(&block.h_vv).or_else(|| Cholesky::of(&damped(&block.h_vv, |_, h| 1e-12 * h))).map_or_else(
                     || DMatrix::from_element(block.h_vv.nrows(), block.h_vv.nrows(), f64::INFINITY),
                     |f| f.solve(&DMatrix::identity(block.h_vv.nrows(), block.h_vv.nrows())),
                 );

@@ -4,12 +4,44 @@ use super::factor::Cholesky;
 use super::{NormalEquations, Step};
 use nalgebra::{DMatrix, DVector};
 
-/// `m + lambda diag(m)`; an unknown that nothing sees gets a unit diagonal, so that its step is zero.
-pub(super) fn damped(m: &DMatrix<f64>, lambda: f64) -> DMatrix<f64> {
+/// What is added to the diagonal of H.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Ridge<'a> {
+    /// This times the diagonal itself.
+    Relative(f64),
+    /// `mu / scale^2`.
+    Scaled {
+        /// Damping.
+        mu: f64,
+        /// Scale of each unknown.
+        scales: &'a Step,
+    },
+}
+
+/// What is added to every diagonal so that an exactly flat direction does not break the factorisation.
+const ROUNDING_RIDGE: f64 = 1e-14;
+
+impl Ridge<'_> {
+    fn global(&self, i: usize, h: f64) -> f64 {
+        match self {
+            Ridge::Relative(r) => r * h,
+            Ridge::Scaled { mu, scales } => mu / scales.global[i].powi(2) + ROUNDING_RIDGE * h,
+        }
+    }
+    fn block(&self, v: usize, i: usize, h: f64) -> f64 {
+        match self {
+            Ridge::Relative(r) => r * h,
+            Ridge::Scaled { mu, scales } => mu / scales.blocks[v][i].powi(2) + ROUNDING_RIDGE * h,
+        }
+    }
+}
+
+/// `m + diag(ridge(i, m_ii))`; an unknown that nothing sees gets a unit diagonal, so that its step is zero.
+pub(super) fn damped(m: &DMatrix<f64>, ridge: impl Fn(usize, f64) -> f64) -> DMatrix<f64> {
     let mut out = m.clone();
     for i in 0..m.nrows() {
         let d = m[(i, i)];
-        out[(i, i)] = if d > 0.0 { d * (1.0 + lambda) } else { 1.0 };
+        out[(i, i)] = if d > 0.0 { d + ridge(i, d) } else { 1.0 };
     }
     out
 }
@@ -25,7 +57,7 @@ pub(super) struct EliminatedBlock {
 /// The factored, damped equations.
 pub(super) struct Reduced<'a> {
     equations: &'a NormalEquations,
-    lambda: f64,
+    ridge: Ridge<'a>,
     blocks: Vec<EliminatedBlock>,
     factor: Option<Cholesky>,
     rhs: DVector<f64>,
@@ -34,13 +66,13 @@ pub(super) struct Reduced<'a> {
 /// `S` and the right-hand side of the reduced system, with the eliminated blocks; `None` where a block is indefinite.
 pub(super) fn eliminate(
     equations: &NormalEquations,
-    lambda: f64,
+    ridge: &Ridge,
 ) -> Option<(DMatrix<f64>, DVector<f64>, Vec<EliminatedBlock>)> {
-    let mut s = damped(&equations.h_gg, lambda);
+    let mut s = damped(&equations.h_gg, |i, h| ridge.global(i, h));
     let mut rhs = equations.b_g.clone();
     let mut blocks = Vec::with_capacity(equations.blocks.len());
-    for block in &equations.blocks {
-        let factor = Cholesky::of(&damped(&block.h_vv, lambda))?;
+    for (v, block) in equations.blocks.iter().enumerate() {
+        let factor = Cholesky::of(&damped(&block.h_vv, |i, h| ridge.block(v, i, h)))?;
         let coupling = factor.solve(&block.h_vg);
         let own = factor.solve_vector(&block.b_v);
         s.gemm_tr(-1.0, &block.h_vg, &coupling, 1.0);
@@ -51,11 +83,11 @@ pub(super) fn eliminate(
 }
 
 impl<'a> Reduced<'a> {
-    /// Eliminates the blocks with damping `lambda`; `None` where the result is not positive definite.
-    pub(super) fn of(equations: &'a NormalEquations, lambda: f64) -> Option<Self> {
-        let (s, rhs, blocks) = eliminate(equations, lambda)?;
+    /// Eliminates the blocks with a ridge; `None` where the result is not positive definite.
+    pub(super) fn of(equations: &'a NormalEquations, ridge: &Ridge<'a>) -> Option<Self> {
+        let (s, rhs, blocks) = eliminate(equations, ridge)?;
         let factor = if s.nrows() == 0 { None } else { Some(Cholesky::of(&s)?) };
-        Some(Self { equations, lambda, blocks, factor, rhs })
+        Some(Self { equations, ridge: *ridge, blocks, factor, rhs })
     }
 
     /// Solution of the damped equations.
@@ -78,11 +110,15 @@ impl<'a> Reduced<'a> {
         self.equations.b_g.dot(&step.global) + views
     }
 
-    /// Decrease of the quadratic model: `b^T d - 1/2 d^T H d = 1/2 (b^T d + lambda d^T D d)`.
+    /// Decrease of the quadratic model: `b^T d - 1/2 d^T H d = 1/2 (b^T d + d^T ridge d)`.
     pub(super) fn predicted_decrease(&self, step: &Step) -> f64 {
-        let weighted =
-            |m: &DMatrix<f64>, d: &DVector<f64>| -> f64 { (0..d.len()).map(|i| m[(i, i)] * d[i] * d[i]).sum() };
-        let views: f64 = self.equations.blocks.iter().zip(&step.blocks).map(|(b, d)| weighted(&b.h_vv, d)).sum();
-        0.5 * (self.b_dot(step) + self.lambda * (weighted(&self.equations.h_gg, &step.global) + views))
+        let weighted = |m: &DMatrix<f64>, d: &DVector<f64>, ridge: &dyn Fn(usize, f64) -> f64| -> f64 {
+            (0..d.len()).map(|i| ridge(i, m[(i, i)]) * d[i] * d[i]).sum()
+        };
+        let mut sum = weighted(&self.equations.h_gg, &step.global, &|i, h| self.ridge.global(i, h));
+        for (v, (b, d)) in self.equations.blocks.iter().zip(&step.blocks).enumerate() {
+            sum += weighted(&b.h_vv, d, &|i, h| self.ridge.block(v, i, h));
+        }
+        0.5 * (self.b_dot(step) + sum)
     }
 }
