@@ -11,6 +11,7 @@ pub mod detect;
 pub mod error;
 pub mod frames;
 pub mod image;
+pub mod record;
 pub mod rigid;
 pub mod target;
 
