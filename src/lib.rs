@@ -13,7 +13,9 @@ pub mod detect;
 pub mod error;
 pub mod frames;
 pub mod image;
+pub mod record;
 pub mod rigid;
+pub mod seed;
 pub mod solve;
 pub mod target;
 
