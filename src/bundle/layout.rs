@@ -118,7 +118,7 @@ pub(super) fn scales(model: &Model, places: &Places, state: &State) -> Step {
         // Half of a usual field: the image reaches about to the mirrored axis point.
         let s = (i.cx_px.abs().max(i.cy_px.abs()) / i.f_px).powi(2).clamp(1e-4, 1.0);
         let pixels = 0.02 * i.f_px;
-        let tilt = if model.cameras[c].pinhole_chart() { 0.01 * i.f_px } else { 0.02 };
+        let tilt = if model.cameras[c].uses_pinhole_frame() { 0.01 * i.f_px } else { 0.02 };
         let all = [pixels, 0.01, pixels, pixels, tilt, tilt, 5e-3 / s, 5e-3 / (s * s), 5e-3 / (s * s * s), 0.05];
         for (at, scale) in places.charts[c].iter().zip(all) {
             at.iter().for_each(|at| global[*at] = scale);

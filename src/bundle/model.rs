@@ -16,7 +16,7 @@ pub struct CameraModel {
 
 impl CameraModel {
     /// True where the pinhole chart can be used: f and both tilts are free.
-    pub(super) fn pinhole_chart(&self) -> bool {
+    pub(crate) fn uses_pinhole_frame(&self) -> bool {
         self.free[0] && self.free[4] && self.free[5]
     }
 }

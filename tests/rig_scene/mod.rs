@@ -1,13 +1,17 @@
 //! A synthetic rig with exact contours of two discs: the paper's geometry (50 mm lens, 500 mm, 45 degrees, 6.25 um).
 
+#![allow(dead_code)]
+
 use nalgebra::{Vector2, Vector3};
 use spivcal::bundle::{
     CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, State, TargetModel, TargetShape,
     ViewModel, ViewPlace, ViewState,
 };
 use spivcal::camera::{Camera, Intrinsics};
+use spivcal::conic::fit_direct;
 use spivcal::detect::EdgePoints;
 use spivcal::frames::{Cam, Rig, Sheet, Target};
+use spivcal::rig::{CameraStart, RigProblem};
 use spivcal::rigid::{Motion, rotation_exp};
 
 /// Small seeded generator (splitmix64) with normal numbers.
@@ -48,8 +52,18 @@ const SIGMA_PX: f64 = 0.02;
 impl Scene {
     /// Six views, the last two in one sheet when `plane`; bubbles when `per_view`; a free 3 x 3 grid when `points`.
     pub(crate) fn build(seed: u64, per_view: bool, plane: bool, points: bool) -> Self {
+        Self::with_cameras(
+            seed,
+            vec![tilted_camera(-0.1107, 0.01), tilted_camera(0.1107, -0.02)],
+            per_view,
+            plane,
+            points,
+        )
+    }
+
+    /// The same with other cameras at the same places.
+    pub(crate) fn with_cameras(seed: u64, cameras: Vec<Camera>, per_view: bool, plane: bool, points: bool) -> Self {
         let mut noise = Noise::new(seed);
-        let cameras = vec![tilted_camera(-0.1107, 0.01), tilted_camera(0.1107, -0.02)];
         // The sheet 500 mm away, seen under 45 degrees from either side.
         let rig_from_sheet: Motion<Rig, Sheet> = Motion::new(
             rotation_exp(&Vector3::new(0.0, -45_f64.to_radians(), 0.0))
@@ -145,6 +159,23 @@ impl Scene {
             }
         }
         Self { model, cameras, truth }
+    }
+
+    /// What a calibration from nothing but contours has to start from.
+    pub(crate) fn problem(&self) -> RigProblem {
+        let ellipse = |d: &DiscObservation| fit_direct(&d.edge.u_px, &d.edge.v_px).unwrap();
+        let mut values = [None; 10];
+        (values[1], values[7], values[8], values[9]) = (Some(1.0), Some(0.0), Some(0.0), Some(1.0));
+        let start = CameraStart { size_px: [1024.0, 768.0], nominal_f_px: None, values };
+        let lattice = matches!(self.model.target.shape, TargetShape::Lattice(_));
+        let spacing = (!self.model.target.per_view()).then_some(self.truth.shape_mm[0]);
+        RigProblem {
+            ellipses: self.model.images.iter().map(|i| i.discs.iter().map(ellipse).collect()).collect(),
+            starts: vec![start; 2],
+            shape_mm: [spacing, None, lattice.then_some(0.0)],
+            image_names: self.model.images.iter().map(|i| format!("view {} camera {}", i.view, i.camera)).collect(),
+            model: self.model.clone(),
+        }
     }
 
     /// The truth, moved by a start's worth of error.
