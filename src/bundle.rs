@@ -43,6 +43,7 @@ mod layout;
 mod model;
 mod posterior;
 mod residuals;
+mod retraction;
 mod state;
 
 pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, problem};
