@@ -57,22 +57,3 @@ fn random_rigs_converge_without_a_seed() {
     );
     assert!(failed.is_empty(), "{failed:#?}");
 }
-#[test]
-fn trace() {
-    let seed: u64 = std::env::var("SEED").unwrap().parse().unwrap();
-    let mut noise = Noise::new(seed + 1000);
-    let cameras = vec![random_camera(&mut noise), random_camera(&mut noise)];
-    let scene = Scene::with_cameras(seed, cameras, seed % 3 == 1, true, seed % 3 == 2).with_noise(seed);
-    for c in &scene.cameras {
-        println!("{:?}", c.intrinsics());
-    }
-    let r = calibrate_rig(&scene.problem(), &AdjustOptions { rounds: 0, ..Default::default() }, &mut |i| {
-        println!("{i:?}");
-        true
-    });
-    if let Ok(r) = r {
-        for c in &r.adjustment.state.cameras {
-            println!("{:?}", c);
-        }
-    }
-}
