@@ -39,7 +39,7 @@ impl Default for DetectOptions {
     fn default() -> Self {
         Self {
             polarity: Polarity::Auto,
-            min_semi_minor_px: 2.0,
+            min_semi_minor_px: 1.5,
             max_semi_major_px: 2000.0,
             min_axis_ratio: 0.2,
             min_contrast_to_noise: 3.0,

@@ -20,6 +20,10 @@
 //! | slopes | `slopes` | 2 | grey/px | `P d`, `(1 - P) d`: radial gradient inside and outside |
 //! | var_in, var_out | `variance` | 2 | grey^2 | noise on either side; in between it follows P (shot noise rises with level) |
 //!
+//! A small disc cannot tell its size from blur and radial gradient; weak priors hold what the data leave open (for discs of more than
+//! some ten pixels the data outweigh them by orders of magnitude): blur within `PRIOR_BLUR_PX` of the value given, slopes within
+//! `PRIOR_SLOPE` of the grey step per minor semi-axis.
+//!
 //! Not valid where the radius of curvature is not well above the blur, or where another edge lies within the band.
 
 use crate::conic::{Ellipse, from_regular, to_regular};
@@ -31,6 +35,11 @@ use std::f64::consts::{FRAC_2_SQRT_PI, TAU};
 const FIXED: usize = 8;
 /// Most level coefficients on one side.
 const MOST_NODES: usize = 64;
+
+/// Standard deviation of the prior of the blur, px.
+const PRIOR_BLUR_PX: f64 = 0.3;
+/// Standard deviation of the prior of the slopes, grey steps per minor semi-axis.
+const PRIOR_SLOPE: f64 = 0.15;
 
 /// Pixels of the band around one ellipse, structure of arrays, reused from disc to disc.
 #[derive(Debug, Default)]
@@ -105,6 +114,10 @@ pub(crate) struct EdgeModel {
     pub(crate) coefficients: Vec<f64>,
     /// Noise variance inside and outside, grey^2.
     pub(crate) variance: [f64; 2],
+    /// Blur expected before seeing this disc, px.
+    pub(crate) expected_blur_px: f64,
+    /// Standard deviation of the slopes before seeing this disc, grey/px.
+    slope_prior: f64,
 }
 
 /// Dense normal equations, reused.
@@ -127,6 +140,8 @@ impl EdgeModel {
             levels: [Levels::Constant; 2],
             coefficients: vec![inner, outer],
             variance: [1.0; 2],
+            expected_blur_px: blur_px,
+            slope_prior: (PRIOR_SLOPE * (inner - outer).abs() / ellipse.semi_minor_px).max(1e-9),
         }
     }
 
@@ -179,6 +194,7 @@ impl EdgeModel {
         let mut damping = 1e-4;
         let mut chi2 = self.evaluate(band, Some(work));
         let mut moved = f64::INFINITY;
+        let mut proposed = f64::INFINITY;
         for _ in 0..rounds {
             let n = self.size();
             work.trial.clear();
@@ -199,7 +215,7 @@ impl EdgeModel {
                 }
                 continue;
             };
-            let proposed = work.step[..5].iter().fold(0.0_f64, |m, x| m.max(x.abs()));
+            proposed = work.step[..5].iter().fold(0.0_f64, |m, x| m.max(x.abs()));
             let tried = next.evaluate(band, None);
             if tried <= chi2 * (1.0 + 1e-12) {
                 *self = next;
@@ -215,13 +231,10 @@ impl EdgeModel {
                     return Some(proposed);
                 }
                 damping = (damping * 10.0_f64).max(1e-2);
-                if damping > 1e8 {
-                    return None;
-                }
             }
         }
         self.evaluate(band, Some(work));
-        moved.is_finite().then_some(moved)
+        Some(moved.min(proposed))
     }
 
     fn stepped(&self, step: &[f64]) -> Option<Self> {
@@ -250,7 +263,7 @@ impl EdgeModel {
         }
         let frame = Frame::new(&self.ellipse);
         let outer_start = FIXED + self.levels[0].count();
-        let mut chi2 = 0.0;
+        let mut chi2 = self.priors(work.as_deref_mut());
         for i in 0..band.u.len() {
             let foot = frame.foot(band.u[i], band.v[i]);
             let d = foot.distance;
@@ -317,6 +330,21 @@ impl EdgeModel {
             }
         }
         chi2
+    }
+
+    /// What the priors add to the weighted sum of squares (and to the normal equations).
+    fn priors(&self, work: Option<&mut Normal>) -> f64 {
+        let blur = ((self.expected_blur_px - self.blur_px) / PRIOR_BLUR_PX, 1.0 / PRIOR_BLUR_PX);
+        let slope = |k: usize| (-self.slopes[k] / self.slope_prior, 1.0 / self.slope_prior);
+        let rows = [blur, slope(0), slope(1)];
+        if let Some(w) = work {
+            let n = self.size();
+            for (k, (r, h)) in rows.iter().enumerate() {
+                w.matrix[(5 + k) * n + 5 + k] += h * h;
+                w.gradient[5 + k] += h * r;
+            }
+        }
+        rows.iter().map(|(r, _)| r * r).sum()
     }
 
     /// Noise variance of a pixel with share `p` of the disc, grey^2.

@@ -15,6 +15,8 @@ use crate::frames::Pixel;
 use crate::image::GrayView;
 use crate::target::{MarkKind, Polarity};
 
+/// A region with less than this part of the typical contrast is texture.
+const TEXTURE: f64 = 0.15;
 /// Pyramid levels looked at.
 const LEVELS: u32 = 3;
 
@@ -37,6 +39,7 @@ pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection>
     check_options(options)?;
     let image = Plane::from_view(view)?;
     let mut seen = look(&image, options);
+    drop_texture(&mut seen, f64::from(image.noise()));
     drop_repeats(&mut seen);
     let mut detection = Detection::default();
     let mut scratch = Scratch::default();
@@ -140,6 +143,39 @@ fn distance(a: Pixel, b: Pixel) -> f64 {
     (a.u_px - b.u_px).hypot(a.v_px - b.v_px)
 }
 
+/// Drops what is far weaker than the discs that dominate the image: paper, cloth, smoke. What has the size of a disc is named.
+fn drop_texture(seen: &mut Seen, noise: f64) {
+    let weight = |c: &Candidate| c.contrast * c.ellipse.perimeter_px();
+    let mut weights: Vec<(f64, f64, f64)> = seen
+        .candidates
+        .iter()
+        .map(|c| (c.contrast, weight(c), (c.ellipse.semi_major_px * c.ellipse.semi_minor_px).sqrt()))
+        .collect();
+    let total: f64 = weights.iter().map(|w| w.1).sum();
+    weights.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut sum = 0.0;
+    let Some(typical) = weights.iter().find(|w| {
+        sum += w.1;
+        sum >= 0.5 * total
+    }) else {
+        return;
+    };
+    let (least, radius) = (TEXTURE * typical.0, typical.2);
+    let mut weak = Vec::new();
+    seen.candidates.retain(|c| {
+        let size = (c.ellipse.semi_major_px * c.ellipse.semi_minor_px).sqrt();
+        let strong = c.contrast >= least;
+        if !strong && size > 0.5 * radius && size < 2.0 * radius && size > 4.0 {
+            let contrast_to_noise = if noise > 0.0 { c.contrast / noise } else { c.contrast };
+            weak.push((*c, RejectionReason::LowContrast { contrast_to_noise }));
+        }
+        strong
+    });
+    seen.marks.retain(|(c, _)| c.contrast >= least);
+    seen.rejected.retain(|(c, _)| c.contrast >= least);
+    seen.rejected.append(&mut weak);
+}
+
 /// The same region seen twice.
 fn same(a: &Candidate, b: &Candidate) -> bool {
     let (ra, rb) = (a.ellipse.semi_minor_px, b.ellipse.semi_minor_px);
@@ -211,7 +247,8 @@ fn mark_rings(discs: &mut Vec<Disc>, candidates: &[Candidate]) {
         let hole = candidates.iter().any(|c| {
             let ratio = c.ellipse.semi_minor_px / e.semi_minor_px;
             c.bright != bright
-                && distance(c.ellipse.center_px, e.center_px) < 0.3 * e.semi_minor_px
+                && distance(c.ellipse.center_px, e.center_px) < 0.1 * e.semi_minor_px + 0.5
+                && c.rms_px < 0.25 + 0.06 * c.ellipse.semi_minor_px
                 && (0.1..0.8).contains(&ratio)
                 && c.contrast > 0.5 * d.contrast
         });
