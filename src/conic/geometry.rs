@@ -88,8 +88,11 @@ impl Ellipse {
         let slope = |t: f64| (a * a - b * b) * t.sin() * t.cos() - ax * a * t.sin() + ay * b * t.cos();
         let (mut lo, mut hi) = (0.0_f64, FRAC_PI_2);
         let mut t = (a * ay).atan2(b * ax);
-        if slope(0.0) <= 0.0 {
-            hi = 0.0;
+        if ay == 0.0 {
+            // On the major axis the foot leaves the vertex inside the evolute.
+            let cos_t = (ax * a / (a * a - b * b)).min(1.0);
+            t = if cos_t.is_finite() { cos_t.acos() } else { 0.0 };
+            (lo, hi) = (t, t);
         }
         for _ in 0..60 {
             if hi - lo <= 0.0 {
