@@ -13,6 +13,7 @@ pub mod error;
 pub mod frames;
 pub mod image;
 pub mod rigid;
+pub mod simulate;
 pub mod target;
 
 pub use error::{Error, Result};
