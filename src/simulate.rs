@@ -129,8 +129,8 @@ fn image(scene: &Scene, view: usize, camera: usize) -> Result<GrayImage> {
     let uneven = Uneven::new(keys, c, seed, view, camera);
     let figure =
         Figure { camera: c, cam_from_target: c.cam_from_bench * v.bench_from_target, features: &v.pattern.features };
-    let contrast = |q: &Vector2<f64>, p_mm: Option<Vector2<f64>>| {
-        let cloud = smoke.as_ref().zip(p_mm).map_or(1.0, |(s, p)| s.at(&p));
+    let contrast = |q: &Vector2<f64>| {
+        let cloud = smoke.as_ref().and_then(|s| figure.front_mm(q).map(|p| s.at(&p))).unwrap_or(1.0);
         uneven.at(q) * (disc * cloud - ground)
     };
     let mut grey = render::render(&figure, keys.blur_sigma_px, &|q| uneven.at(q) * ground, &contrast);

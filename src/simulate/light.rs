@@ -1,11 +1,12 @@
 //! Light that is not even: smoke in the bubbles, uneven illumination, glare.
 //!
 //! ```text
-//! smoke     T(p) = 1 + s tanh( sum_m sqrt(2/M) cos(k_m . p + phase_m) )      M = 12 waves, |k| = 2 pi / wavelength
+//! smoke     T(p) = 1 + s tanh( sum_m a_m cos(k_m . p + phase_m) )      M = 16 waves, |k| = 2 pi / wavelength
 //! uneven    U(q) = 1 - e ((1 + w) / 2)^2,   w = (xi cos t + eta sin t) / sqrt 2
 //! glare     + level exp(-|q - q0|^2 / (2 r^2))
 //! ```
-//! Smoke belongs to the sheet (both cameras see the same), wavelengths from 0.7 to 2 times `smoke_length_mm`;
+//! Smoke belongs to the sheet (both cameras see the same), wavelengths from 0.4 to 4 times `smoke_length_mm`,
+//! evenly spread in their logarithm, the long ones stronger (a_m as the root of the wavelength, total variance 0.6);
 //! xi and eta run from -1 to 1 across the image, so U falls from 1 to 1 - e along the direction t.
 
 use super::random::{Stream, Use};
@@ -16,30 +17,39 @@ use nalgebra::Vector2;
 /// Brightness of the smoke in a bubble, about 1.
 pub(super) struct Smoke {
     amplitude: f64,
-    waves: Vec<(Vector2<f64>, f64)>,
+    waves: Vec<Wave>,
+}
+
+struct Wave {
+    k_per_mm: Vector2<f64>,
+    phase_rad: f64,
+    height: f64,
 }
 
 impl Smoke {
-    const WAVES: usize = 12;
+    const WAVES: usize = 16;
 
     pub(super) fn new(image: &ImageKeys, seed: u64, view: usize) -> Self {
         let mut stream = Stream::new(seed, Use::Smoke, &[view]);
-        let wave = |_| {
-            let direction = stream.within(std::f64::consts::PI);
-            let wavelength_mm = image.smoke_length_mm * stream.between(0.7, 2.0);
-            let phase = stream.within(std::f64::consts::PI);
-            let k = std::f64::consts::TAU / wavelength_mm;
-            (Vector2::new(k * direction.cos(), k * direction.sin()), phase)
+        let wave = |i: usize| {
+            let octave = (i as f64 + stream.uniform()) / Self::WAVES as f64;
+            let ratio = 0.4 * 10.0_f64.powf(octave);
+            let (direction, phase_rad) = (stream.within(std::f64::consts::PI), stream.within(std::f64::consts::PI));
+            let k = std::f64::consts::TAU / (image.smoke_length_mm * ratio);
+            Wave { k_per_mm: Vector2::new(k * direction.cos(), k * direction.sin()), phase_rad, height: ratio.sqrt() }
         };
-        Self { amplitude: image.smoke, waves: (0..Self::WAVES).map(wave).collect() }
+        let mut waves: Vec<Wave> = (0..Self::WAVES).map(wave).collect();
+        let variance: f64 = waves.iter().map(|w| 0.5 * w.height * w.height).sum();
+        waves.iter_mut().for_each(|w| w.height *= (0.6 / variance).sqrt());
+        Self { amplitude: image.smoke, waves }
     }
 
     pub(super) fn at(&self, p_mm: &Vector2<f64>) -> f64 {
         if self.amplitude == 0.0 {
             return 1.0;
         }
-        let sum: f64 = self.waves.iter().map(|(k, phase)| (k.dot(p_mm) + phase).cos()).sum();
-        1.0 + self.amplitude * (sum * (2.0 / Self::WAVES as f64).sqrt()).tanh()
+        let sum: f64 = self.waves.iter().map(|w| w.height * (w.k_per_mm.dot(p_mm) + w.phase_rad).cos()).sum();
+        1.0 + self.amplitude * sum.tanh()
     }
 }
 

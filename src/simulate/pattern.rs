@@ -182,7 +182,7 @@ mod tests {
     #[test]
     fn depth_is_positive_inside_and_its_gradient_leads_inwards() {
         for (mark, inside) in [(None, 0.3), (Some(MarkWord::Ring), 0.7), (Some(MarkWord::Square), 0.3), (Some(MarkWord::Triangle), 0.1)] {
-            let o = outline(mark, 1.0, 0.4, 1.6);
+            let o = outline(mark, 1.0, 0.3, 1.6);
             for angle in [0.1, 1.3, 2.9, 4.4] {
                 let along = Vector2::new(f64::cos(angle), f64::sin(angle));
                 let (depth, gradient) = o.depth(&(along * inside));

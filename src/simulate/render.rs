@@ -28,6 +28,8 @@ use nalgebra::{Matrix2, Matrix3x2, Vector2, Vector3};
 
 /// Width and height of the squares an image is worked in, px.
 const TILE_PX: usize = 32;
+/// Side of the blocks of a tile that are first asked whether an outline crosses them at all, px.
+const BLOCK_PX: usize = 8;
 /// An edge cell is cut into this many parts in each direction.
 const PARTS: usize = 4;
 
@@ -38,11 +40,21 @@ pub(super) struct Figure<'a> {
     pub(super) features: &'a [Feature],
 }
 
+impl Figure<'_> {
+    /// Where a pixel sees the front plane of the target, mm; none where its ray misses it.
+    pub(super) fn front_mm(&self, q: &Vector2<f64>) -> Option<Vector2<f64>> {
+        let ideal = self.camera.camera.ideal_of_pixel(q).ok()?;
+        SeenPlane::new(&self.cam_from_target, 0.0).meet(&ideal).map(|(p, _)| p)
+    }
+}
+
 /// Where a pixel's ray meets a plane z = const of the target.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Hit {
+struct Hit {
+    /// Ideal point of the pixel and its derivative, 1 and 1 per px.
+    ideal: Vector2<f64>,
+    dideal_dq: Matrix2<f64>,
     /// x and y in the target, mm.
-    pub(super) xy_mm: Vector2<f64>,
+    xy_mm: Vector2<f64>,
     /// Its derivative by the pixel, mm per px.
     dxy_dq: Matrix2<f64>,
 }
@@ -71,10 +83,13 @@ impl SeenPlane {
         (s > 0.0 && s.is_finite()).then(|| (self.axes.tr_mul(&(ray * s - self.origin_mm)), s))
     }
 
-    /// Target coordinates at a pixel.
+    /// Target coordinates `step` px beside a pixel whose hit is known.
+    ///
+    /// The lens is linear on this way and the plane exact: within a pixel of a tilted, distorting camera the lens
+    /// bends by less than `(6 |k1| r + tan(tilt)) / (8 f)` px, 2e-6 px at the paper's geometry.
     #[inline]
-    fn at(&self, c: &PlacedCamera, q: &Vector2<f64>) -> Option<Vector2<f64>> {
-        self.meet(&c.camera.ideal_of_pixel(q).ok()?).map(|(p, _)| p)
+    fn beside(&self, hit: &Hit, step: &Vector2<f64>) -> Option<Vector2<f64>> {
+        self.meet(&(hit.ideal + hit.dideal_dq * step)).map(|(p, _)| p)
     }
 
     /// Target coordinates at a pixel with their derivative.
@@ -85,7 +100,8 @@ impl SeenPlane {
         // d(s ray) = s d(ray) - ray s^2 / distance (n . d(ray)).
         let along = self.normal.fixed_rows::<2>(0) * (s * s / self.distance_mm);
         let dp = Matrix3x2::new(s, 0.0, 0.0, s, 0.0, 0.0) - ray * along.transpose();
-        Some(Hit { xy_mm, dxy_dq: self.axes.tr_mul(&dp) * jet.dxy_dq })
+        let dxy_dq = self.axes.tr_mul(&dp) * jet.dxy_dq;
+        Some(Hit { ideal: jet.xy, dideal_dq: jet.dxy_dq, xy_mm, dxy_dq })
     }
 }
 
@@ -188,19 +204,16 @@ fn levels<'a>(figure: &Figure<'a>) -> Vec<Level<'a>> {
     levels.into_iter().map(|(_, level)| level).collect()
 }
 
-/// Grey of every pixel in parts of full scale, row by row: `ground(q) + blurred inside * contrast(q, xy_mm)`.
-///
-/// `contrast` is called with the pixel and where it sees the front plane (none where its ray misses it).
+/// Grey of every pixel in parts of full scale, row by row: `ground(q) + blurred (inside * contrast(q))`.
 pub(super) fn render(
     figure: &Figure,
     blur_sigma_px: f64,
     ground: &dyn Fn(&Vector2<f64>) -> f64,
-    contrast: &dyn Fn(&Vector2<f64>, Option<Vector2<f64>>) -> f64,
+    contrast: &dyn Fn(&Vector2<f64>) -> f64,
 ) -> Vec<f64> {
     let [width, height] = figure.camera.size_px;
     let kernel = Kernel::new(blur_sigma_px);
     let levels = levels(figure);
-    let front = SeenPlane::new(&figure.cam_from_target, 0.0);
     let mut image = Vec::with_capacity(width * height);
     for v in 0..height {
         image.extend((0..width).map(|u| ground(&Vector2::new(u as f64, v as f64))));
@@ -208,12 +221,18 @@ pub(super) fn render(
     for top in (0..height).step_by(TILE_PX) {
         for left in (0..width).step_by(TILE_PX) {
             let tile = Tile::new(left, top, TILE_PX.min(width - left), TILE_PX.min(height - top), &kernel);
-            let Some(inside) = tile.inside(figure.camera, &levels) else { continue };
-            let shade = tile.shade(|q| contrast(q, front.at(figure.camera, q)));
-            tile.add(&inside, &shade, &kernel, &mut image, width);
+            let Some(cover) = tile.cover(figure.camera, &levels) else { continue };
+            let shade = tile.shade(&cover, contrast);
+            tile.add(&cover, &shade, &kernel, &mut image, width);
         }
     }
     image
+}
+
+/// Part of every cell of a tile that is inside an outline, row by row, and which pixels have such cells.
+struct Cover {
+    cells: Vec<f64>,
+    touched: Vec<bool>,
 }
 
 /// A square of the image with the margin that its convolution needs.
@@ -242,77 +261,112 @@ impl Tile {
         Vector2::new(at(self.left, column), at(self.top, row))
     }
 
-    /// Part of every cell that is inside an outline; none where no outline comes near.
-    fn inside(&self, c: &PlacedCamera, levels: &[Level]) -> Option<Vec<f64>> {
+    /// What the outlines cover; none where no outline comes near.
+    fn cover(&self, c: &PlacedCamera, levels: &[Level]) -> Option<Cover> {
         let half = Vector2::new(0.5, 0.5);
         let (low, high) = (self.pixel(0, 0) - half, self.pixel(self.columns() - 1, self.rows() - 1) + half);
-        let stride = self.columns() * self.cells;
-        let mut inside: Option<Vec<f64>> = None;
+        let mut cover: Option<Cover> = None;
         for level in levels {
             let near: Vec<&Shape> = level.shapes.iter().filter(|s| s.reaches(&low, &high)).collect();
             if near.is_empty() {
                 continue;
             }
-            let inside = inside.get_or_insert_with(|| vec![0.0; stride * self.rows() * self.cells]);
-            for row in 0..self.rows() {
-                for column in 0..self.columns() {
-                    let q = self.pixel(column, row);
-                    let (ql, qh) = (q - half, q + half);
-                    if !near.iter().any(|s| s.reaches(&ql, &qh)) {
-                        continue;
+            let cover = cover.get_or_insert_with(|| Cover {
+                cells: vec![0.0; self.columns() * self.rows() * self.cells * self.cells],
+                touched: vec![false; self.columns() * self.rows()],
+            });
+            for row in (0..self.rows()).step_by(BLOCK_PX) {
+                for column in (0..self.columns()).step_by(BLOCK_PX) {
+                    self.cover_block(c, level, &near, [column, row], cover);
+                }
+            }
+        }
+        cover.filter(|c| c.touched.contains(&true))
+    }
+
+    /// Add the cover of one block: whole where its middle is deep enough inside, nothing where it is far outside.
+    fn cover_block(&self, c: &PlacedCamera, level: &Level, near: &[&Shape], corner: [usize; 2], cover: &mut Cover) {
+        let end = [(corner[0] + BLOCK_PX).min(self.columns()), (corner[1] + BLOCK_PX).min(self.rows())];
+        let (first, last) = (self.pixel(corner[0], corner[1]), self.pixel(end[0] - 1, end[1] - 1));
+        let half = Vector2::new(0.5, 0.5);
+        let middle = level.plane.hit(c, &((first + last) * 0.5));
+        for s in near.iter().filter(|s| s.reaches(&(first - half), &(last + half))) {
+            if let Some(hit) = &middle {
+                // The stretch may grow by half within a block, 5 % within a pixel, before a crossing is missed.
+                let reach = 1.5 * stretch(&hit.dxy_dq) * std::f64::consts::FRAC_1_SQRT_2 * BLOCK_PX as f64;
+                let depth = s.feature.outline.depth(&(hit.xy_mm - s.feature.center_mm.xy())).0;
+                if depth <= -reach {
+                    continue;
+                }
+                if depth >= reach {
+                    for row in corner[1]..end[1] {
+                        (corner[0]..end[0]).for_each(|column| self.fill(column, row, cover));
                     }
-                    let Some(hit) = level.plane.hit(c, &q) else { continue };
-                    for s in near.iter().filter(|s| s.reaches(&ql, &qh)) {
-                        let first = row * self.cells * stride + column * self.cells;
-                        self.cover_pixel(c, &level.plane, s.feature, &q, &hit, &mut inside[first..], stride);
+                    continue;
+                }
+            }
+            for row in corner[1]..end[1] {
+                for column in corner[0]..end[0] {
+                    if let Some(hit) = level.plane.hit(c, &self.pixel(column, row)) {
+                        self.cover_pixel(&level.plane, s.feature, &hit, [column, row], cover);
                     }
                 }
             }
         }
-        inside
+    }
+
+    fn first_cell(&self, column: usize, row: usize) -> usize {
+        (row * self.columns() * self.cells + column) * self.cells
+    }
+
+    fn fill(&self, column: usize, row: usize, cover: &mut Cover) {
+        cover.touched[row * self.columns() + column] = true;
+        let first = self.first_cell(column, row);
+        for j in 0..self.cells {
+            cover.cells[first + j * self.columns() * self.cells..][..self.cells].fill(1.0);
+        }
     }
 
     /// Add a feature's cover of the cells of one pixel.
-    #[allow(clippy::too_many_arguments)] // The innermost step names everything that it reads.
-    fn cover_pixel(
-        &self,
-        c: &PlacedCamera,
-        plane: &SeenPlane,
-        feature: &Feature,
-        q: &Vector2<f64>,
-        hit: &Hit,
-        inside: &mut [f64],
-        stride: usize,
-    ) {
-        let center = feature.center_mm.xy();
-        // 5 % more than the stretch at the centre: perspective changes it within the pixel.
+    fn cover_pixel(&self, plane: &SeenPlane, feature: &Feature, hit: &Hit, at: [usize; 2], cover: &mut Cover) {
+        let [column, row] = at;
         let stretch = 1.05 * stretch(&hit.dxy_dq) * std::f64::consts::FRAC_1_SQRT_2;
-        let depth = feature.outline.depth(&(hit.xy_mm - center)).0;
+        let depth = feature.outline.depth(&(hit.xy_mm - feature.center_mm.xy())).0;
         if depth <= -stretch {
             return;
         }
-        let h = 1.0 / self.cells as f64;
+        if depth >= stretch {
+            return self.fill(column, row, cover);
+        }
+        cover.touched[row * self.columns() + column] = true;
+        let (h, first) = (1.0 / self.cells as f64, self.first_cell(column, row));
         for j in 0..self.cells {
             for i in 0..self.cells {
-                let place = j * stride + i;
-                let at = q + Vector2::new((i as f64 + 0.5) * h - 0.5, (j as f64 + 0.5) * h - 0.5);
-                let part = if depth >= stretch { 1.0 } else { cover_cell(c, plane, feature, &at, hit, h, stretch) };
-                inside[place] = (inside[place] + part).min(1.0);
+                let step = Vector2::new((i as f64 + 0.5) * h - 0.5, (j as f64 + 0.5) * h - 0.5);
+                let cell = &mut cover.cells[first + j * self.columns() * self.cells + i];
+                *cell = (*cell + cover_cell(plane, feature, hit, &step, h, stretch)).min(1.0);
             }
         }
     }
 
-    /// The contrast at every pixel of the tile and its margin.
-    fn shade(&self, contrast: impl Fn(&Vector2<f64>) -> f64) -> Vec<f64> {
-        let mut shade = Vec::with_capacity(self.columns() * self.rows());
-        for row in 0..self.rows() {
-            shade.extend((0..self.columns()).map(|column| contrast(&self.pixel(column, row))));
+    /// The contrast at every pixel that has covered cells, and at their neighbours.
+    fn shade(&self, cover: &Cover, contrast: &dyn Fn(&Vector2<f64>) -> f64) -> Vec<f64> {
+        let (columns, rows) = (self.columns(), self.rows());
+        let mut shade = vec![0.0; columns * rows];
+        for row in 0..rows {
+            for column in 0..columns {
+                let mut around = (row.saturating_sub(1)..(row + 2).min(rows))
+                    .flat_map(|r| (column.saturating_sub(1)..(column + 2).min(columns)).map(move |c| r * columns + c));
+                if around.any(|n| cover.touched[n]) {
+                    shade[row * columns + column] = contrast(&self.pixel(column, row));
+                }
+            }
         }
         shade
     }
 
     /// Convolve inside times contrast and add it to the image.
-    fn add(&self, inside: &[f64], shade: &[f64], kernel: &Kernel, image: &mut [f64], image_width: usize) {
+    fn add(&self, cover: &Cover, shade: &[f64], kernel: &Kernel, image: &mut [f64], image_width: usize) {
         let (s, stride) = (self.cells, self.columns() * self.cells);
         let skip = self.halo * s - kernel.reach;
         let across = self.between(self.columns());
@@ -323,7 +377,7 @@ impl Tile {
             let (r0, r1, fy) = down[y];
             let (upper, lower) = (&shade[r0 * self.columns()..], &shade[r1 * self.columns()..]);
             for (x, value) in line.iter_mut().enumerate() {
-                let part = inside[y * stride + x];
+                let part = cover.cells[y * stride + x];
                 let (c0, c1, fx) = across[x];
                 let a = upper[c0] + fx * (upper[c1] - upper[c0]);
                 let b = lower[c0] + fx * (lower[c1] - lower[c0]);
@@ -354,10 +408,10 @@ impl Tile {
     }
 }
 
-/// Part of a cell of width `h` px about `q` that is inside the outline.
-fn cover_cell(c: &PlacedCamera, plane: &SeenPlane, f: &Feature, q: &Vector2<f64>, hit: &Hit, h: f64, stretch: f64) -> f64 {
+/// Part of a cell of width `h` px, `step` px from the pixel of `hit`, that is inside the outline.
+fn cover_cell(plane: &SeenPlane, f: &Feature, hit: &Hit, step: &Vector2<f64>, h: f64, stretch: f64) -> f64 {
     let center = f.center_mm.xy();
-    let Some(p) = plane.at(c, q) else { return 0.0 };
+    let Some(p) = plane.beside(hit, step) else { return 0.0 };
     let depth = f.outline.depth(&(p - center)).0;
     if depth.abs() >= stretch * h {
         return f64::from(u8::from(depth > 0.0));
@@ -366,8 +420,8 @@ fn cover_cell(c: &PlacedCamera, plane: &SeenPlane, f: &Feature, q: &Vector2<f64>
     let mut sum = 0.0;
     for j in 0..PARTS {
         for i in 0..PARTS {
-            let at = q + Vector2::new((i as f64 + 0.5) * part - 0.5 * h, (j as f64 + 0.5) * part - 0.5 * h);
-            let Some(p) = plane.at(c, &at) else { continue };
+            let at = step + Vector2::new((i as f64 + 0.5) * part - 0.5 * h, (j as f64 + 0.5) * part - 0.5 * h);
+            let Some(p) = plane.beside(hit, &at) else { continue };
             let (depth, inwards) = f.outline.depth(&(p - center));
             let gradient = hit.dxy_dq.tr_mul(&inwards);
             let steepness = gradient.norm();

@@ -238,7 +238,7 @@ fn place_camera(keys: &CameraKeys) -> std::result::Result<PlacedCamera, String> 
         return Err(format!("the lens axis runs within 5 degrees along the sheet: expected a viewing angle below {MOST_OBLIQUE_DEG} degrees"));
     }
     let abc_per_mm = normal / distance_mm;
-    if !(abc_per_mm.z > 0.0) || !abc_per_mm.iter().all(|v| v.is_finite()) {
+    if abc_per_mm.z <= 0.0 || !abc_per_mm.iter().all(|v| v.is_finite()) {
         return Err("the sheet lies behind the camera".to_owned());
     }
     let intrinsics = intrinsics(keys, &abc_per_mm)?;
