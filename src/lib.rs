@@ -18,6 +18,7 @@ pub mod rig;
 pub mod rigid;
 pub mod seed;
 pub mod solve;
+pub mod simulate;
 pub mod target;
 
 pub use error::{Error, Result};
