@@ -339,6 +339,9 @@ pub struct Target {
     /// Distance of the two levels of a plate, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub step_mm: Option<f64>,
+    /// What the target covers in its own plane: least x, least y, largest x, largest y, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub extent_mm: Option<[f64; 4]>,
     /// Root mean square shift of the points from the nominal target, mm, where the points were adjusted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shift_rms_mm: Option<f64>,
