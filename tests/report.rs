@@ -69,11 +69,11 @@ fn the_page_is_well_formed_complete_and_loads_nothing() {
         assert!(text.contains(&format!("v{}_right.png", view + 1)));
     }
     for expected in [
-        "Usable with care",
+        "Usable, but first read",
         "Tilt alpha of the right camera is known only from its prior.",
         "8889 ± 22",
-        "(6.34 ± 0.11) °",
-        "0.620 ± 0.031",
+        "6.34° ± 0.11°",
+        "0.620° ± 0.031°",
         "the paper's homography",
         "rotations about the rig's x, y, z axes",
         "residual above 5 sigmas",

@@ -89,7 +89,7 @@ fn layer(out: &mut String, id: &str, class: &str, data: &str) {
     if !data.is_empty() {
         let _ = write!(
             out,
-            "<defs><path id=\"{id}-{class}\" d=\"{data}\"/></defs>\
+            "<defs><path class=\"o-line\" id=\"{id}-{class}\" d=\"{data}\"/></defs>\
              <use class=\"o-halo\" href=\"#{id}-{class}\"/><use class=\"o-{class}\" href=\"#{id}-{class}\"/>"
         );
     }
@@ -141,7 +141,7 @@ fn arrow_paths(shapes: &OverlayShapes, factor: f64, limit_px: f64, width: f64) -
         cut |= arrow.cut;
         let out = if arrow.outlier { &mut outliers } else { &mut used };
         out.push_str(&path_data([arrow.from, arrow.to], false));
-        if let (false, Some(head)) = (arrow.cut, overlay::head(&arrow, 0.006 * width)) {
+        if let Some(head) = overlay::head(&arrow, 0.006 * width) {
             out.push_str(&path_data(head, false));
         }
     }

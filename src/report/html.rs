@@ -1,7 +1,7 @@
 //! The self-contained report: one page, nothing to load, no script; also well-formed XML.
 
 use super::figures::{self, Figure};
-use super::number::plain;
+use super::number::{plain, significant};
 use super::overlay::{self, OverlayShapes};
 use super::plots::{self, COLOURS};
 use super::space;
@@ -97,8 +97,8 @@ fn verdict_box(out: &mut String, r: &Record) {
         "<section class=\"verdict {class}\"><p class=\"headline\"><b>{word}</b> {}</p><div class=\"three\">",
         escape(headline)
     );
-    list(out, "What is determined", &v.determined);
-    list(out, "What is not", &v.open);
+    list(out, "Determined", &v.determined);
+    list(out, "Not determined", &v.open);
     list(out, "What to do next", &v.next);
     out.push_str("</div></section>\n");
 }
@@ -120,8 +120,7 @@ fn space_section(out: &mut String, r: &Record) {
     };
     let _ = write!(
         out,
-        "<h2>Cameras and sheet in space</h2>\n<div class=\"two\"><figure>{whole}<figcaption>{} \
-         The rig frame (x right, y down, z forward) stands at the first camera; dashed black: baseline.</figcaption></figure>\n\
+        "<h2>Cameras and sheet in space</h2>\n<div class=\"two\"><figure>{whole}<figcaption>{} · The rig frame (x right, y down, z forward) stands at the first camera; dashed black: baseline.</figcaption></figure>\n\
          <figure>{near}<figcaption>The measured region. {sheet}; grey: target poses, each with its number and the side that is seen.\
          </figcaption></figure></div>\n",
         camera_keys(r)
@@ -150,7 +149,7 @@ fn camera_section(out: &mut String, r: &Record) {
     write_table(out, &tables::cameras(r));
     out.push_str(
         "<p class=\"note\">Values ± one standard deviation. Without a mark: estimated from the images. <span class=\"badge\">held</span> \
-         fixed by the rig file. <span class=\"badge prior\">prior</span> the share of what is known that comes from the prior: \
+         fixed by the rig file. <span class=\"badge\">prior</span> the share of what is known that comes from the prior: \
          at 100 % the images say nothing. Tilt, axis point and focal length compensate each other almost exactly; the effective \
          pinhole (the untilted camera with the same image) is what the images determine. Pixel (0, 0) is the centre of the first pixel.</p>\n",
     );
@@ -179,7 +178,7 @@ fn write_table(out: &mut String, table: &Table) {
         for cell in &row.cells {
             let _ = write!(out, "<td>{}", escape(&typographic(&cell.text)));
             if !cell.note.is_empty() {
-                let class = if cell.note.starts_with("prior") { "badge prior" } else { "badge" };
+                let class = if cell.strong { "badge prior" } else { "badge" };
                 let _ = write!(out, "<span class=\"{class}\">{}</span>", escape(&cell.note));
             }
             out.push_str("</td>");
@@ -243,7 +242,7 @@ fn view_table(out: &mut String, r: &Record) {
         let _ = write!(out, "<tr><td class=\"n\">{}</td><td class=\"soft\">{}</td>", v.index, escape(&view_words(v)));
         for c in &r.cameras {
             let image = v.images.get(&c.name).map_or(String::new(), |i| format!("<code>{}</code>", escape(i)));
-            let rms = v.rms_px.get(&c.name).map_or("–".into(), |&x| plain(x, 3));
+            let rms = v.rms_px.get(&c.name).map_or("–".into(), |&x| significant(x, 3));
             let number = |map: &BTreeMap<String, usize>| map.get(&c.name).map_or("–".into(), usize::to_string);
             let outliers = v.outliers.get(&c.name).copied().unwrap_or(0);
             let _ = write!(
@@ -329,9 +328,11 @@ fn overlay_section(out: &mut String, r: &Record, overlays: &[OverlayInput<'_>]) 
     let width = |image: &GrayView<'_>| (image.width(), image.height());
     let largest = overlays.iter().map(|o| width(&o.image)).max().unwrap_or((1, 1));
     // One factor for all, so that views can be compared.
-    let factor = overlay::arrow_factor(overlay::rms_px(overlays.iter().map(|o| &o.shapes.marks)), largest.0, largest.1);
+    let rms_px = overlay::rms_px(overlays.iter().map(|o| &o.shapes.marks));
+    let radius_px = overlay::typical_radius_px(overlays.iter().map(|o| o.shapes));
+    let factor = overlay::arrow_factor(rms_px, largest.0, largest.1, radius_px);
     out.push_str(
-        "<p class=\"note\"><span class=\"swatch\" style=\"color:#00b4d8;margin-left:0\"></span>measured contour\
+        "<p class=\"note long\"><span class=\"swatch\" style=\"color:#00b4d8;margin-left:0\"></span>measured contour\
          <span class=\"swatch\" style=\"color:#4caf50\"></span>ellipse or predicted circle\
          <span class=\"swatch\" style=\"color:#a08cf0\"></span>tangents and axes\
          <span class=\"swatch\" style=\"color:#e0b000\"></span>features and residuals (observed less predicted)\

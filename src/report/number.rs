@@ -26,8 +26,18 @@ fn superscript(n: i32) -> String {
     n.to_string().chars().map(|c| c.to_digit(10).and_then(|d| DIGITS.get(d as usize)).copied().unwrap_or('⁻')).collect()
 }
 
-/// A number without a standard deviation, `digits` significant digits.
+/// A number without a standard deviation, `digits` significant digits; zeros that say nothing are dropped.
 pub(super) fn plain(x: f64, digits: usize) -> String {
+    let text = significant(x, digits);
+    if text.contains('.') && !text.contains('×') {
+        text.trim_end_matches('0').trim_end_matches('.').into()
+    } else {
+        text
+    }
+}
+
+/// As [`plain`], but with all its zeros, for columns.
+pub(super) fn significant(x: f64, digits: usize) -> String {
     if !x.is_finite() {
         return "unknown".into();
     }
@@ -41,8 +51,7 @@ pub(super) fn plain(x: f64, digits: usize) -> String {
         let (m, e) = (parts.next().unwrap_or_default(), parts.next().and_then(|e| e.parse().ok()).unwrap_or(0));
         return format!("{m} × 10{}", superscript(e));
     }
-    let text = fixed(x, (digits as i32 - 1 - exponent).max(0));
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
+    fixed(x, (digits as i32 - 1 - exponent).max(0))
 }
 
 /// How a value and its standard deviation read.
@@ -79,7 +88,7 @@ pub(super) fn with_unit(value: f64, sigma: f64, unit: &str) -> String {
     let text = measured(value, sigma);
     match unit {
         "" => text,
-        "°" if sigma == 0.0 => format!("{text}°"),
+        "°" if !text.contains('(') => text.replace(" ± ", "° ± ") + "°",
         _ if text.contains('±') && !text.contains(')') => format!("({text}) {unit}"),
         _ => format!("{text} {unit}"),
     }
@@ -139,6 +148,8 @@ mod tests {
         assert_eq!(with_unit(1.4142e-4, 6.1e-7, "/mm"), "(1.4142 ± 0.0061) × 10⁻⁴ /mm");
         assert_eq!(with_unit(26.0, 0.0, "mm"), "26 mm");
         assert_eq!(with_unit(90.0, 0.0, "°"), "90°");
+        assert_eq!(with_unit(-6.347, 0.113, "°"), "-6.35° ± 0.11°");
+        assert_eq!(with_unit(1e-5, 2e-7, "°"), "(1.000 ± 0.020) × 10⁻⁵ °");
         assert_eq!(with_unit(90.0, f64::NAN, "°"), "90 (sigma not determined) °");
     }
 

@@ -44,7 +44,7 @@ fn eye(c: &Camera) -> Eye {
 /// A line, a filled face or a word in space.
 enum Item {
     Chain { class: String, points: Vec<P>, closed: bool },
-    Word { at: P, text: String },
+    Word { at: P, text: String, below_px: f64 },
 }
 
 /// What is drawn, in drawing order.
@@ -57,8 +57,8 @@ impl Scene {
     fn chain(&mut self, class: impl Into<String>, points: impl Into<Vec<P>>, closed: bool) {
         self.items.push(Item::Chain { class: class.into(), points: points.into(), closed });
     }
-    fn word(&mut self, at: P, text: impl Into<String>) {
-        self.items.push(Item::Word { at, text: text.into() });
+    fn word(&mut self, at: P, below_px: f64, text: impl Into<String>) {
+        self.items.push(Item::Word { at, text: text.into(), below_px });
     }
 }
 
@@ -174,7 +174,8 @@ fn add_targets(scene: &mut Scene, record: &Record, reach_mm: f64, with_names: bo
         if with_names {
             let (x, y, up) = (0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.25 * (x1 - x0).hypot(y1 - y0));
             scene.chain(format!("{class} pin"), [at(x, y, 0.0), at(x, y, up)], false);
-            scene.word(at(x, y, 1.12 * up), v.index.to_string());
+            // At a corner: the middles lie close together.
+            scene.word(at(x1, y1, 0.0), 4.0, v.index.to_string());
         }
     }
 }
@@ -191,7 +192,8 @@ fn add_cameras(scene: &mut Scene, record: &Record, eyes: &[Eye], fields: &[Vec<P
             scene.chain(class("frustum"), [eye.centre, *corner], false);
         }
         scene.chain(class("frustum face"), base, true);
-        scene.word(eye.centre, camera.name.clone());
+        add_body(scene, &class("body"), eye, reach_mm);
+        scene.word(eye.centre - eye.axis * (0.085 * reach_mm) - P::y() * (0.05 * reach_mm), -8.0, camera.name.clone());
     }
     for (eye, camera) in eyes.iter().zip(&record.cameras).skip(1) {
         scene.chain("baseline", [eyes[0].centre, eye.centre], false);
@@ -202,12 +204,27 @@ fn add_cameras(scene: &mut Scene, record: &Record, eyes: &[Eye], fields: &[Vec<P
         } else {
             format!("{} {} mm", camera.name, plain(length, 4))
         };
-        scene.word((eyes[0].centre + eye.centre) * 0.5, words);
+        scene.word((eyes[0].centre + eye.centre) * 0.5, 20.0, words);
     }
     let tip = 0.12 * reach_mm;
     for (axis, name) in [(P::x(), "x"), (P::y(), "y"), (P::z(), "z")] {
         scene.chain("triad", [eyes[0].centre, eyes[0].centre + axis * tip], false);
-        scene.word(eyes[0].centre + axis * (1.15 * tip), name);
+        scene.word(eyes[0].centre + axis * (1.2 * tip), 4.0, name);
+    }
+}
+
+/// A box behind the projection centre, so that one sees which way a camera with a narrow view looks.
+fn add_body(scene: &mut Scene, class: &str, eye: &Eye, reach_mm: f64) {
+    let across = (eye.corners[1] - eye.corners[0]).normalize() * (0.045 * reach_mm);
+    let down = eye.axis.cross(&across) * 0.75;
+    let face = |depth: f64| {
+        let middle = eye.centre + eye.axis * (depth * reach_mm);
+        [middle - across - down, middle + across - down, middle + across + down, middle - across + down]
+    };
+    let (front, back) = (face(-0.02), face(-0.15));
+    for i in 0..4 {
+        let j = (i + 1) % 4;
+        scene.chain(class, [front[i], front[j], back[j], back[i]], true);
     }
 }
 
@@ -240,9 +257,9 @@ fn draw(scene: &Scene, screen: &Screen, size: [f64; 2], title: &str) -> String {
             Item::Chain { class, points, closed } => {
                 path(&mut out, class, &path_data(points.iter().map(place), *closed));
             }
-            Item::Word { at, text } => {
+            Item::Word { at, text, below_px } => {
                 let [x, y] = place(at);
-                label(&mut out, "word", [x, y - 7.0], "middle", text);
+                label(&mut out, "word", [x, y + below_px], "middle", text);
             }
         }
     }

@@ -10,6 +10,8 @@ pub(super) struct Cell {
     pub(super) text: String,
     /// `held`, `prior 97 %`, or empty.
     pub(super) note: String,
+    /// Whether the note is one to stop at: the prior says more than the images.
+    pub(super) strong: bool,
 }
 
 /// One line of a table.
@@ -38,7 +40,13 @@ impl Table {
 }
 
 fn cell(text: impl Into<String>) -> Cell {
-    Cell { text: text.into(), note: String::new() }
+    Cell { text: text.into(), ..Cell::default() }
+}
+
+/// Share of the prior; 0 where there is none.
+fn prior_share(record: &Record, name: &str) -> f64 {
+    let parameter = record.fit.parameters.iter().find(|p| p.name == name && p.known == Known::Prior);
+    parameter.map_or(0.0, |p| p.prior_share)
 }
 
 /// How a camera's parameter is known; empty where it is free.
@@ -82,7 +90,8 @@ pub(super) fn cameras(record: &Record) -> Table {
             let ((value, sigma), note) = (get(c), note(record, &format!("{}.{key}", c.name)));
             // A parameter that is held has no sigma, whatever was left in the field.
             let sigma = if note == "held" { 0.0 } else { sigma * factor };
-            Cell { text: with_unit(value * factor, sigma, unit), note }
+            let strong = prior_share(record, &format!("{}.{key}", c.name)) > 0.5;
+            Cell { text: with_unit(value * factor, sigma, unit), note, strong }
         });
         table.row(name, cells.collect());
     }

@@ -44,11 +44,12 @@ fn views(record: &Record) -> Table {
         let what = if v.in_sheet { ", in the sheet" } else { "" };
         let unused = if v.used { "" } else { ", not used" };
         let cells = record.cameras.iter().map(|c| tables::Cell {
-            text: v.rms_px.get(&c.name).map_or("-".into(), |&x| super::number::plain(x, 3)),
+            text: v.rms_px.get(&c.name).map_or("-".into(), |&x| super::number::significant(x, 3)),
             note: match v.outliers.get(&c.name) {
                 Some(&n) if n > 0 => format!("{n} left out"),
                 _ => String::new(),
             },
+            strong: false,
         });
         table.rows.push(tables::Row { name: format!("view {}{what}{unused}", v.index), cells: cells.collect() });
     }

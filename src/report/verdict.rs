@@ -75,7 +75,7 @@ fn headline(r: &Record, level: Level) -> String {
             count(f.nullity, "direction"),
             if f.nullity == 1 { "is" } else { "are" }
         ),
-        Level::Care => "Usable with care: read what is not determined and what to look at.".into(),
+        Level::Care => "Usable, but first read what is not determined and what to look at.".into(),
         Level::Good => "The calibration is complete and consistent.".into(),
     }
 }
@@ -187,7 +187,8 @@ fn next_steps(r: &Record) -> Vec<String> {
             plain(misfit, 3)
         ));
     }
-    if r.fit.outliers > 0 {
+    let said = r.fit.flags.iter().any(|f| f.contains("outlier"));
+    if r.fit.outliers > 0 && !said {
         out.push(format!(
             "{} left out: see the list of outliers and the red marks in the images.",
             if r.fit.outliers == 1 { "1 outlier was".into() } else { format!("{} outliers were", r.fit.outliers) }

@@ -86,7 +86,7 @@ pub fn residuals() -> ResidualTable {
                 let shift = Vector2::new(noise.normal(), noise.normal()) * 0.004;
                 for (i, p) in points.iter().enumerate() {
                     let n = (Vector2::from(*p) - centre).normalize();
-                    let far = view == 3 && camera == 1 && disc == 1 && (40..44).contains(&i);
+                    let far = view == 3 && camera == 1 && disc == 1 && (200..204).contains(&i);
                     let r = 0.024 * noise.normal() + n.dot(&shift) + if far { 0.6 } else { 0.0 };
                     let row = Residual {
                         view,
@@ -132,8 +132,8 @@ pub fn shapes(camera: usize, view: usize, table: &ResidualTable) -> OverlayShape
         }
     }
     tangents(&mut shapes, eye, view);
-    let reason = "not elliptical: rms 1.3 px > 0.2 px".to_string();
-    shapes.rejected.push(RejectedMark { at_px: [120.0, 690.0], radius_px: 14.0, reason });
+    let reason = "not elliptical".to_string();
+    shapes.rejected.push(RejectedMark { at_px: [840.0, 60.0], radius_px: 14.0, reason });
     shapes
 }
 
