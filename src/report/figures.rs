@@ -169,7 +169,7 @@ fn crosses(shapes: &OverlayShapes) -> String {
 }
 
 fn texts(out: &mut String, shapes: &OverlayShapes, width: f64) {
-    let size = 0.02 * width;
+    let size = 0.017 * width;
     let mut write_text = |at: [f64; 2], class: &str, text: &str| {
         if at[0].is_finite() && at[1].is_finite() {
             let _ = write!(

@@ -7,7 +7,7 @@ use super::plots::{self, COLOURS};
 use super::space;
 use super::svg::escape;
 use super::tables::{self, Table};
-use super::verdict::{Level, verdict};
+use super::verdict::{Level, sentence, verdict};
 use crate::error::Result;
 use crate::image::GrayView;
 use crate::record::{Record, ResidualTable, View};
@@ -239,7 +239,8 @@ fn view_table(out: &mut String, r: &Record) {
     }
     out.push_str("</tr></thead><tbody>");
     for v in &r.views {
-        let _ = write!(out, "<tr><td class=\"n\">{}</td><td class=\"soft\">{}</td>", v.index, escape(&view_words(v)));
+        let _ =
+            write!(out, "<tr><td class=\"n\">{}</td><td class=\"soft words\">{}</td>", v.index, escape(&view_words(v)));
         for c in &r.cameras {
             let image = v.images.get(&c.name).map_or(String::new(), |i| format!("<code>{}</code>", escape(i)));
             let rms = v.rms_px.get(&c.name).map_or("–".into(), |&x| significant(x, 3));
@@ -301,7 +302,7 @@ fn outlier_section(out: &mut String, r: &Record, table: &ResidualTable) {
         let _ = writeln!(
             out,
             "<tr><td class=\"n\">{view}</td><td>{}</td><td>{}, {}, {}</td><td class=\"n\">{}</td><td class=\"n\">{}</td>\
-             <td class=\"n\">{}</td><td>{}</td></tr>",
+             <td class=\"n\">{}</td><td class=\"words\">{}</td></tr>",
             escape(name),
             disc.column,
             disc.row,
@@ -379,12 +380,11 @@ fn overlay_figure(
     if !words.is_empty() {
         caption.push(words);
     }
-    caption.push(format!(
-        "<a class=\"tozoom\" href=\"#{id}\">larger</a><a class=\"unzoom\" href=\"#{id}-back\">smaller</a>"
-    ));
     let _ = writeln!(
         out,
-        "<figure class=\"zoom overlay\" id=\"{id}\">{svg}<figcaption id=\"{id}-back\">{}</figcaption></figure>",
+        "<figure class=\"zoom overlay\" id=\"{id}\">{svg}<figcaption id=\"{id}-back\">{}\
+         <span class=\"tozoom\"> · <a href=\"#{id}\">larger</a></span><span class=\"unzoom\"> · <a href=\"#{id}-back\">smaller</a></span>\
+         </figcaption></figure>",
         caption.join(" · ")
     );
     Ok(())
@@ -393,7 +393,7 @@ fn overlay_figure(
 fn correlation_section(out: &mut String, r: &Record) {
     out.push_str("<h2>What moves together</h2>\n");
     for n in &r.fit.near_null {
-        let _ = writeln!(out, "<p>{}</p>", escape(&n.words));
+        let _ = writeln!(out, "<p>{}</p>", escape(&sentence(&n.words)));
     }
     let pairs = tables::correlations(r, CORRELATION, LONGEST_LIST);
     if pairs.is_empty() {

@@ -274,11 +274,9 @@ fn draw(scene: &Scene, screen: &Screen, size: [f64; 2], title: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::{CameraSigma, Effective, Pose, PoseSigma, Radial};
+    use crate::record::{CameraSigma, Effective, Pose, Radial};
 
     fn camera() -> Camera {
-        let nan = f64::NAN;
-        let none = Effective { f_px: nan, cx_px: nan, cy_px: nan };
         Camera {
             name: "left".into(),
             image_size_px: [1024, 768],
@@ -294,21 +292,8 @@ mod tests {
             radial: Radial::IdealToDistorted,
             pupil_ratio: 1.0,
             pixel_pitch_mm: None,
-            effective: none,
-            sigma: CameraSigma {
-                f_px: nan,
-                aspect: nan,
-                cx_px: nan,
-                cy_px: nan,
-                alpha_rad: nan,
-                beta_rad: nan,
-                k1: nan,
-                k2: nan,
-                k3: nan,
-                pupil_ratio: nan,
-                effective: none,
-                cam_from_rig: PoseSigma::default(),
-            },
+            effective: Effective::default(),
+            sigma: CameraSigma::default(),
             cam_from_rig: Pose {
                 rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
                 translation_mm: [0.0; 3],

@@ -127,7 +127,8 @@ fn determined(r: &Record) -> Vec<String> {
     out
 }
 
-fn sentence(words: &str) -> String {
+/// The words with a capital first letter and a full stop.
+pub(super) fn sentence(words: &str) -> String {
     let mut chars = words.trim().chars();
     let Some(first) = chars.next() else { return String::new() };
     let mut out: String = first.to_uppercase().chain(chars).collect();
