@@ -14,6 +14,7 @@ pub mod error;
 pub mod frames;
 pub mod image;
 pub mod record;
+pub mod report;
 pub mod rig;
 pub mod rigid;
 pub mod seed;

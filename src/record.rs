@@ -18,10 +18,11 @@ mod json;
 mod number;
 mod residuals;
 mod schema;
+mod sigma;
 
 pub use residuals::{FeatureKind, Residual, ResidualTable};
 pub use schema::{
-    ANGLES_CONVENTION, Camera, CameraSigma, Covariance, Effective, FORMAT, Fit, Homography, ImageFile, Known, NearNull,
-    Parameter, Pose, PoseSigma, Provenance, Radial, Record, Rig, RigSigma, Scale, Sheet, SheetSigma, Target,
-    TargetPoint, TargetSigma, VERSION, View, ViewTarget,
+    ANGLES_CONVENTION, Camera, Covariance, Effective, FORMAT, Fit, Homography, ImageFile, Known, NearNull, Parameter,
+    Pose, Provenance, Radial, Record, Rig, Scale, Sheet, Target, TargetPoint, VERSION, View, ViewTarget,
 };
+pub use sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, TargetSigma};

@@ -163,6 +163,30 @@ fn only(wanted: &Value, full: &Value) -> Value {
 }
 
 #[test]
+fn a_record_can_be_checked_before_it_is_written() {
+    scene::record().check().unwrap();
+    let mut broken = scene::record();
+    broken.cameras[1].f_px = -1.0;
+    let error = broken.check().unwrap_err();
+    assert_eq!(error.exit_code(), 4);
+    assert!(error.to_string().contains("cameras[1].f_px: -1 is not possible"), "{error}");
+    let with_nan: [fn(&mut Record); 7] = [
+        |r| r.cameras[1].f_px = f64::NAN,
+        |r| r.cameras[0].beta_rad = f64::NAN,
+        |r| r.cameras[0].k2 = f64::INFINITY,
+        |r| r.views[2].rig_from_target.as_mut().unwrap().rotation[1][1] = f64::NAN,
+        |r| r.views[2].rig_from_target.as_mut().unwrap().translation_mm[0] = f64::NAN,
+        |r| r.sheet.as_mut().unwrap().normal_in_rig[0] = f64::NAN,
+        |r| r.sheet.as_mut().unwrap().abc_per_mm[2] = f64::NAN,
+    ];
+    for (i, break_it) in with_nan.into_iter().enumerate() {
+        let mut record = scene::record();
+        break_it(&mut record);
+        assert!(record.check().is_err(), "case {i}: no estimate may be NaN");
+    }
+}
+
+#[test]
 fn keys_keep_their_order() {
     let text = scene::record().to_json().unwrap();
     let order =

@@ -57,7 +57,15 @@ fn check_record(r: &Record) -> Check {
 }
 
 fn positive(path: String, x: f64) -> Check {
-    if x > 0.0 { Ok(()) } else { fault(path, format!("{x} is not possible: expected a number above 0")) }
+    if x > 0.0 && x.is_finite() {
+        Ok(())
+    } else {
+        fault(path, format!("{x} is not possible: expected a number above 0"))
+    }
+}
+
+fn finite(path: String, x: f64) -> Check {
+    if x.is_finite() { Ok(()) } else { fault(path, format!("{x} is not possible: expected a finite number")) }
 }
 
 /// Unknown (`NaN`) is allowed: whoever reads a sigma must be ready for it.
@@ -76,10 +84,13 @@ fn check_camera(c: &Camera, at: &str) -> Check {
     positive(format!("{at}.aspect"), c.aspect)?;
     positive(format!("{at}.pupil_ratio"), c.pupil_ratio)?;
     for (key, x) in [("alpha_rad", c.alpha_rad), ("beta_rad", c.beta_rad)] {
-        if x.abs() >= FRAC_PI_2 {
+        if x.is_nan() || x.abs() >= FRAC_PI_2 {
             let message = format!("{x} is not possible: expected a tilt between -pi/2 and pi/2 rad (not degrees)");
             return fault(format!("{at}.{key}"), message);
         }
+    }
+    for (key, x) in [("cx_px", c.cx_px), ("cy_px", c.cy_px), ("k1", c.k1), ("k2", c.k2), ("k3", c.k3)] {
+        finite(format!("{at}.{key}"), x)?;
     }
     let s = &c.sigma;
     let sigmas = [
@@ -104,7 +115,8 @@ fn check_pose(pose: &Pose, at: &str) -> Check {
     let m = pose.motion::<(), ()>();
     let gap = (m.rotation * m.rotation.transpose() - nalgebra::Matrix3::identity()).abs().max();
     let determinant = m.rotation.determinant();
-    if gap > ROTATION_TOLERANCE || determinant < 0.0 {
+    let finite = determinant.is_finite() && pose.translation_mm.iter().all(|x| x.is_finite());
+    if !finite || gap > ROTATION_TOLERANCE || determinant < 0.0 {
         let message = format!(
             "not a rotation (largest entry of R R^T - 1 is {gap:.1e}, determinant {determinant:.3}): expected an orthonormal matrix with determinant 1"
         );
@@ -123,9 +135,12 @@ fn check_first_pose(pose: &Pose) -> Check {
 
 fn check_sheet(s: &Sheet) -> Check {
     positive("sheet.distance_mm".into(), s.distance_mm)?;
+    for (i, &x) in s.abc_per_mm.iter().enumerate() {
+        finite(format!("sheet.abc_per_mm[{i}]"), x)?;
+    }
     let n = s.normal_in_rig;
     let norm = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
-    if (norm - 1.0).abs() > ROTATION_TOLERANCE {
+    if norm.is_nan() || (norm - 1.0).abs() > ROTATION_TOLERANCE {
         return fault("sheet.normal_in_rig", format!("its length is {norm}: expected a unit vector"));
     }
     let gap = (0..3).map(|i| (s.abc_per_mm[i] * s.distance_mm - n[i]).abs()).fold(0.0, f64::max);

@@ -31,7 +31,23 @@ impl Record {
         Ok(text)
     }
 
+    /// Whether every value is possible and nothing contradicts itself; what [`Record::from_json`] would refuse is refused.
+    ///
+    /// # Errors
+    /// [`Error::Bug`] with the path of the first impossible value: a record that the library made must pass.
+    pub fn check(&self) -> Result<()> {
+        match check::first_fault(self) {
+            None => Ok(()),
+            Some(fault) => Err(Error::Bug(format!("calibration record, {}: {}", fault.path, fault.message))),
+        }
+    }
+
     /// The record in the text of a `calibration.json`; `file` is only named in messages.
+    ///
+    /// ```
+    /// let error = spivcal::record::Record::from_json("{}", "c.json").unwrap_err();
+    /// assert_eq!(error.to_string(), "c.json:1: no key \"format\": expected \"format\": \"spivcal-calibration\"");
+    /// ```
     ///
     /// # Errors
     /// [`Invalid::Syntax`] with file and line where the text is not JSON, not a spivcal calibration, of another version,

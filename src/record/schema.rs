@@ -1,6 +1,7 @@
 //! The structs of `calibration.json`, in the order of its keys.
 
 use super::number::{label, maybe, maybe_array, maybe_list, maybe_map, maybe_rows};
+use super::sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, TargetSigma};
 use crate::rigid::Motion;
 use crate::target::DotId;
 use nalgebra::{Matrix3, Vector3};
@@ -140,44 +141,11 @@ pub struct Effective {
     pub cy_px: f64,
 }
 
-/// Standard deviations of a [`Camera`]; 0 where fixed, unknown where not determined.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct CameraSigma {
-    /// Of `f_px`.
-    #[serde(with = "maybe")]
-    pub f_px: f64,
-    /// Of `aspect`.
-    #[serde(with = "maybe", default = "maybe::unknown")]
-    pub aspect: f64,
-    /// Of `cx_px`.
-    #[serde(with = "maybe")]
-    pub cx_px: f64,
-    /// Of `cy_px`.
-    #[serde(with = "maybe", default = "maybe::unknown")]
-    pub cy_px: f64,
-    /// Of `alpha_rad`.
-    #[serde(with = "maybe", default = "maybe::unknown")]
-    pub alpha_rad: f64,
-    /// Of `beta_rad`.
-    #[serde(with = "maybe", default = "maybe::unknown")]
-    pub beta_rad: f64,
-    /// Of `k1`.
-    #[serde(with = "maybe", default = "maybe::unknown")]
-    pub k1: f64,
-    /// Of `k2`.
-    #[serde(with = "maybe", default = "maybe::unknown")]
-    pub k2: f64,
-    /// Of `k3`.
-    #[serde(with = "maybe", default = "maybe::unknown")]
-    pub k3: f64,
-    /// Of `pupil_ratio`.
-    #[serde(with = "maybe", default = "maybe::unknown")]
-    pub pupil_ratio: f64,
-    /// Of the effective pinhole.
-    pub effective: Effective,
-    /// Of the pose in the rig.
-    #[serde(default)]
-    pub cam_from_rig: PoseSigma,
+impl Default for Effective {
+    /// Everything unknown.
+    fn default() -> Self {
+        Self { f_px: f64::NAN, cx_px: f64::NAN, cy_px: f64::NAN }
+    }
 }
 
 /// A rigid motion as the file holds it; `p_to = rotation p_from + translation_mm`.
@@ -207,23 +175,6 @@ impl Pose {
     }
 }
 
-/// Standard deviations of a pose, for a step on the left: `R' = exp(dw) R`, `t' = exp(dw) t + dv`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct PoseSigma {
-    /// Of the rotation about the axes of the goal frame, rad.
-    #[serde(with = "maybe_array")]
-    pub rotation_rad: [f64; 3],
-    /// Of the translation, mm.
-    #[serde(with = "maybe_array")]
-    pub translation_mm: [f64; 3],
-}
-
-impl Default for PoseSigma {
-    fn default() -> Self {
-        Self { rotation_rad: maybe_array::unknown(), translation_mm: maybe_array::unknown() }
-    }
-}
-
 /// What two cameras make together.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Rig {
@@ -233,17 +184,6 @@ pub struct Rig {
     pub axes_angle_deg: f64,
     /// Standard deviations.
     pub sigma: RigSigma,
-}
-
-/// Standard deviations of a [`Rig`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct RigSigma {
-    /// Of `baseline_mm`.
-    #[serde(with = "maybe")]
-    pub baseline_mm: f64,
-    /// Of `axes_angle_deg`.
-    #[serde(with = "maybe")]
-    pub axes_angle_deg: f64,
 }
 
 /// The laser sheet: the plane `normal . p = distance` in the rig frame.
@@ -279,26 +219,6 @@ pub struct Sheet {
     /// The paper's method beside it, where `method` is `joint`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub homography: Option<Homography>,
-}
-
-/// Standard deviations of a [`Sheet`], those of the cameras included.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct SheetSigma {
-    /// Of `distance_mm`.
-    #[serde(with = "maybe")]
-    pub distance_mm: f64,
-    /// Of the normal, about the sheet's x and y axes, rad.
-    #[serde(with = "maybe_array")]
-    pub normal_rad: [f64; 2],
-    /// Of `abc_per_mm`.
-    #[serde(with = "maybe_array")]
-    pub abc_per_mm: [f64; 3],
-    /// Of `angles_deg`.
-    #[serde(with = "maybe_array", default = "maybe_array::unknown")]
-    pub angles_deg: [f64; 3],
-    /// Of `angle_to_baseline_deg`.
-    #[serde(with = "maybe")]
-    pub angle_to_baseline_deg: f64,
 }
 
 /// The sheet by the paper's homography, cameras held.
@@ -339,26 +259,15 @@ pub struct Target {
     /// Distance of the two levels of a plate, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub step_mm: Option<f64>,
+    /// What the target covers in its own plane: least x, least y, largest x, largest y, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub extent_mm: Option<[f64; 4]>,
     /// Root mean square shift of the points from the nominal target, mm, where the points were adjusted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shift_rms_mm: Option<f64>,
     /// Every point of the target, where the points were adjusted.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub points: Vec<TargetPoint>,
-}
-
-/// Standard deviations of a [`Target`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct TargetSigma {
-    /// Of `radii_mm`.
-    #[serde(with = "maybe_list", default)]
-    pub radii_mm: Vec<f64>,
-    /// Of `spacing_mm`.
-    #[serde(with = "maybe", default = "maybe::unknown")]
-    pub spacing_mm: f64,
-    /// Of `step_mm`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub step_mm: Option<f64>,
 }
 
 /// One adjusted point of the target.

@@ -3,6 +3,8 @@
 
 #![allow(dead_code, unreachable_pub)]
 
+pub mod pictures;
+
 use nalgebra::{Matrix3, Vector3};
 use spivcal::frames;
 use spivcal::record::*;
@@ -296,6 +298,7 @@ pub fn record() -> Record {
             sigma: TargetSigma { radii_mm: vec![0.0021, 0.0019], spacing_mm: 0.0, step_mm: None },
             adjust: "shape".into(),
             step_mm: None,
+            extent_mm: Some([-25.5, -12.5, 23.0, 12.5]),
             shift_rms_mm: None,
             points: Vec::new(),
         },
