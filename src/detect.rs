@@ -1,5 +1,7 @@
 //! From an image to discs: subpixel contours, ellipses with covariance, and the pattern they form.
 
+pub mod pattern;
+
 use crate::conic::Ellipse;
 use crate::frames::Pixel;
 use crate::target::{DotId, MarkKind, Polarity};
