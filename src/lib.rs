@@ -6,6 +6,7 @@
 //!
 #![doc = include_str!("MAP.md")]
 
+pub mod bitangent;
 pub mod bundle;
 pub mod camera;
 pub mod conic;
