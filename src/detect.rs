@@ -1,6 +1,5 @@
 //! From an image to discs: subpixel contours, ellipses with covariance, and the pattern they form.
 
-<<<<<<< HEAD
 mod candidate;
 mod edge_model;
 mod find;
@@ -9,9 +8,7 @@ mod refine;
 mod trace;
 
 pub use find::find_discs;
-=======
 pub mod pattern;
->>>>>>> wt-pattern
 
 use crate::conic::Ellipse;
 use crate::frames::Pixel;

@@ -19,8 +19,8 @@ pub mod report;
 pub mod rig;
 pub mod rigid;
 pub mod seed;
-pub mod solve;
 pub mod simulate;
+pub mod solve;
 pub mod target;
 
 pub use error::{Error, Result};

@@ -134,7 +134,8 @@ fn check_camera(scene: &SceneFile, index: usize, lines: &Lines) -> Result<()> {
     lines.within_all(&at("k"), &c.k, -1e6, 1e6)?;
     lines.within(&at("pupil_ratio"), c.pupil_ratio, 0.1, 10.0)?;
     if c.scheimpflug && (c.alpha_deg.is_some() || c.beta_deg.is_some()) {
-        return lines.refuse(&at("scheimpflug"), "scheimpflug = true computes the tilt: leave out alpha_deg and beta_deg");
+        return lines
+            .refuse(&at("scheimpflug"), "scheimpflug = true computes the tilt: leave out alpha_deg and beta_deg");
     }
     match (&c.aim, &c.pose) {
         (Some(a), None) => {
@@ -247,10 +248,14 @@ fn check_grid(scene: &SceneFile, lines: &Lines) -> Result<()> {
             return lines.refuse(&path, "a large mark of large_factor * radius_mm touches its neighbours");
         }
         if mark.level > u8::from(plate) {
-            return lines.refuse(&path, format!("level {}: expected 0 (front){}", mark.level, if plate { " or 1 (back)" } else { "" }));
+            return lines.refuse(
+                &path,
+                format!("level {}: expected 0 (front){}", mark.level, if plate { " or 1 (back)" } else { "" }),
+            );
         }
         if plate && (mark.column + mark.row).rem_euclid(2) == 0 {
-            return lines.refuse(&path, "column + row is even there, which is the place of a dot: a mark sits between dots");
+            return lines
+                .refuse(&path, "column + row is even there, which is the place of a dot: a mark sits between dots");
         }
     }
     Ok(())
@@ -270,7 +275,8 @@ fn check_image(scene: &SceneFile, lines: &Lines) -> Result<()> {
     lines.within_all(&at("full_well_e"), image.full_well_e.as_slice(), 10.0, 1e7)?;
     lines.within(&at("read_noise_e"), image.read_noise_e, 0.0, 1e5)?;
     if image.read_noise_e > 0.0 && image.full_well_e.is_none() {
-        return lines.refuse(&at("read_noise_e"), "read_noise_e needs full_well_e, which says how many electrons are white");
+        return lines
+            .refuse(&at("read_noise_e"), "read_noise_e needs full_well_e, which says how many electrons are white");
     }
     lines.within(&at("smoke"), image.smoke, 0.0, 0.95)?;
     lines.within(&at("smoke_length_mm"), image.smoke_length_mm, 1e-2, FAR_MM)?;
@@ -283,7 +289,10 @@ fn check_image(scene: &SceneFile, lines: &Lines) -> Result<()> {
     }
     let bright = scene.target.polarity == PolarityKey::Bright;
     if (disc > ground) != bright || disc == ground {
-        let message = format!("polarity \"{}\" contradicts disc_level {disc} on ground_level {ground}", if bright { "bright" } else { "dark" });
+        let message = format!(
+            "polarity \"{}\" contradicts disc_level {disc} on ground_level {ground}",
+            if bright { "bright" } else { "dark" }
+        );
         return lines.refuse(&at("disc_level"), message);
     }
     Ok(())
@@ -313,7 +322,8 @@ fn check_views(scene: &SceneFile, lines: &Lines) -> Result<()> {
         }
         let in_plane = v.sheet || v.plane_z_mm.is_some();
         if in_plane && (v.rotation_deg[0] != 0.0 || v.rotation_deg[1] != 0.0 || v.position_mm[2] != 0.0) {
-            let message = "a view in (or parallel to) the sheet has position_mm = [x, y, 0] and rotation_deg = [0, 0, spin]";
+            let message =
+                "a view in (or parallel to) the sheet has position_mm = [x, y, 0] and rotation_deg = [0, 0, spin]";
             return lines.refuse(&table, message);
         }
         if scene.target.kind == Kind::Bubbles {
@@ -324,7 +334,8 @@ fn check_views(scene: &SceneFile, lines: &Lines) -> Result<()> {
             lines.within(&at("spacing_mm"), spacing, 1e-3, FAR_MM)?;
             check_pair(lines, &at("spacing_mm"), radii, spacing)?;
         } else if v.radii_mm.is_some() || v.spacing_mm.is_some() || v.printed {
-            return lines.refuse(&table, "radii_mm, spacing_mm and printed of a view are for a target of kind \"bubbles\"");
+            return lines
+                .refuse(&table, "radii_mm, spacing_mm and printed of a view are for a target of kind \"bubbles\"");
         }
     }
     Ok(())
@@ -363,7 +374,10 @@ fn check_rig(scene: &SceneFile, lines: &Lines) -> Result<()> {
     let at = |key| [Key("rig"), Key(key)];
     let views = scene.views.len() + scene.random.as_ref().map_or(0, |r| r.count);
     if rig.scale_view >= views {
-        return lines.refuse(&at("scale_view"), format!("scale_view = {}: there are {views} views, counted from 0", rig.scale_view));
+        return lines.refuse(
+            &at("scale_view"),
+            format!("scale_view = {}: there are {views} views, counted from 0", rig.scale_view),
+        );
     }
     lines.within_all(&at("scale_sigma_mm"), rig.scale_sigma_mm.as_slice(), 1e-9, FAR_MM)?;
     let bubbles = scene.target.kind == Kind::Bubbles;

@@ -11,10 +11,18 @@ use nalgebra::{Vector2, Vector3};
 /// An outline, in mm about its centre.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Outline {
-    Disc { radius_mm: f64 },
-    Ring { radius_mm: f64, hole_mm: f64 },
+    Disc {
+        radius_mm: f64,
+    },
+    Ring {
+        radius_mm: f64,
+        hole_mm: f64,
+    },
     /// Convex; unit outward normals with the distance of each side from the centre.
-    Polygon { sides: Vec<(Vector2<f64>, f64)>, corners_mm: Vec<Vector2<f64>> },
+    Polygon {
+        sides: Vec<(Vector2<f64>, f64)>,
+        corners_mm: Vec<Vector2<f64>>,
+    },
 }
 
 /// One thing printed on a target, or one bubble.
@@ -117,9 +125,8 @@ pub(super) fn grid(t: &TargetKeys) -> Pattern {
     let plate = t.kind == Kind::TwoLevelPlate;
     let unit = if plate { 0.5 * pitch } else { pitch };
     let depth = t.step_mm.unwrap_or(0.0);
-    let place = |id: &DotId| {
-        Vector3::new(f64::from(id.column) * unit, f64::from(id.row) * unit, -depth * f64::from(id.level))
-    };
+    let place =
+        |id: &DotId| Vector3::new(f64::from(id.column) * unit, f64::from(id.row) * unit, -depth * f64::from(id.level));
     let mut features = Vec::new();
     for row in 0..rows {
         for column in 0..columns {
@@ -144,7 +151,9 @@ pub(super) fn grid(t: &TargetKeys) -> Pattern {
         center_mm: place(&id),
         outline: outline(mark, radius, t.ring_hole, t.large_factor),
     };
-    let last = |n: i32, origin: i32| unit * f64::from(if plate { 2 } else { 1 }) * (0.5 * f64::from(n - 1) - f64::from(origin));
+    let last = |n: i32, origin: i32| {
+        unit * f64::from(if plate { 2 } else { 1 }) * (0.5 * f64::from(n - 1) - f64::from(origin))
+    };
     let middle_mm = Vector3::new(last(columns, t.origin[0]), last(rows, t.origin[1]), 0.0);
     Pattern { features: features.into_iter().map(feature).collect(), middle_mm }
 }
@@ -181,7 +190,9 @@ mod tests {
 
     #[test]
     fn depth_is_positive_inside_and_its_gradient_leads_inwards() {
-        for (mark, inside) in [(None, 0.3), (Some(MarkWord::Ring), 0.7), (Some(MarkWord::Square), 0.3), (Some(MarkWord::Triangle), 0.1)] {
+        for (mark, inside) in
+            [(None, 0.3), (Some(MarkWord::Ring), 0.7), (Some(MarkWord::Square), 0.3), (Some(MarkWord::Triangle), 0.1)]
+        {
             let o = outline(mark, 1.0, 0.3, 1.6);
             for angle in [0.1, 1.3, 2.9, 4.4] {
                 let along = Vector2::new(f64::cos(angle), f64::sin(angle));
@@ -192,7 +203,10 @@ mod tests {
                 assert!(o.depth(&(along * 2.0)).0 < 0.0);
             }
         }
-        assert!(outline(Some(MarkWord::Ring), 1.0, 0.4, 1.6).depth(&Vector2::new(0.1, 0.0)).0 < 0.0, "the hole is empty");
+        assert!(
+            outline(Some(MarkWord::Ring), 1.0, 0.4, 1.6).depth(&Vector2::new(0.1, 0.0)).0 < 0.0,
+            "the hole is empty"
+        );
     }
 
     #[test]

@@ -20,8 +20,8 @@
 //! Not valid where the contrast varies within a pixel (it is interpolated between pixel centres), or where the map from
 //! pixels to the plane bends within one (a lens of a few pixels' focal length).
 
-use super::setup::{PlacedCamera, rim_px};
 use super::pattern::Feature;
+use super::setup::{PlacedCamera, rim_px};
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
 use nalgebra::{Matrix2, Matrix3x2, Vector2, Vector3};
@@ -148,7 +148,8 @@ impl Kernel {
         };
         let total: f64 = (-(reach as i64)..=reach as i64).map(gauss).sum();
         let weight = |i: i64| {
-            let box_sum: f64 = (0..cells as i64).map(|k| i - k).filter(|j| j.unsigned_abs() as usize <= reach).map(gauss).sum();
+            let box_sum: f64 =
+                (0..cells as i64).map(|k| i - k).filter(|j| j.unsigned_abs() as usize <= reach).map(gauss).sum();
             box_sum / (total * cells as f64)
         };
         let weights = (-(reach as i64)..(cells + reach) as i64).map(weight).collect();

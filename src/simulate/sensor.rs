@@ -12,7 +12,13 @@ use crate::error::Result;
 use crate::image::{GrayImage, Pixels};
 
 /// Digitise one image; `name` is its view and camera.
-pub(super) fn expose(grey: &[f64], size_px: [usize; 2], image: &ImageKeys, seed: u64, name: [usize; 2]) -> Result<GrayImage> {
+pub(super) fn expose(
+    grey: &[f64],
+    size_px: [usize; 2],
+    image: &ImageKeys,
+    seed: u64,
+    name: [usize; 2],
+) -> Result<GrayImage> {
     let [width, height] = size_px;
     let white = f64::from((1_u32 << image.bits) - 1);
     let mut levels = Vec::with_capacity(grey.len());

@@ -108,7 +108,9 @@ impl Setup {
             (None, None) => Pattern { features: Vec::new(), middle_mm: Vector3::zeros() },
         };
         let [rx, ry, rz] = keys.rotation_deg.map(f64::to_radians);
-        let turn = rotation_exp(&(Vector3::x() * rx)) * rotation_exp(&(Vector3::y() * ry)) * rotation_exp(&(Vector3::z() * rz));
+        let turn = rotation_exp(&(Vector3::x() * rx))
+            * rotation_exp(&(Vector3::y() * ry))
+            * rotation_exp(&(Vector3::z() * rz));
         let mut position = Vector3::from(keys.position_mm);
         let plane_z_mm = if keys.sheet { Some(0.0) } else { keys.plane_z_mm };
         position.z += plane_z_mm.unwrap_or(0.0);
@@ -131,7 +133,13 @@ impl Setup {
     }
 
     /// A view drawn from the ranges, the first that every camera sees.
-    fn draw_view(&self, r: &RandomKeys, index: usize, scene: &SceneFile, fixed: Option<&Pattern>) -> Result<PlacedView> {
+    fn draw_view(
+        &self,
+        r: &RandomKeys,
+        index: usize,
+        scene: &SceneFile,
+        fixed: Option<&Pattern>,
+    ) -> Result<PlacedView> {
         let mut stream = Stream::new(scene.seed, Use::Pose, &[index]);
         let in_sheet = index + r.sheet_count >= r.count;
         let mut why = String::new();
@@ -167,7 +175,10 @@ impl Setup {
             let toward = cam_from_target.apply(&view.pattern.middle_mm);
             let cosine = -normal.dot(&toward) / toward.norm();
             if cosine.abs() < MOST_OBLIQUE_DEG.to_radians().cos() {
-                return Err(format!("camera \"{}\" sees the target edge-on (beyond {MOST_OBLIQUE_DEG} degrees)", c.name));
+                return Err(format!(
+                    "camera \"{}\" sees the target edge-on (beyond {MOST_OBLIQUE_DEG} degrees)",
+                    c.name
+                ));
             }
             if view.printed && cosine < 0.0 {
                 return Err(format!("camera \"{}\" sees the back of the printed target", c.name));
@@ -183,7 +194,10 @@ impl Setup {
                 }
             }
             if !scene.target.kind.is_pair() && whole < FEWEST_DOTS {
-                return Err(format!("camera \"{}\" sees {whole} whole dots, at least {FEWEST_DOTS} are needed", c.name));
+                return Err(format!(
+                    "camera \"{}\" sees {whole} whole dots, at least {FEWEST_DOTS} are needed",
+                    c.name
+                ));
             }
         }
         Ok(())
@@ -235,7 +249,9 @@ fn place_camera(keys: &CameraKeys) -> std::result::Result<PlacedCamera, String> 
     let normal = cam_from_bench.rotation.column(2).into_owned();
     let distance_mm = normal.dot(&cam_from_bench.translation_mm);
     if (normal.z).abs() < (MOST_OBLIQUE_DEG.to_radians()).cos() {
-        return Err(format!("the lens axis runs within 5 degrees along the sheet: expected a viewing angle below {MOST_OBLIQUE_DEG} degrees"));
+        return Err(format!(
+            "the lens axis runs within 5 degrees along the sheet: expected a viewing angle below {MOST_OBLIQUE_DEG} degrees"
+        ));
     }
     let abc_per_mm = normal / distance_mm;
     if abc_per_mm.z <= 0.0 || !abc_per_mm.iter().all(|v| v.is_finite()) {
@@ -309,7 +325,12 @@ fn posed(pose: &PoseKeys) -> Motion<Cam, Bench> {
 }
 
 /// Images of points of a feature's outline, px; empty where part of it has no image.
-pub(super) fn rim_px(c: &PlacedCamera, cam_from_target: &Motion<Cam, Target>, f: &pattern::Feature, count: usize) -> Vec<Vector2<f64>> {
+pub(super) fn rim_px(
+    c: &PlacedCamera,
+    cam_from_target: &Motion<Cam, Target>,
+    f: &pattern::Feature,
+    count: usize,
+) -> Vec<Vector2<f64>> {
     let image = |p: &Vector2<f64>| {
         c.camera.project_xyz(&cam_from_target.apply(&(f.center_mm + Vector3::new(p.x, p.y, 0.0)))).ok()
     };

@@ -91,11 +91,7 @@ fn sheet(setup: &Setup, rig_from_bench: &Motion<Rig, Bench>) -> Value {
     let rotation = Matrix3::from_columns(&[x, z.cross(&x), z]);
     let origin_mm = Vector3::new(0.0, 0.0, distance_mm / normal.z);
     let turned = rotation * Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
-    let angles = [
-        (-turned.m23).atan2(turned.m33),
-        turned.m13.clamp(-1.0, 1.0).asin(),
-        (-turned.m12).atan2(turned.m11),
-    ];
+    let angles = [(-turned.m23).atan2(turned.m33), turned.m13.clamp(-1.0, 1.0).asin(), (-turned.m12).atan2(turned.m11)];
     let to_baseline = setup.cameras.get(1).map(|c| {
         let baseline = rig_from_bench.apply(&c.cam_from_bench.inverse().translation_mm);
         normal.dot(&baseline.normalize()).clamp(-1.0, 1.0).asin().to_degrees()
@@ -200,8 +196,10 @@ mod tests {
 
     #[test]
     fn ellipse_goes_through_its_points() {
-        let e = Ellipse { center_px: Pixel::new(400.0, 300.0), semi_major_px: 150.0, semi_minor_px: 90.0, angle_rad: -1.1 };
-        let points: Vec<_> = (0..72).map(|i| e.point(f64::from(i) * 0.0872)).map(|p| Vector2::new(p.u_px, p.v_px)).collect();
+        let e =
+            Ellipse { center_px: Pixel::new(400.0, 300.0), semi_major_px: 150.0, semi_minor_px: 90.0, angle_rad: -1.1 };
+        let points: Vec<_> =
+            (0..72).map(|i| e.point(f64::from(i) * 0.0872)).map(|p| Vector2::new(p.u_px, p.v_px)).collect();
         let got = ellipse_of(&points).unwrap();
         assert!((got.parameters() - e.parameters()).norm() < 1e-9, "{got:?}");
     }

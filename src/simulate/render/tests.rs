@@ -21,7 +21,13 @@ fn paper() -> Scene {
 /// A wide lens of strong distortion with a large tilt: everything bends as much as it ever will.
 fn wild() -> Scene {
     let lens = "f_px = 260.0\nalpha_deg = 12.0\nbeta_deg = -20.0\nk = [-0.25, 0.05, 0.0]\naspect = 1.07";
-    scene(lens, "distance_mm = 100.0, viewing_angle_deg = 35.0, elevation_deg = 10.0", [13.0, 9.0], 25.0, [5.0, 3.0, -30.0])
+    scene(
+        lens,
+        "distance_mm = 100.0, viewing_angle_deg = 35.0, elevation_deg = 10.0",
+        [13.0, 9.0],
+        25.0,
+        [5.0, 3.0, -30.0],
+    )
 }
 
 /// Dots of a few pixels, seen obliquely.
@@ -64,7 +70,8 @@ fn brute_force(f: &Figure, corner: [usize; 2], size: usize, sigma_px: f64, n: us
             return f64::from(u8::from(distance.abs() < 0.5)) / n as f64;
         }
         let steps = 200;
-        let gauss = |k: i32| (-0.5 * ((distance + (f64::from(k) + 0.5) / f64::from(steps) - 0.5) / sigma_px).powi(2)).exp();
+        let gauss =
+            |k: i32| (-0.5 * ((distance + (f64::from(k) + 0.5) / f64::from(steps) - 0.5) / sigma_px).powi(2)).exp();
         (0..steps).map(gauss).sum::<f64>() / f64::from(steps) / (sigma_px * std::f64::consts::TAU.sqrt() * n as f64)
     };
     let weights: Vec<Vec<f64>> = (0..size).map(|p| (0..wide).map(|i| weight(at(i) - p as f64)).collect()).collect();
@@ -148,8 +155,11 @@ fn area_centroid_and_moments_are_those_of_the_projected_circle() {
                 let bias_px = (sum - area) / length;
                 let gap_px = (mean - center).norm();
                 // The half axis of a disc is twice the root of its second moment.
-                let axes_px = (0..3).map(|i| (got[i] - moments[i]).abs()).fold(0.0, f64::max) / moments[0].max(moments[2]).sqrt();
-                println!("{name} disc {disc} sigma {sigma}: edge {bias_px:.1e} centre {gap_px:.1e} axes {axes_px:.1e} px");
+                let axes_px =
+                    (0..3).map(|i| (got[i] - moments[i]).abs()).fold(0.0, f64::max) / moments[0].max(moments[2]).sqrt();
+                println!(
+                    "{name} disc {disc} sigma {sigma}: edge {bias_px:.1e} centre {gap_px:.1e} axes {axes_px:.1e} px"
+                );
                 // Without blur pixels alias the image and so its moments; its area stays exact.
                 let aliased = sigma == 0.0;
                 assert!(bias_px.abs() < limit_px, "{name} {disc} {sigma}");
