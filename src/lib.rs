@@ -17,6 +17,7 @@ pub mod image;
 pub mod record;
 pub mod report;
 pub mod rig;
+pub mod rig_file;
 pub mod rigid;
 pub mod seed;
 pub mod simulate;
