@@ -45,6 +45,7 @@ mod posterior;
 mod residuals;
 mod retraction;
 mod state;
+mod tangent;
 
 pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, problem};
 pub use facts::Fact;

@@ -1,7 +1,7 @@
 //! The motion between the cameras by consensus of the views, scale, and the common adjustment.
 
 use super::mono::calibrate_camera;
-use super::{Mono, RigProblem, RigSolution};
+use super::{Mono, RigProblem, RigSolution, rms_of};
 use crate::bundle::{AdjustOptions, Fact, State, TargetShape, ViewPlace, ViewState, adjust};
 use crate::error::{Error, Insufficient, Result, Unusable};
 use crate::frames::{Cam, Rig, Sheet, Target};
@@ -12,6 +12,9 @@ use nalgebra::{Matrix3, Vector3};
 /// Motions of two views that differ by more than this contradict each other, rad. Poses of a camera calibrated alone are
 /// good to a few tenths of a degree.
 const CONSENSUS_RAD: f64 = 3.0 * std::f64::consts::PI / 180.0;
+
+/// A common adjustment that fits worse than this times the cameras alone (and than 0.3 px) is a contradiction.
+const CONTRADICTION: f64 = 5.0;
 
 /// Calibrates one or two cameras.
 ///
@@ -28,11 +31,33 @@ pub fn calibrate_rig(
     order_pairs(&mut problem, &mut swapped);
     let count = problem.model.cameras.len();
     let monos: Vec<Mono> = (0..count).map(|c| calibrate_camera(&problem, c)).collect::<Result<_>>()?;
-    let start = if count == 1 {
-        single_start(&problem, &monos[0])?
+    let mut start = None;
+    let mut doubt = None;
+    if count == 1 {
+        start = Some(single_start(&problem, &monos[0])?);
     } else {
         let agreed = agreed_motion(&mut problem, &monos, &mut swapped)?;
-        pair_start(&problem, &monos, &agreed)?
+        let state = pair_start(&problem, &monos, &agreed)?;
+        if agreed.outside.is_empty() {
+            start = Some(state);
+        } else {
+            // A weak pose of one camera alone is no contradiction: let the common adjustment decide.
+            let quick = AdjustOptions {
+                solve: crate::solve::Options { decrement: 1e-1, iterations: 100 },
+                rounds: 0,
+                ..*options
+            };
+            let trial = adjust(&problem.model, state, &quick, observe);
+            let alone = monos.iter().map(|m| m.rms_px).fold(0.0, f64::max);
+            if rms_of(&problem.model, &trial.state).is_some_and(|r| r < (CONTRADICTION * alone).max(0.3)) {
+                start = Some(trial.state);
+            } else {
+                doubt = Some(contradiction(&problem, &monos, &agreed));
+            }
+        }
+    }
+    let Some(start) = start else {
+        return Err(doubt.unwrap_or_else(|| Error::Bug("no start and no reason".into())));
     };
     let adjustment = adjust(&problem.model, start, options, observe);
     match adjustment.termination {
@@ -97,6 +122,12 @@ struct Agreed {
     motion: Motion<Cam, Rig>,
     /// Poses of the second camera after exchanges.
     right: Vec<Option<(Motion<Cam, Target>, [f64; 3])>>,
+    /// The vote at the centre of the consensus.
+    center: Vote,
+    /// Views that disagree.
+    outside: Vec<usize>,
+    /// Views seen by both cameras.
+    common: usize,
 }
 
 #[derive(Clone, Copy)]
@@ -163,39 +194,35 @@ fn agreed_motion(problem: &mut RigProblem, monos: &[Mono], swapped: &mut [bool])
     })?;
     let outside: Vec<usize> = best.iter().flatten().filter(|(_, g)| *g > CONSENSUS_RAD).map(|(v, _)| v.view).collect();
     let common = best.iter().flatten().count();
-    if !outside.is_empty() && common > 1 {
-        return Err(contradiction(problem, monos, pair, &center, &outside, common));
-    }
     let mut agreed_right = right.clone();
     let mut rotations = Matrix3::zeros();
     let mut shift = Vector3::zeros();
     let per_view = problem.model.target.per_view();
-    for (vote, _) in best.iter().flatten() {
+    let mut inside = 0.0;
+    for (vote, gap) in best.iter().flatten() {
         if vote.swap {
             if let Some(k) = problem.model.images.iter().position(|i| i.camera == 1 && i.view == vote.view) {
                 swap_image(problem, k, swapped);
             }
             agreed_right[vote.view] = right[vote.view].as_ref().map(|(m, s)| exchanged(m, s));
         }
-        rotations += vote.rotation;
-        shift += if per_view { vote.translation.normalize() } else { vote.translation };
+        if *gap <= CONSENSUS_RAD {
+            rotations += vote.rotation;
+            shift += if per_view { vote.translation.normalize() } else { vote.translation };
+            inside += 1.0;
+        }
     }
     let rotation = crate::rigid::orthonormalised(&rotations);
-    Ok(Agreed { motion: Motion::new(rotation, shift / common as f64), right: agreed_right })
+    Ok(Agreed { motion: Motion::new(rotation, shift / inside), right: agreed_right, center, outside, common })
 }
 
 /// Finds out why views do not agree, and says it.
-fn contradiction(
-    problem: &RigProblem,
-    monos: &[Mono],
-    pair: bool,
-    center: &Vote,
-    outside: &[usize],
-    common: usize,
-) -> Error {
+fn contradiction(problem: &RigProblem, monos: &[Mono], agreed: &Agreed) -> Error {
+    let Agreed { center, outside, common, .. } = agreed;
+    let pair = matches!(problem.model.target.shape, TargetShape::Pair { .. });
     let names: Vec<&str> = problem.model.cameras.iter().map(|c| c.name.as_str()).collect();
     let views = problem.model.views.len();
-    if 2 * outside.len() >= common {
+    if 2 * outside.len() >= *common {
         for (c, other) in [(1, 0), (0, 1)] {
             let flip = |p: &Option<(Motion<Cam, Target>, [f64; 3])>| p.as_ref().map(|(m, s)| (mirrored(m), *s));
             let flipped: Vec<_> = monos[c].poses.iter().map(flip).collect();
@@ -238,7 +265,9 @@ fn contradiction(
 }
 
 fn single_start(problem: &RigProblem, mono: &Mono) -> Result<State> {
-    let nothing = Agreed { motion: Motion::identity(), right: vec![None; problem.model.views.len()] };
+    let nobody = Vote { view: 0, swap: false, rotation: Matrix3::identity(), translation: Vector3::zeros() };
+    let right = vec![None; problem.model.views.len()];
+    let nothing = Agreed { motion: Motion::identity(), right, center: nobody, outside: vec![], common: 0 };
     let mut state = pair_start(problem, std::slice::from_ref(mono), &nothing)?;
     state.camera_from_first.truncate(1);
     Ok(state)
@@ -253,7 +282,10 @@ fn pair_start(problem: &RigProblem, monos: &[Mono], agreed: &Agreed) -> Result<S
         -(agreed.motion.rotation.transpose() * agreed.motion.translation_mm),
     );
     let mut poses: Vec<(Motion<Rig, Target>, [f64; 3])> = vec![];
+    // A view outside the consensus has one weak pose: that of the camera whose fit alone is worse is left away.
+    let right_is_better = monos.get(1).is_some_and(|r| r.rms_px < monos[0].rms_px);
     for v in 0..model.views.len() {
+        let prefer_right = right_is_better && agreed.outside.contains(&v) && agreed.right[v].is_some() && !per_view;
         let left = monos[0].poses[v].map(|(m, s)| (Motion::<Rig, Target>::new(m.rotation, m.translation_mm), s));
         let pose = match (left, agreed.right[v]) {
             (Some((m, s)), Some((r, _))) if per_view => {
@@ -261,9 +293,9 @@ fn pair_start(problem: &RigProblem, monos: &[Mono], agreed: &Agreed) -> Result<S
                 let shift = r.translation_mm - agreed.motion.rotation * m.translation_mm;
                 Some(scaled(&m, &s, 1.0 / shift.norm()))
             }
-            (Some(own), _) => Some(own),
-            (None, Some((r, s))) => Some((left_from_right * r, s)),
-            (None, None) => None,
+            (Some(own), _) if !prefer_right => Some(own),
+            (_, Some((r, s))) => Some((left_from_right * r, s)),
+            _ => None,
         };
         poses.push(pose.ok_or_else(|| Insufficient::Degenerate(format!("view {v} has no usable image")))?);
     }
