@@ -20,6 +20,7 @@ pub mod rig;
 pub mod rig_file;
 pub mod rigid;
 pub mod seed;
+pub mod sheet;
 pub mod simulate;
 pub mod solve;
 pub mod target;
