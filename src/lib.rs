@@ -14,6 +14,7 @@ pub mod detect;
 pub mod error;
 pub mod frames;
 pub mod image;
+pub mod pipeline;
 pub mod record;
 pub mod report;
 pub mod rig;
