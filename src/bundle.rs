@@ -50,8 +50,8 @@ mod tangent;
 pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, problem};
 pub use facts::Fact;
 pub use model::{
-    CameraModel, DiscObservation, ImageObservations, Loss, Model, Node, PairObservation, TargetModel, TargetShape,
-    ViewModel, ViewPlace,
+    CameraModel, DiscObservation, ImageObservations, Loss, Model, Node, Observed, PairObservation, TargetModel,
+    TargetShape, ViewModel, ViewPlace,
 };
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
