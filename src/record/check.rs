@@ -92,6 +92,9 @@ fn check_camera(c: &Camera, at: &str) -> Check {
     for (key, x) in [("cx_px", c.cx_px), ("cy_px", c.cy_px), ("k1", c.k1), ("k2", c.k2), ("k3", c.k3)] {
         finite(format!("{at}.{key}"), x)?;
     }
+    if let Err(error) = crate::camera::Camera::new(c.intrinsics()) {
+        return fault(at, error.to_string());
+    }
     let s = &c.sigma;
     let sigmas = [
         ("f_px", s.f_px),

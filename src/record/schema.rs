@@ -2,6 +2,7 @@
 
 use super::number::{label, maybe, maybe_array, maybe_list, maybe_map, maybe_rows};
 use super::sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, TargetSigma};
+use crate::camera::{self, Intrinsics};
 use crate::rigid::Motion;
 use crate::target::DotId;
 use nalgebra::{Matrix3, Vector3};
@@ -73,6 +74,24 @@ pub enum Radial {
     DistortedToIdeal,
 }
 
+impl From<Radial> for camera::Radial {
+    fn from(radial: Radial) -> Self {
+        match radial {
+            Radial::IdealToDistorted => camera::Radial::IdealToDistorted,
+            Radial::DistortedToIdeal => camera::Radial::DistortedToIdeal,
+        }
+    }
+}
+
+impl From<camera::Radial> for Radial {
+    fn from(radial: camera::Radial) -> Self {
+        match radial {
+            camera::Radial::IdealToDistorted => Radial::IdealToDistorted,
+            camera::Radial::DistortedToIdeal => Radial::DistortedToIdeal,
+        }
+    }
+}
+
 /// One Scheimpflug camera.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
@@ -82,15 +101,15 @@ pub struct Camera {
     pub image_size_px: [usize; 2],
     /// Image distance over pixel pitch, px.
     pub f_px: f64,
-    /// Height of a pixel in units of its width's inverse: `v = cy + aspect f ty`.
+    /// Pixel pitch in u over pixel pitch in v: `v = cy + aspect f ty`.
     pub aspect: f64,
     /// Where the lens axis meets the sensor, px.
     pub cx_px: f64,
     /// Where the lens axis meets the sensor, px.
     pub cy_px: f64,
-    /// Tilt of the sensor about x, rad.
+    /// Tilt of the sensor about its u axis, rad (see [`crate::camera`]).
     pub alpha_rad: f64,
-    /// Tilt of the sensor about y, rad.
+    /// Tilt of the sensor about its v axis, rad (see [`crate::camera`]).
     pub beta_rad: f64,
     /// Radial distortion, r^2 term.
     pub k1: f64,
@@ -121,6 +140,23 @@ pub struct Camera {
     /// Scalar observations of this camera that were used.
     #[serde(default)]
     pub observations: usize,
+}
+
+impl Camera {
+    /// The parameters of the camera model.
+    pub fn intrinsics(&self) -> Intrinsics {
+        Intrinsics {
+            f_px: self.f_px,
+            aspect: self.aspect,
+            cx_px: self.cx_px,
+            cy_px: self.cy_px,
+            alpha_rad: self.alpha_rad,
+            beta_rad: self.beta_rad,
+            k: [self.k1, self.k2, self.k3],
+            pupil_ratio: self.pupil_ratio,
+            radial: self.radial.into(),
+        }
+    }
 }
 
 fn one() -> f64 {

@@ -13,8 +13,8 @@ use image::codecs::jpeg::JpegEncoder;
 use std::fmt::Write;
 
 /// JPEG quality of the backgrounds.
-const QUALITY: u8 = 80;
-/// Points of a contour in the HTML; a hundredth of the radius is then 1/500 of it away from the curve.
+const QUALITY: u8 = 75;
+/// Points of a contour in the HTML; chords lie at most a thousandth of the radius inside the curve.
 const CONTOUR_POINTS: usize = 72;
 /// Arrows of one picture; beyond that only every second, third, ... is drawn.
 const MOST_ARROWS: usize = 2500;
@@ -22,9 +22,9 @@ const MOST_ARROWS: usize = 2500;
 /// Background width for this many pictures in a report, px: a report stays a file that can be mailed.
 pub(super) fn background_width_px(pictures: usize) -> usize {
     match pictures {
-        0..=24 => 1000,
-        25..=60 => 700,
-        _ => 450,
+        0..=24 => 1280,
+        25..=60 => 850,
+        _ => 500,
     }
 }
 

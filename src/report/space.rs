@@ -1,12 +1,10 @@
 //! Cameras, sheet and target poses in space, seen obliquely from behind the cameras (parallel projection).
-//!
-//! The corner rays of a sensor follow from the tilted plane itself (method section 2): a pixel (u, v) of an undistorted
-//! camera looks along `du e_u + dv e_v + f_e n`, where `(du, dv)` counts from the effective principal point,
-//! `e_u = (cos b, 0, sin b)` and `e_v = (-sin a sin b, cos a, sin a cos b)` are the sensor's axes and `n = e_u x e_v`.
 
 use super::number::{nice_below, plain, with_unit};
 use super::plots::COLOURS;
 use super::svg::{label, line, open, path, path_data};
+use crate::camera::{self, Intrinsics};
+use crate::frames::Pixel;
 use crate::record::{Camera, Record};
 use nalgebra::Vector3;
 
@@ -17,13 +15,17 @@ const PITCH_RAD: f64 = 0.55;
 /// How far the picture is turned from the mean direction of the cameras, rad.
 const YAW_RAD: f64 = 0.4;
 
-/// Direction of a pixel in the camera's frame, distortion left out; not of unit length.
+/// Direction of a pixel in the camera's frame, of unit length.
+///
+/// Where the distortion has no inverse (a corner that no ray reaches) the lens is taken as perfect: it is a picture.
 fn ray(c: &Camera, u_px: f64, v_px: f64) -> P {
-    let ((sa, ca), (sb, cb)) = (c.alpha_rad.sin_cos(), c.beta_rad.sin_cos());
-    let (e_u, e_v) = (P::new(cb, 0.0, sb), P::new(-sa * sb, ca, sa * cb));
-    let f_e = c.f_px * ca * cb;
-    let (cx_e, cy_e) = (c.cx_px - c.f_px * sb, c.cy_px - c.f_px * c.aspect * sa * cb);
-    e_u * (u_px - cx_e) + e_v * ((v_px - cy_e) / c.aspect) + e_u.cross(&e_v) * f_e
+    let bent = c.intrinsics();
+    let perfect = Intrinsics { k: [0.0; 3], ..bent };
+    [bent, perfect]
+        .into_iter()
+        .filter_map(|i| camera::Camera::new(i).ok()?.unproject(Pixel::new(u_px, v_px)).ok())
+        .next()
+        .map_or(P::z(), |d| d.xyz.normalize())
 }
 
 /// One camera, ready to be drawn; everything in rig coordinates, mm.
@@ -35,7 +37,7 @@ struct Eye {
 
 fn eye(c: &Camera) -> Eye {
     let rig_from_cam = c.cam_from_rig.motion::<(), ()>().inverse();
-    let turn = |d: P| (rig_from_cam.rotation * d).normalize();
+    let turn = |d: P| rig_from_cam.rotation * d;
     let [w, h] = c.image_size_px.map(|n| n as f64 - 0.5);
     let corners = [(-0.5, -0.5), (w, -0.5), (w, h), (-0.5, h)].map(|(u, v)| turn(ray(c, u, v)));
     Eye { centre: rig_from_cam.translation_mm, axis: turn(P::z()), corners }
@@ -305,17 +307,16 @@ mod tests {
     }
 
     #[test]
-    fn rays_invert_the_projection_of_the_method() {
-        let c = camera();
-        assert!((ray(&c, c.cx_px, c.cy_px).normalize() - P::z()).norm() < 1e-15, "the axis point looks along z");
-        for (u, v) in [(0.0, 0.0), (1023.0, 20.0), (300.0, 767.0)] {
-            let d = ray(&c, u, v);
-            // Equations 10 and 11, forward.
-            let (x, y, a, b) = (d.x / d.z, d.y / d.z, c.alpha_rad, c.beta_rad);
-            let lambda = 1.0 / (1.0 - x * b.tan() - y * a.tan() / b.cos());
-            let (tx, ty) = (lambda * (x / b.cos() + y * a.tan() * b.tan()), lambda * y / a.cos());
-            assert!((c.cx_px + c.f_px * tx - u).abs() < 1e-9 && (c.cy_px + c.f_px * ty - v).abs() < 1e-9);
-        }
+    fn a_corner_that_no_ray_reaches_is_drawn_all_the_same() {
+        let mut c = camera();
+        assert!((ray(&c, c.cx_px, c.cy_px) - P::z()).norm() < 1e-15, "the axis point looks along z");
+        let plain = ray(&c, 0.0, 0.0);
+        c.k1 = -0.08;
+        assert!((ray(&c, 0.0, 0.0) - plain).norm() > 1e-7, "distortion counts");
+        c.k1 = -1e4;
+        assert_eq!(ray(&c, 0.0, 0.0), plain);
+        c.f_px = f64::NAN;
+        assert_eq!(ray(&c, 0.0, 0.0), P::z());
     }
 
     #[test]
