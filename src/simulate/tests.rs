@@ -203,10 +203,10 @@ fn ranges_that_no_camera_can_see_are_refused_by_name() {
 fn every_preset_is_a_scene_and_an_unknown_one_names_them() {
     for (name, text) in PRESETS {
         let scene = Scene::parse(text, name).unwrap();
-        let rig: toml::Table = rig::rig_toml(&scene.file, &scene.setup).parse().unwrap();
+        let rig: toml::Table = scene.rig_toml().parse().unwrap();
         assert_eq!(rig["view"].as_array().unwrap().len(), scene.views());
         assert!(rig["view"].as_array().unwrap().iter().any(|v| v["sheet"].as_bool() == Some(true)), "{name}");
-        assert!(truth::truth_json(&scene.file, &scene.setup).unwrap().contains("spivcal-calibration"));
+        assert!(scene.truth_json().unwrap().contains("spivcal-calibration"));
     }
     assert!(Scene::preset("paper").unwrap_err().to_string().contains("paper-table1"));
 }
@@ -245,7 +245,7 @@ fn a_focused_camera_images_every_point_of_the_nominal_sheet_sharply() {
 fn truth_tells_the_sheet_in_the_frame_of_the_first_camera() {
     let text = SMALL.replace("[target]", "[sheet]\noffset_mm = 2.0\ntilt_deg = [3.0, -4.0]\n[target]");
     let scene = Scene::parse(&text, "scene.toml").unwrap();
-    let truth: Value = serde_json::from_str(&truth::truth_json(&scene.file, &scene.setup).unwrap()).unwrap();
+    let truth: Value = serde_json::from_str(&scene.truth_json().unwrap()).unwrap();
     let numbers = |v: &Value| v.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect::<Vec<_>>();
     let matrix =
         |v: &Value| Matrix3::from_row_slice(&v.as_array().unwrap().iter().flat_map(&numbers).collect::<Vec<_>>());
@@ -309,4 +309,41 @@ fn two_hundred_random_rigs_of_the_paper_find_their_views() {
         let text = preset_text("paper-table2").unwrap().replace("seed = 2", &format!("seed = {seed}"));
         assert_eq!(Scene::parse(&text, "paper-table2").unwrap().views(), 6);
     }
+}
+
+#[test]
+fn every_key_is_in_the_documentation() {
+    // An unknown key makes each table say which keys it knows.
+    let text = include_str!("../../docs/simulate.md");
+    let pair = "radii_mm = [6.0, 5.0]\nspacing_mm = 14.0";
+    let marks = "marks = [{ kind = 'ring', column = 0, row = 0, bogus = 1 }]";
+    let tables = [
+        ("seed = 7", "seed = 7\nbogus = 1"),
+        ("name = 'left'", "name = 'left'\nbogus = 1"),
+        ("-40.0 }", "-40.0, bogus = 1 }"),
+        ("aim = { distance_mm = 400.0, viewing_angle_deg = -40.0 }", "pose = { bogus = 1 }"),
+        ("[target]", "[sheet]\nbogus = 1\n[target]"),
+        ("[target]", "[target]\nbogus = 1"),
+        (pair, marks),
+        ("[image]", "[image]\nbogus = 1"),
+        ("[image]", "[image]\nglare = { bogus = 1 }"),
+        ("[[view]]", "[[view]]\nbogus = 1"),
+        ("[rig]", "[random]\nbogus = 1\n[rig]"),
+        ("[rig]", "[rig]\nbogus = 1"),
+        ("[rig]", "[rig]\nfocus = { bogus = 1 }"),
+    ];
+    let mut known = 0;
+    for (from, to) in tables {
+        let message = Scene::parse(&SMALL.replacen(from, to, 1), "s").unwrap_err().to_string();
+        let (_, keys) = message.split_once("expected ").unwrap_or_else(|| panic!("{message}"));
+        for key in keys.split('`').skip(1).step_by(2).filter(|k| !["camera", "view"].contains(k)) {
+            known += 1;
+            let written = text.match_indices(key).any(|(at, _)| {
+                let beside = |c: Option<char>| c.is_none_or(|c| !c.is_ascii_alphanumeric() && c != '_');
+                beside(text[..at].chars().next_back()) && beside(text[at + key.len()..].chars().next())
+            });
+            assert!(written, "docs/simulate.md does not name {key}");
+        }
+    }
+    assert!(known > 60, "{known} keys");
 }
