@@ -94,6 +94,19 @@ impl Scene {
     pub fn views(&self) -> usize {
         self.setup.views.len()
     }
+
+    /// Text of `rig.toml`: what an experimenter would know, ready to calibrate the images of [`simulate`].
+    pub fn rig_toml(&self) -> String {
+        rig::rig_toml(&self.file, &self.setup)
+    }
+
+    /// Text of `truth.json`: the true values in the shape of a calibration.
+    ///
+    /// # Errors
+    /// [`crate::Error::Bug`] where the record cannot be written at all.
+    pub fn truth_json(&self) -> Result<String> {
+        truth::truth_json(&self.file, &self.setup)
+    }
 }
 
 /// Text of a preset's scene file, to be written out and changed.
@@ -113,11 +126,7 @@ pub fn simulate(scene: &Scene) -> Result<Simulation> {
             images.push((name, image(scene, view, camera)?));
         }
     }
-    Ok(Simulation {
-        images,
-        rig_toml: rig::rig_toml(&scene.file, &scene.setup),
-        truth_json: truth::truth_json(&scene.file, &scene.setup)?,
-    })
+    Ok(Simulation { images, rig_toml: scene.rig_toml(), truth_json: scene.truth_json()? })
 }
 
 /// One image, digitised.

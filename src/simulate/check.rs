@@ -192,6 +192,10 @@ fn check_target(scene: &SceneFile, lines: &Lines) -> Result<()> {
     if let Some((key, _)) = foreign.iter().find(|(_, given)| *given) {
         return lines.refuse(&at(key), format!("{key} means nothing for a target of kind \"{}\"", t.kind.word()));
     }
+    if t.kind == Kind::Bubbles && (t.radii_mm.is_some() || t.spacing_mm.is_some()) {
+        let key = if t.radii_mm.is_some() { "radii_mm" } else { "spacing_mm" };
+        return lines.refuse(&at(key), format!("bubbles have {key} of their own in each [[view]], not in [target]"));
+    }
     if t.kind == Kind::TwoDiscs {
         let radii = lines.wanted(&table, "radii_mm", t.radii_mm, "the two discs are the same in every view")?;
         let spacing = lines.wanted(&table, "spacing_mm", t.spacing_mm, "distance of the centres")?;

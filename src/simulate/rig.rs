@@ -49,7 +49,7 @@ fn target(out: &mut String, scene: &SceneFile) -> std::fmt::Result {
         writeln!(out, "radii_mm = [{a:?}, {b:?}]")?;
     }
     if let (true, Some(r)) = (scene.rig.radii_known, t.radius_mm) {
-        writeln!(out, "radius_mm = {r:?}")?;
+        writeln!(out, "radii_mm = [{r:?}]")?;
     }
     if t.kind == Kind::DotGrid
         && let (Some(columns), Some(rows)) = (t.columns, t.rows)
@@ -96,6 +96,10 @@ fn scale(out: &mut String, scene: &SceneFile, setup: &Setup) -> std::fmt::Result
         (Some(ScaleKey::ViewRadius), Some(([radius, _], _))) => {
             writeln!(out, "[scale]\nradius_mm = {{ view = {view}, disc = 0, value = {radius:?}{inner} }}\n")?;
         }
+        (Some(ScaleKey::Traverse), _) => match sigma {
+            None => writeln!(out, "[scale]\nplane_z_mm = true\n")?,
+            Some(s) => writeln!(out, "[scale]\nplane_z_mm = {{ sigma = {s:?} }}\n")?,
+        },
         _ => {}
     }
     if let Some(f) = &scene.rig.focus {

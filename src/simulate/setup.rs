@@ -173,6 +173,9 @@ impl Setup {
             let cam_from_target = c.cam_from_bench * view.bench_from_target;
             let normal = cam_from_target.rotation.column(2).into_owned();
             let toward = cam_from_target.apply(&view.pattern.middle_mm);
+            if toward.z <= 0.0 {
+                return Err(format!("the target lies {:.1} mm behind the camera \"{}\"", -toward.z, c.name));
+            }
             let cosine = -normal.dot(&toward) / toward.norm();
             if cosine.abs() < MOST_OBLIQUE_DEG.to_radians().cos() {
                 return Err(format!(

@@ -10,6 +10,7 @@
 //! along the sheet, positive where the second camera is nearer to it.
 
 use super::pattern::Feature;
+use super::rig::image_name;
 use super::scene::{Kind, SceneFile};
 use super::setup::{Bench, PlacedCamera, PlacedView, Setup, fully_inside, rim_px};
 use crate::conic::Ellipse;
@@ -23,7 +24,11 @@ use serde_json::{Map, Value, json};
 pub(super) fn truth_json(scene: &SceneFile, setup: &Setup) -> Result<String> {
     let first = &setup.cameras[0];
     let rig_from_bench = Motion::<Rig, Bench>::new(first.cam_from_bench.rotation, first.cam_from_bench.translation_mm);
-    let cameras: Vec<Value> = setup.cameras.iter().map(|c| camera(c, &rig_from_bench)).collect();
+    let cam_from_rig = |i: usize, c: &PlacedCamera| {
+        // The first camera is the rig: exactly, not up to rounding.
+        if i == 0 { Motion::identity() } else { c.cam_from_bench * rig_from_bench.inverse() }
+    };
+    let cameras: Vec<Value> = setup.cameras.iter().enumerate().map(|(i, c)| camera(c, &cam_from_rig(i, c))).collect();
     let views: Vec<Value> =
         setup.views.iter().enumerate().map(|(i, v)| view(i, v, setup, &rig_from_bench)).collect::<Result<_>>()?;
     let t = &scene.target;
@@ -37,6 +42,7 @@ pub(super) fn truth_json(scene: &SceneFile, setup: &Setup) -> Result<String> {
         "version": 1,
         "note": "true values of a simulated scene: nothing was estimated, every sigma is zero",
         "cameras": cameras,
+        "rig": rig(setup),
         "sheet": sheet(setup, &rig_from_bench),
         "target": { "kind": t.kind.word(), "radii_mm": radii, "spacing_mm": t.spacing_mm, "sigma": {} },
         "views": views,
@@ -55,7 +61,7 @@ fn motion<A, B>(m: &Motion<A, B>) -> Value {
     json!({ "rotation": rows(&m.rotation), "translation_mm": m.translation_mm.as_slice() })
 }
 
-fn camera(c: &PlacedCamera, rig_from_bench: &Motion<Rig, Bench>) -> Value {
+fn camera(c: &PlacedCamera, cam_from_rig: &Motion<Cam, Rig>) -> Value {
     let i = c.camera.intrinsics();
     let e = c.camera.effective_pinhole();
     let none = ["f_px", "aspect", "cx_px", "cy_px", "alpha_rad", "beta_rad", "k1", "k2", "k3"];
@@ -67,15 +73,28 @@ fn camera(c: &PlacedCamera, rig_from_bench: &Motion<Rig, Bench>) -> Value {
         "f_px": i.f_px, "aspect": i.aspect, "cx_px": i.cx_px, "cy_px": i.cy_px,
         "alpha_rad": i.alpha_rad, "beta_rad": i.beta_rad, "k1": i.k[0], "k2": i.k[1], "k3": i.k[2],
         "pupil_ratio": i.pupil_ratio,
+        "pixel_pitch_mm": c.pixel_pitch_mm,
         "radial": match i.radial {
-            crate::camera::Radial::IdealToDistorted => "ideal-to-distorted",
-            crate::camera::Radial::DistortedToIdeal => "distorted-to-ideal",
+            crate::camera::Radial::IdealToDistorted => "ideal_to_distorted",
+            crate::camera::Radial::DistortedToIdeal => "distorted_to_ideal",
         },
         "effective": { "f_px": e.f_px, "cx_px": e.cx_px, "cy_px": e.cy_px },
         "sigma": sigma,
-        "cam_from_rig": motion(&(c.cam_from_bench * rig_from_bench.inverse())),
+        "cam_from_rig": motion(cam_from_rig),
         "rms_px": 0.0,
     })
+}
+
+/// Baseline and angle of the lens axes; none with a single camera.
+fn rig(setup: &Setup) -> Option<Value> {
+    let [a, b] = &setup.cameras[..] else { return None };
+    let second = a.cam_from_bench * b.cam_from_bench.inverse();
+    let cosine = second.rotation.m33.clamp(-1.0, 1.0);
+    Some(json!({
+        "baseline_mm": second.translation_mm.norm(),
+        "axes_angle_deg": cosine.acos().to_degrees(),
+        "sigma": { "baseline_mm": 0.0, "axes_angle_deg": 0.0 },
+    }))
 }
 
 /// The laser plane in the rig frame and the frame in it.
@@ -102,24 +121,27 @@ fn sheet(setup: &Setup, rig_from_bench: &Motion<Rig, Bench>) -> Value {
         "abc_per_mm": (normal / distance_mm).as_slice(),
         "angles_deg": angles.map(f64::to_degrees),
         "angle_to_baseline_deg": to_baseline,
-        "sigma": { "distance_mm": 0.0, "normal_rad": [0.0, 0.0], "abc_per_mm": [0.0, 0.0, 0.0], "angle_to_baseline_deg": 0.0 },
+        "sigma": { "distance_mm": 0.0, "normal_rad": [0.0, 0.0], "abc_per_mm": [0.0, 0.0, 0.0],
+                   "angles_deg": [0.0, 0.0, 0.0], "angle_to_baseline_deg": 0.0 },
         "rig_from_sheet": motion(&Motion::<Rig, Sheet>::new(rotation, origin_mm)),
     })
 }
 
 fn view(index: usize, v: &PlacedView, setup: &Setup, rig_from_bench: &Motion<Rig, Bench>) -> Result<Value> {
     let rms: Map<String, Value> = setup.cameras.iter().map(|c| (c.name.clone(), json!(0.0))).collect();
+    let images: Map<String, Value> =
+        setup.cameras.iter().map(|c| (c.name.clone(), json!(image_name(index, &c.name)))).collect();
     let discs: Vec<Value> = v.pattern.features.iter().map(|f| disc(f, v, setup)).collect::<Result<_>>()?;
     let mut value = json!({
         "index": index,
         "in_sheet": v.in_sheet,
         "rig_from_target": motion(&(*rig_from_bench * v.bench_from_target)),
         "rms_px": rms,
+        "images": images,
         "discs": discs,
     });
     if let Some((radii, spacing)) = v.pair_mm {
-        value["radii_mm"] = json!(radii);
-        value["spacing_mm"] = json!(spacing);
+        value["target"] = json!({ "radii_mm": radii, "spacing_mm": spacing, "sigma": {} });
     }
     Ok(value)
 }
