@@ -26,12 +26,26 @@ pub(crate) struct Candidate {
 }
 
 /// What a line is.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(crate) enum Verdict {
     Disc(Candidate),
     Mark(Candidate, MarkKind),
     Rejected(Candidate, RejectionReason),
+    /// No plain ellipse; [`judge_odd`] says more where the contrast makes it worth the time.
+    Odd(Odd),
     Nothing,
+}
+
+/// A closed line that no ellipse fits as a whole.
+#[derive(Debug, Clone)]
+pub(crate) struct Odd {
+    /// The ellipse of equal moments.
+    pub(crate) rough: Candidate,
+    u: Vec<f64>,
+    v: Vec<f64>,
+    area: f64,
+    /// Share of the line along which the grey falls outwards.
+    share: f64,
 }
 
 /// Area, centre and the ellipse of equal second moments of a closed line.
@@ -92,17 +106,30 @@ pub(crate) fn judge(line: &Line, smooth: &Plane, strength: Strength, level: u32,
     if radius < 4.0 || slim {
         return Verdict::Nothing;
     }
-    if let Some(kind) = polygon_kind(&u, &v, 0.5 * m.doubled_area.abs()) {
-        return Verdict::Mark(found(&rough, rms), kind);
+    Verdict::Odd(Odd { rough: found(&rough, rms), u, v, area: 0.5 * m.doubled_area.abs(), share })
+}
+
+/// A square, a triangle, two discs in one, a disc with part of its contour spoilt, or none of these.
+pub(crate) fn judge_odd(odd: &Odd, options: &DetectOptions) -> Verdict {
+    let Odd { rough, u, v, area, share } = odd;
+    let scale = f64::from(1u32 << rough.level);
+    let found = |ellipse: &Ellipse, rms_px: f64| Candidate {
+        ellipse: scaled(ellipse, scale),
+        rms_px: rms_px * scale,
+        ..*rough
+    };
+    if let Some(kind) = polygon_kind(u, v, *area) {
+        return Verdict::Mark(*rough, kind);
     }
-    if let Some(part) = two_in_one(&u, &v, options.min_axis_ratio) {
-        return Verdict::Rejected(found(&part, rms), RejectionReason::Overlapping);
+    if let Some(part) = two_in_one(u, v, options.min_axis_ratio) {
+        return Verdict::Rejected(found(&part, rough.rms_px / scale), RejectionReason::Overlapping);
     }
-    if let Some(ellipse) = robust_ellipse(&u, &v, options.min_axis_ratio) {
-        return Verdict::Disc(found(&ellipse, rms_gap(&ellipse, &u, &v)));
+    if let Some(ellipse) = robust_ellipse(u, v, options.min_axis_ratio) {
+        return Verdict::Disc(found(&ellipse, rms_gap(&ellipse, u, v)));
     }
-    let reason = RejectionReason::NotElliptical { rms_px: rms * scale, limit_px: limit * scale };
-    if share > 0.9 { Verdict::Rejected(found(&rough, rms), reason) } else { Verdict::Nothing }
+    let limit_px = 0.5 * scale + 0.05 * (rough.ellipse.semi_major_px * rough.ellipse.semi_minor_px).sqrt();
+    let reason = RejectionReason::NotElliptical { rms_px: rough.rms_px, limit_px };
+    if *share > 0.9 { Verdict::Rejected(*rough, reason) } else { Verdict::Nothing }
 }
 
 /// A line that leaves the image: a disc cut by the border, or nothing.
@@ -423,7 +450,7 @@ fn polygon_kind(u: &[f64], v: &[f64], area: f64) -> Option<MarkKind> {
         }
     }
     let (triangle, quadrilateral) = (triangle / hull_area, quadrilateral / hull_area);
-    if triangle > 0.76 {
+    if triangle > 0.66 {
         Some(MarkKind::Triangle)
     } else if quadrilateral > 0.82 && triangle < 0.62 {
         Some(MarkKind::Square)

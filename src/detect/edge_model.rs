@@ -387,8 +387,8 @@ impl Band {
         self.angle.clear();
     }
 
-    /// Collects the pixels within `reach` of the ellipse; false where the band leaves the image.
-    pub(crate) fn collect(&mut self, view: &GrayView, ellipse: &Ellipse, reach: Reach) -> bool {
+    /// Collects the pixels of the image within `reach` of the ellipse.
+    pub(crate) fn collect(&mut self, view: &GrayView, ellipse: &Ellipse, reach: Reach) {
         self.clear();
         let frame = Frame::new(ellipse);
         // The parallel curve of an ellipse lies inside the ellipse with both axes grown by this much.
@@ -397,20 +397,15 @@ impl Band {
         let (ao, bo) = (frame.a + outer, frame.b + outer);
         let (ai, bi) = (frame.a - inner, frame.b - inner);
         let half_height = (ao * frame.sin).hypot(bo * frame.cos);
-        let (v_lo, v_hi) = ((frame.v0 - half_height).ceil(), (frame.v0 + half_height).floor());
-        let (width, height) = (view.width() as f64, view.height() as f64);
-        if v_lo < 0.0 || v_hi > height - 1.0 {
-            return false;
-        }
-        for v in v_lo as usize..=v_hi as usize {
+        let (u_last, v_last) = (view.width() as f64 - 1.0, view.height() as f64 - 1.0);
+        let (v_lo, v_hi) = ((frame.v0 - half_height).ceil().max(0.0), (frame.v0 + half_height).floor().min(v_last));
+        let rows = if v_hi < v_lo { 0..0 } else { v_lo as usize..v_hi as usize + 1 };
+        for v in rows {
             let dv = v as f64 - frame.v0;
             let Some((lo, hi)) = frame.row_span(dv, ao, bo) else { continue };
-            let (lo, hi) = ((frame.u0 + lo).ceil(), (frame.u0 + hi).floor());
+            let (lo, hi) = ((frame.u0 + lo).ceil().max(0.0), (frame.u0 + hi).floor().min(u_last));
             if hi < lo {
                 continue;
-            }
-            if lo < 0.0 || hi > width - 1.0 {
-                return false;
             }
             let hole = if ai > 0.0 && bi > 0.0 { frame.row_span(dv, ai, bi) } else { None };
             let (hole_lo, hole_hi) =
@@ -439,7 +434,6 @@ impl Band {
             list.clear();
             list.resize(n, 0.0);
         }
-        true
     }
 }
 

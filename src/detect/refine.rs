@@ -97,9 +97,7 @@ fn descend(model: &mut EdgeModel, s: &mut Scratch, rounds: usize, tolerance_px: 
 fn rough_model(view: &GrayView, start: &Start, s: &mut Scratch) -> Result<EdgeModel, RejectionReason> {
     let wanted = 2.5 * start.blur_px + 1.0;
     let reach = Reach { inner_px: wanted.min(start.room.inner_px), outer_px: wanted.min(start.room.outer_px.max(1.5)) };
-    if !s.band.collect(view, &start.ellipse, reach) {
-        return Err(RejectionReason::CutByBorder);
-    }
+    s.band.collect(view, &start.ellipse, reach);
     if s.band.u.len() < 20 {
         return Err(RejectionReason::TooSmall { semi_minor_px: start.ellipse.semi_minor_px });
     }
@@ -134,9 +132,10 @@ fn fine_model(view: &GrayView, start: &Start, model: &mut EdgeModel, s: &mut Scr
             outer_px: wide.min(start.room.outer_px.max(1.5)),
         };
         let before = model.ellipse;
-        if !s.band.collect(view, &model.ellipse, reach) {
+        if border_px(view, &model.ellipse) < 1.0 {
             return Err(RejectionReason::CutByBorder);
         }
+        s.band.collect(view, &model.ellipse, reach);
         if pass == 0 {
             descend(model, s, 4, 0.01)?;
             estimate_variance(view, model, s);
@@ -155,6 +154,16 @@ fn fine_model(view: &GrayView, start: &Start, model: &mut EdgeModel, s: &mut Scr
         }
     }
     Ok(())
+}
+
+/// Least distance of the ellipse from the outermost pixel centres, px; negative where it leaves the image.
+fn border_px(view: &GrayView, e: &Ellipse) -> f64 {
+    let (s, c) = e.angle_rad.sin_cos();
+    let half_width = (e.semi_major_px * c).hypot(e.semi_minor_px * s);
+    let half_height = (e.semi_major_px * s).hypot(e.semi_minor_px * c);
+    let (u, v) = (e.center_px.u_px, e.center_px.v_px);
+    let (u_last, v_last) = (view.width() as f64 - 1.0, view.height() as f64 - 1.0);
+    (u - half_width).min(u_last - u - half_width).min(v - half_height).min(v_last - v - half_height)
 }
 
 fn check_size(model: &EdgeModel, start: &Start, options: &DetectOptions) -> Result<(), RejectionReason> {
