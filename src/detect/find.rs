@@ -67,6 +67,7 @@ pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection>
         let start =
             Start { ellipse: candidate.ellipse, blur_px: candidate.blur_px, bright: candidate.bright, room: *room };
         match refine(view, &start, options, &mut scratch) {
+            Ok(disc) if detection.discs.iter().any(|d| one_and_the_same(d, &disc)) => {}
             Ok(disc) => detection.discs.push(disc),
             Err(reason) => detection.rejections.push(rejection(candidate, reason)),
         }
@@ -198,6 +199,14 @@ fn same(a: &Candidate, b: &Candidate) -> bool {
     a.bright == b.bright
         && distance(a.ellipse.center_px, b.ellipse.center_px) < 0.4 * ra.max(rb) + 1.0
         && (ra / rb - 1.0).abs().min((rb / ra - 1.0).abs()) < 0.35 + 1.0 / ra.min(rb)
+}
+
+/// Two starts that ended on one disc.
+fn one_and_the_same(a: &Disc, b: &Disc) -> bool {
+    let (ra, rb) = (a.ellipse.semi_minor_px, b.ellipse.semi_minor_px);
+    a.polarity == b.polarity
+        && distance(a.ellipse.center_px, b.ellipse.center_px) < 0.5 * ra.min(rb)
+        && ra.min(rb) > 0.5 * ra.max(rb)
 }
 
 /// Keeps of every region the view at the finest level.

@@ -11,7 +11,7 @@
 //! Levels, blur and slopes are common to all sectors; what their uncertainty adds to the geometry is spread evenly over the sigmas.
 
 use crate::conic::{Ellipse, fit_geometric_from};
-use crate::detect::edge_model::{Band, EdgeModel, Levels, Normal, Reach};
+use crate::detect::edge_model::{Band, EdgeModel, Levels, Normal, Reach, turn_share};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::frames::Pixel;
 use crate::image::{GrayView, Samples};
@@ -20,6 +20,10 @@ use std::f64::consts::TAU;
 
 /// Length of contour per edge point, px.
 const SECTOR_PX: f64 = 1.75;
+/// Pixels that suffice while the ellipse is still being approached.
+const ROUGH_PIXELS: usize = 500;
+/// A step of the whole model below this ends the descent, px: the sectors take the last step, their error is of second order.
+const FINE_PX: f64 = 0.01;
 /// Entries of the table from eccentric angle to arc length.
 const ARC_STEPS: usize = 256;
 
@@ -76,7 +80,7 @@ pub(crate) fn refine(
             break;
         }
         estimate_variance(view, &mut model, scratch);
-        descend(&mut model, scratch, 4, 1e-4)?;
+        descend(&mut model, scratch, 1, 1, FINE_PX)?;
     }
     debug_assert!(coverage > 0.0);
     finish(&model, start, options, scratch)
@@ -86,11 +90,16 @@ fn not_elliptical(model_rms_px: f64, limit_px: f64) -> RejectionReason {
     RejectionReason::NotElliptical { rms_px: model_rms_px, limit_px }
 }
 
-fn descend(model: &mut EdgeModel, s: &mut Scratch, rounds: usize, tolerance_px: f64) -> Result<(), RejectionReason> {
-    match model.descend(&mut s.band, &mut s.normal, rounds, tolerance_px) {
-        Some(_) => Ok(()),
-        None => Err(not_elliptical(f64::INFINITY, model.ellipse.semi_minor_px)),
-    }
+fn descend(
+    model: &mut EdgeModel,
+    s: &mut Scratch,
+    rounds: usize,
+    stride: usize,
+    tolerance_px: f64,
+) -> Result<(), RejectionReason> {
+    model
+        .descend(&mut s.band, &mut s.normal, rounds, stride, tolerance_px)
+        .ok_or_else(|| not_elliptical(f64::INFINITY, model.ellipse.semi_minor_px))
 }
 
 /// Constant levels, narrow band: brings the ellipse within a fraction of the blur.
@@ -102,7 +111,7 @@ fn rough_model(view: &GrayView, start: &Start, s: &mut Scratch) -> Result<EdgeMo
         return Err(RejectionReason::TooSmall { semi_minor_px: start.ellipse.semi_minor_px });
     }
     let mut model = EdgeModel::new(&start.ellipse, start.blur_px, 0.0, 0.0);
-    model.evaluate(&mut s.band, None);
+    model.evaluate(&mut s.band, None, 1);
     let mut sums = [(0.0, 0.0); 2];
     for (d, g) in s.band.distance.iter().zip(&s.band.grey) {
         let side = &mut sums[usize::from(*d > 0.0)];
@@ -114,7 +123,8 @@ fn rough_model(view: &GrayView, start: &Start, s: &mut Scratch) -> Result<EdgeMo
     // Weights in units of the contrast keep the damping meaningful for any bit depth.
     let unit = ((inner - outer) * 0.05).powi(2).max(1e-12);
     model.variance = [unit, unit];
-    descend(&mut model, s, 12, 0.02)?;
+    let stride = (s.band.u.len() / ROUGH_PIXELS).max(1) | 1;
+    descend(&mut model, s, 12, stride, 0.02)?;
     if (model.step() > 0.0) != start.bright {
         return Err(RejectionReason::LowContrast { contrast_to_noise: 0.0 });
     }
@@ -137,19 +147,21 @@ fn fine_model(view: &GrayView, start: &Start, model: &mut EdgeModel, s: &mut Scr
         }
         s.band.collect(view, &model.ellipse, reach);
         if pass == 0 {
-            descend(model, s, 4, 0.01)?;
+            let stride = (s.band.u.len() / ROUGH_PIXELS).max(1) | 1;
+            descend(model, s, 3, stride, 0.02)?;
+            model.evaluate(&mut s.band, None, 1);
             estimate_variance(view, model, s);
-            let levels = choose_levels(model, s);
-            model.set_levels(levels);
-            descend(model, s, 4, 0.01)?;
+            model.set_levels(choose_levels(model, s));
+            model.sloped = [shows_slope(model, s, 0), shows_slope(model, s, 1)];
         }
+        descend(model, s, 3, 1, FINE_PX)?;
         estimate_variance(view, model, s);
-        descend(model, s, 6, 1e-4)?;
         let moved = (before.center_px.u_px - model.ellipse.center_px.u_px)
             .hypot(before.center_px.v_px - model.ellipse.center_px.v_px)
             .max((before.semi_major_px - model.ellipse.semi_major_px).abs())
             .max((before.semi_minor_px - model.ellipse.semi_minor_px).abs());
-        if pass == 0 && moved < 0.1 {
+        // The band was laid around a place this close; its pixels are the right ones.
+        if moved < 0.15 {
             break;
         }
     }
@@ -246,7 +258,7 @@ fn choose_levels(model: &EdgeModel, s: &mut Scratch) -> [Levels; 2] {
         for i in 0..s.band.u.len() {
             let p = if side == 0 { s.band.inside[i] } else { 1.0 - s.band.inside[i] };
             if p > 0.9 {
-                let bin = ((s.band.angle[i] / TAU).rem_euclid(1.0) * nodes as f64) as usize % nodes;
+                let bin = (turn_share(s.band.angle[i]) * nodes as f64) as usize % nodes;
                 sums[bin] = (sums[bin].0 + s.band.residual[i], sums[bin].1 + 1.0);
             }
         }
@@ -256,6 +268,24 @@ fn choose_levels(model: &EdgeModel, s: &mut Scratch) -> [Levels; 2] {
         *chosen = poorest(&sums, model.variance[side]);
     }
     chosen
+}
+
+/// Whether the residuals away from the edge rise or fall with the distance, beyond four sigmas.
+fn shows_slope(model: &EdgeModel, s: &Scratch, side: usize) -> bool {
+    let (mut n, mut d1, mut d2, mut r1, mut rd) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for i in 0..s.band.u.len() {
+        let p = if side == 0 { s.band.inside[i] } else { 1.0 - s.band.inside[i] };
+        if p > 0.97 {
+            let (d, r) = (s.band.distance[i], s.band.residual[i]);
+            (n, d1, d2, r1, rd) = (n + 1.0, d1 + d, d2 + d * d, r1 + r, rd + r * d);
+        }
+    }
+    let spread = d2 - d1 * d1 / n;
+    if n < 10.0 || spread <= 0.0 {
+        return false;
+    }
+    let slope = (rd - d1 * r1 / n) / spread;
+    slope * slope * spread > 16.0 * model.variance[side]
 }
 
 /// Tests the bin means against nothing, then against a first harmonic.
@@ -305,7 +335,7 @@ fn assign_sectors(model: &EdgeModel, s: &mut Scratch) {
     q.middle_angle.extend((0..count).map(|k| angle_at(&arc, (k as f64 + 0.5) / count as f64)));
     let b = &s.band;
     for i in 0..b.u.len() {
-        let x = (b.angle[i] / TAU).rem_euclid(1.0) * ARC_STEPS as f64;
+        let x = turn_share(b.angle[i]) * ARC_STEPS as f64;
         let j = (x as usize).min(ARC_STEPS - 1);
         let along = arc[j] + (arc[j + 1] - arc[j]) * (x - j as f64);
         let k = ((along * count as f64) as usize).min(count - 1);
