@@ -71,7 +71,8 @@ struct Score {
     bias: [f64; 4],
     over_bound: [f64; 4],
     nees: f64,
-    chi2_scale: f64,
+    nees_sigma: f64,
+    bound: [f64; 4],
 }
 
 fn run(case: &Case, trials: usize, seed: u64) -> Score {
@@ -96,11 +97,13 @@ fn run(case: &Case, trials: usize, seed: u64) -> Score {
         errors.push(error);
     }
     let n = trials as f64;
-    let mut score = Score { bias: [0.0; 4], over_bound: [0.0; 4], nees, chi2_scale: (10.0 / n).sqrt() };
+    let mut score =
+        Score { bias: [0.0; 4], over_bound: [0.0; 4], nees, nees_sigma: (10.0 / n).sqrt(), bound: [0.0; 4] };
     for k in 0..4 {
         let mean = errors.iter().map(|e| e[k]).sum::<f64>() / n;
         let variance = errors.iter().map(|e| (e[k] - mean).powi(2)).sum::<f64>() / (n - 1.0);
         score.bias[k] = mean;
+        score.bound[k] = limit[(k, k)].sqrt();
         score.over_bound[k] = (variance / limit[(k, k)]).sqrt();
     }
     score
@@ -172,5 +175,15 @@ fn scatter_reaches_the_bound_and_sigmas_are_true() {
             s.bias[3],
             s.nees / 5.0
         );
+        // Sampling: the standard deviation from 80 draws is known to 8 %; a mean over 80 to a ninth of a sigma.
+        for j in 0..4 {
+            assert!(s.over_bound[j] < 1.3, "{}: parameter {j} at {} times the bound", case.name, s.over_bound[j]);
+            let sigma_of_mean = s.bound[j] / (trials as f64).sqrt();
+            assert!(s.bias[j].abs() < 0.003 + 3.0 * sigma_of_mean, "{}: bias {} px", case.name, s.bias[j]);
+        }
+        let mean = s.over_bound[..2].iter().sum::<f64>() / 2.0;
+        assert!(mean < 1.1 * (1.0 + 1.7 * 0.056), "{}: centres at {mean} times the bound", case.name);
+        // Mean of 80 chi-square numbers of 5 degrees of freedom: 5 +- sqrt(10 / 80).
+        assert!((s.nees - 5.0).abs() < 3.5 * s.nees_sigma, "{}: nees {}", case.name, s.nees);
     }
 }

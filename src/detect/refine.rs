@@ -13,7 +13,6 @@
 use crate::conic::{Ellipse, fit_geometric_from};
 use crate::detect::edge_model::{Band, EdgeModel, Levels, Normal, Reach, turn_share};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
-use crate::frames::Pixel;
 use crate::image::{GrayView, Samples};
 use crate::target::Polarity;
 use std::f64::consts::TAU;
@@ -429,12 +428,4 @@ fn finish(model: &EdgeModel, start: &Start, options: &DetectOptions, s: &mut Scr
         contrast: model.step().abs(),
         mark: None,
     })
-}
-
-/// Root mean square distance of the edge points of a disc from its ellipse, px.
-pub(crate) fn edge_rms_px(disc: &Disc) -> f64 {
-    let e = &disc.edge;
-    let squares: f64 =
-        e.u_px.iter().zip(&e.v_px).map(|(u, v)| disc.ellipse.distance_px(Pixel::new(*u, *v)).powi(2)).sum();
-    (squares / e.u_px.len().max(1) as f64).sqrt()
 }
