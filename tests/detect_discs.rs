@@ -146,7 +146,7 @@ fn polygon(corners: &[(f64, f64)], u: f64, v: f64, h: f64) -> f64 {
     let out = (0..n)
         .map(|i| {
             let ((x0, y0), (x1, y1)) = (corners[i], corners[(i + 1) % n]);
-            ((u - x0) * (y1 - y0) - (v - y0) * (x1 - x0)) / (x1 - x0).hypot(y1 - y0)
+            ((v - y0) * (x1 - x0) - (u - x0) * (y1 - y0)) / (x1 - x0).hypot(y1 - y0)
         })
         .fold(f64::NEG_INFINITY, f64::max);
     (0.5 - out / h).clamp(0.0, 1.0)
@@ -213,7 +213,7 @@ fn uneven_light_and_glare() {
         }
     }
     let d = find_u8(&grey, 150, &DetectOptions::default());
-    let disc = near(&d, spot.u, spot.v).expect("found in spite of the glare");
+    let disc = near(&d, spot.u, spot.v).unwrap_or_else(|| panic!("{:?}", d.rejections));
     let e = &disc.ellipse;
     for (found, truth, k) in [
         (e.center_px.u_px, spot.u, 0),

@@ -17,7 +17,7 @@
 //! | s | `blur_px` | 1 | px | standard deviation of the blur, pixel area included (adds 1/12 px^2) |
 //! | t | `angle` | 1 | rad | eccentric angle of the foot point |
 //! | L_in, L_out | `levels` | 1, 3 or n per side | grey | constant; first harmonic; or periodic quadratic B-spline in t |
-//! | slopes | `slopes` | 2 | grey/px | `P d`, `(1 - P) d`: radial gradient inside and outside |
+//! | slopes | `slopes` | 2 | grey/px | `P d`, `(1 - P) d`: radial gradient inside and outside; with splines also one per node |
 //! | var_in, var_out | `variance` | 2 | grey^2 | noise on either side; in between it follows P (shot noise rises with level) |
 //!
 //! A small disc cannot tell its size from blur and radial gradient; weak priors hold what the data leave open (for discs of more than
@@ -127,11 +127,11 @@ pub(crate) fn turn_share(angle: f64) -> f64 {
     if share < 0.0 { share + 1.0 } else { share }
 }
 
-/// One row of the Jacobian, only what is not zero: at most 8 fixed entries and 6 levels.
+/// One row of the Jacobian, only what is not zero: at most 8 fixed entries, 6 levels and 6 local slopes.
 #[derive(Default)]
 struct Row {
-    at: [usize; 14],
-    value: [f64; 14],
+    at: [usize; 20],
+    value: [f64; 20],
     count: usize,
 }
 
@@ -173,8 +173,10 @@ pub(crate) struct EdgeModel {
     pub(crate) blur_px: f64,
     pub(crate) slopes: [f64; 2],
     pub(crate) levels: [Levels; 2],
-    /// Coefficients of the inner, then the outer levels.
+    /// Coefficients of the inner, then the outer levels, then of the slopes that go with splines (same nodes, grey/px).
     pub(crate) coefficients: Vec<f64>,
+    /// Standard deviation of the slope at a spline node before seeing this disc, grey/px.
+    local_slope: [f64; 2],
     /// Noise variance inside and outside, grey^2.
     pub(crate) variance: [f64; 2],
     /// Blur expected before seeing this disc, px.
@@ -210,6 +212,7 @@ impl EdgeModel {
             expected_blur_px: blur_px,
             slope_prior: (PRIOR_SLOPE * (inner - outer).abs() / ellipse.semi_minor_px).max(1e-9),
             sloped: [false; 2],
+            local_slope: [0.0; 2],
         }
     }
 
@@ -220,7 +223,8 @@ impl EdgeModel {
             Levels::Spline(n) => c.iter().sum::<f64>() / n as f64,
             _ => c[0],
         };
-        [mean(self.levels[0], &self.coefficients[..n]), mean(self.levels[1], &self.coefficients[n..])]
+        let all = n + self.levels[1].count();
+        [mean(self.levels[0], &self.coefficients[..n]), mean(self.levels[1], &self.coefficients[n..all])]
     }
 
     /// Inside minus outside, grey.
@@ -229,10 +233,12 @@ impl EdgeModel {
         inner - outer
     }
 
-    /// Changes the level model, keeping the mean levels.
-    pub(crate) fn set_levels(&mut self, levels: [Levels; 2]) {
+    /// Changes the level model, keeping the mean levels. Where the levels are splines, the radial slope may vary from node to node
+    /// too, by about `local_slope` (grey/px): smoke has no preferred direction.
+    pub(crate) fn set_levels(&mut self, levels: [Levels; 2], local_slope: [f64; 2]) {
         let mean = self.mean_levels();
         self.levels = levels;
+        self.local_slope = local_slope;
         self.coefficients.clear();
         for side in 0..2 {
             let start = self.coefficients.len();
@@ -240,6 +246,25 @@ impl EdgeModel {
             self.coefficients.resize(start + levels[side].count(), fill);
             self.coefficients[start] = mean[side];
         }
+        let slopes = self.slope_nodes(0) + self.slope_nodes(1);
+        self.coefficients.resize(self.coefficients.len() + slopes, 0.0);
+    }
+
+    /// Whether the levels of either side vary from node to node.
+    pub(crate) fn has_splines(&self) -> bool {
+        self.slope_nodes(0) + self.slope_nodes(1) > 0
+    }
+
+    /// Nodes of the local slope of one side.
+    fn slope_nodes(&self, side: usize) -> usize {
+        if let Levels::Spline(n) = self.levels[side] { n } else { 0 }
+    }
+
+    /// Where the levels and local slopes of either side start among the coefficients.
+    fn starts(&self) -> ([usize; 2], [usize; 2]) {
+        let inner = self.levels[0].count();
+        let levels = inner + self.levels[1].count();
+        ([0, inner], [levels, levels + self.slope_nodes(0)])
     }
 
     fn size(&self) -> usize {
@@ -329,18 +354,24 @@ impl EdgeModel {
         }
         let frame = Frame::new(&self.ellipse);
         let mut chi2 = self.priors(work.as_deref_mut());
-        let (inner_levels, outer_levels) = self.coefficients.split_at(self.levels[0].count());
+        let (level_at, slope_at) = self.starts();
+        let local = [self.slope_nodes(0) > 0, self.slope_nodes(1) > 0];
         let inverse_blur = 1.0 / self.blur_px;
         for i in (0..band.u.len()).step_by(stride) {
             let foot = frame.foot(band.u[i], band.v[i]);
             let d = foot.distance;
             let z = d * inverse_blur + 0.5 * foot.curvature * self.blur_px;
             let (p, density) = normal_tail(z);
-            let inner_basis = self.levels[0].basis(band.angle[i], foot.cos, foot.sin);
-            let outer_basis = self.levels[1].basis(band.angle[i], foot.cos, foot.sin);
-            let step = self.slopes[0] * d + inner_basis.sum(inner_levels)
-                - (self.slopes[1] * d + outer_basis.sum(outer_levels));
-            let outer = self.slopes[1] * d + outer_basis.sum(outer_levels);
+            let basis = [0, 1].map(|side| self.levels[side].basis(band.angle[i], foot.cos, foot.sin));
+            let mut level = [0.0; 2];
+            let mut slope = self.slopes;
+            for side in 0..2 {
+                if local[side] {
+                    slope[side] += basis[side].sum(&self.coefficients[slope_at[side]..]);
+                }
+                level[side] = basis[side].sum(&self.coefficients[level_at[side]..]) + slope[side] * d;
+            }
+            let (outer, step) = (level[1], level[0] - level[1]);
             let r = band.grey[i] - (outer + step * p);
             let response = step * density * inverse_blur;
             band.residual[i] = r;
@@ -355,19 +386,20 @@ impl EdgeModel {
             let Some(w) = work.as_deref_mut() else { continue };
             let mut row = Row::default();
             if density > 1e-8 {
-                let dd = -response + p * self.slopes[0] + (1.0 - p) * self.slopes[1];
+                let dd = -response + p * slope[0] + (1.0 - p) * slope[1];
                 for k in 0..5 {
                     row.push(k, dd * foot.row[k]);
                 }
                 row.push(5, -step * density * (0.5 * foot.curvature - d * inverse_blur * inverse_blur));
             }
-            if p > 1e-8 {
-                row.push(6, p * d);
-                row.push_basis(FIXED, &inner_basis, p);
-            }
-            if p < 1.0 - 1e-8 {
-                row.push(7, (1.0 - p) * d);
-                row.push_basis(FIXED + inner_levels.len(), &outer_basis, 1.0 - p);
+            for (side, share) in [p, 1.0 - p].into_iter().enumerate() {
+                if share > 1e-8 {
+                    row.push(6 + side, share * d);
+                    row.push_basis(FIXED + level_at[side], &basis[side], share);
+                    if local[side] {
+                        row.push_basis(FIXED + slope_at[side], &basis[side], share * d);
+                    }
+                }
             }
             row.add_to(w, n, weight, r);
         }
@@ -382,6 +414,19 @@ impl EdgeModel {
             (-self.slopes[k] / sigma, 1.0 / sigma)
         };
         let rows = [blur, slope(0), slope(1)];
+        let (_, slope_at) = self.starts();
+        let mut local = 0.0;
+        let mut work = work;
+        for side in 0..2 {
+            let weight = self.local_slope[side].max(1e-9).powi(-2);
+            for k in slope_at[side]..slope_at[side] + self.slope_nodes(side) {
+                local += weight * self.coefficients[k].powi(2);
+                if let Some(w) = work.as_deref_mut() {
+                    w.matrix[(FIXED + k) * (self.size() + 1)] += weight;
+                    w.gradient[FIXED + k] -= weight * self.coefficients[k];
+                }
+            }
+        }
         if let Some(w) = work {
             let n = self.size();
             for (k, (r, h)) in rows.iter().enumerate() {
@@ -389,7 +434,7 @@ impl EdgeModel {
                 w.gradient[5 + k] += h * r;
             }
         }
-        rows.iter().map(|(r, _)| r * r).sum()
+        rows.iter().map(|(r, _)| r * r).sum::<f64>() + local
     }
 
     /// Noise variance of a pixel with share `p` of the disc, grey^2.
@@ -430,6 +475,7 @@ impl Band {
         self.v.clear();
         self.grey.clear();
         self.angle.clear();
+        self.distance.clear();
     }
 
     /// Collects the pixels of the image within `reach` of the ellipse.
@@ -468,6 +514,7 @@ impl Band {
                     self.v.push(v as f64);
                     self.grey.push(f64::from(view.get(u, v)));
                     self.angle.push(foot.sin.atan2(foot.cos));
+                    self.distance.push(foot.distance);
                 }
                 u += 1;
             }
@@ -475,7 +522,7 @@ impl Band {
         let n = self.u.len();
         self.keep.clear();
         self.keep.resize(n, true);
-        for list in [&mut self.residual, &mut self.distance, &mut self.inside, &mut self.response] {
+        for list in [&mut self.residual, &mut self.inside, &mut self.response] {
             list.clear();
             list.resize(n, 0.0);
         }

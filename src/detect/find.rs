@@ -38,6 +38,7 @@ impl Seen {
             Verdict::Disc(c) => self.candidates.push(c),
             Verdict::Mark(c, kind) => self.marks.push((c, kind)),
             Verdict::Rejected(c, reason) => self.rejected.push((c, reason)),
+            Verdict::Overlap(parts) => self.rejected.extend(parts.map(|c| (c, RejectionReason::Overlapping))),
             Verdict::Odd(odd) => self.odd.push(odd),
             Verdict::Nothing => {}
         }
@@ -209,6 +210,18 @@ fn one_and_the_same(a: &Disc, b: &Disc) -> bool {
         && ra.min(rb) > 0.5 * ra.max(rb)
 }
 
+/// A coarse view in which a disc that is seen by itself at a finer level has run into something else.
+fn swallows(coarse: &Candidate, fine: &Candidate) -> bool {
+    let (big, small) = (mean_radius_px(&coarse.ellipse), mean_radius_px(&fine.ellipse));
+    coarse.level > fine.level
+        && coarse.bright == fine.bright
+        && !same(coarse, fine)
+        && small > 0.3 * big
+        && small < big
+        && fine.contrast > 0.5 * coarse.contrast
+        && coarse.ellipse.implicit(fine.ellipse.center_px) < 0.0
+}
+
 /// Keeps of every region the view at the finest level.
 fn drop_repeats(seen: &mut Seen) {
     let mut kept: Vec<Candidate> = Vec::with_capacity(seen.candidates.len());
@@ -217,6 +230,12 @@ fn drop_repeats(seen: &mut Seen) {
             kept.push(*c);
         }
     }
+    // Parts of a disc that overlaps another are not to be used, even where enough of the contour is free.
+    let overlaps: Vec<Candidate> =
+        seen.rejected.iter().filter(|r| r.1 == RejectionReason::Overlapping).map(|r| r.0).collect();
+    kept.retain(|c| !overlaps.iter().any(|o| same(o, c) || swallows(c, o)));
+    let finer: Vec<Candidate> = kept.clone();
+    kept.retain(|c| !finer.iter().any(|f| swallows(c, f)));
     seen.candidates = kept;
     let mut marks: Vec<(Candidate, MarkKind)> = Vec::new();
     for m in &seen.marks {

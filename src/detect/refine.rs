@@ -101,24 +101,27 @@ fn descend(
         .ok_or_else(|| not_elliptical(f64::INFINITY, model.ellipse.semi_minor_px))
 }
 
-/// Constant levels, narrow band: brings the ellipse within a fraction of the blur.
+/// First-harmonic levels (light falls off over the disc), narrow band: brings the ellipse within a fraction of the blur.
 fn rough_model(view: &GrayView, start: &Start, s: &mut Scratch) -> Result<EdgeModel, RejectionReason> {
     let wanted = 2.5 * start.blur_px + 1.0;
     let reach = Reach { inner_px: wanted.min(start.room.inner_px), outer_px: wanted.min(start.room.outer_px.max(1.5)) };
     s.band.collect(view, &start.ellipse, reach);
+    screen(&start.ellipse, s);
     if s.band.u.len() < 20 {
         return Err(RejectionReason::TooSmall { semi_minor_px: start.ellipse.semi_minor_px });
     }
     let mut model = EdgeModel::new(&start.ellipse, start.blur_px, 0.0, 0.0);
     model.evaluate(&mut s.band, None, 1);
     let mut sums = [(0.0, 0.0); 2];
-    for (d, g) in s.band.distance.iter().zip(&s.band.grey) {
+    let kept = s.band.keep.iter();
+    for ((d, g), _) in s.band.distance.iter().zip(&s.band.grey).zip(kept).filter(|(_, keep)| **keep) {
         let side = &mut sums[usize::from(*d > 0.0)];
         *side = (side.0 + g, side.1 + 1.0);
     }
     let mean = |x: (f64, f64)| x.0 / f64::max(x.1, 1.0);
     let (inner, outer) = (mean(sums[0]), mean(sums[1]));
     model = EdgeModel::new(&start.ellipse, start.blur_px, inner, outer);
+    model.set_levels([Levels::Harmonic; 2], [0.0; 2]);
     // Weights in units of the contrast keep the damping meaningful for any bit depth.
     let unit = ((inner - outer) * 0.05).powi(2).max(1e-12);
     model.variance = [unit, unit];
@@ -132,39 +135,73 @@ fn rough_model(view: &GrayView, start: &Start, s: &mut Scratch) -> Result<EdgeMo
 
 /// Wide band, level model as rich as the image asks, noise from residuals.
 fn fine_model(view: &GrayView, start: &Start, model: &mut EdgeModel, s: &mut Scratch) -> Result<(), RejectionReason> {
-    for pass in 0..2 {
-        let core = 3.5 * model.blur_px + 0.5;
-        let wide = core + (2.0 * model.blur_px).max(3.0);
-        let inner_most = 0.85 * model.ellipse.semi_minor_px;
-        let reach = Reach {
-            inner_px: wide.min(start.room.inner_px).min(inner_most),
-            outer_px: wide.min(start.room.outer_px.max(1.5)),
-        };
+    for pass in 0..3 {
+        let reach = fine_reach(model, start);
         let before = model.ellipse;
         if border_px(view, &model.ellipse) < 1.0 {
             return Err(RejectionReason::CutByBorder);
         }
         s.band.collect(view, &model.ellipse, reach);
+        screen(&model.ellipse, s);
         if pass == 0 {
             let stride = (s.band.u.len() / ROUGH_PIXELS).max(1) | 1;
-            descend(model, s, 3, stride, 0.02)?;
-            model.evaluate(&mut s.band, None, 1);
+            descend(model, s, 6, stride, 0.02)?;
+            model.set_levels([Levels::Constant; 2], [0.0; 2]);
+            let _ = model.evaluate(&mut s.band, None, 1);
             estimate_variance(view, model, s);
-            model.set_levels(choose_levels(model, s));
+            let (levels, local_slope) = choose_levels(model, s);
+            model.set_levels(levels, local_slope);
             model.sloped = [shows_slope(model, s, 0), shows_slope(model, s, 1)];
         }
-        descend(model, s, 3, 1, FINE_PX)?;
+        descend(model, s, 6, 1, FINE_PX)?;
         estimate_variance(view, model, s);
         let moved = (before.center_px.u_px - model.ellipse.center_px.u_px)
             .hypot(before.center_px.v_px - model.ellipse.center_px.v_px)
             .max((before.semi_major_px - model.ellipse.semi_major_px).abs())
             .max((before.semi_minor_px - model.ellipse.semi_minor_px).abs());
         // The band was laid around a place this close; its pixels are the right ones.
-        if moved < 0.15 {
+        if moved < 0.15 && !(pass == 0 && model.has_splines()) {
             break;
         }
     }
     Ok(())
+}
+
+/// Band of the fine fit: the edge, and beside it what fixes the levels; close to the edge where they vary along it.
+fn fine_reach(model: &EdgeModel, start: &Start) -> Reach {
+    let core = 3.5 * model.blur_px + 0.5;
+    let beside = if model.has_splines() { 1.0 } else { (2.0 * model.blur_px).max(3.0) };
+    Reach {
+        inner_px: (core + beside).min(start.room.inner_px).min(0.85 * model.ellipse.semi_minor_px),
+        outer_px: (core + beside).min(start.room.outer_px.max(1.5)),
+    }
+}
+
+/// Sets aside stretches of the contour without the step that the others show (glare, another object): a descent would follow them.
+fn screen(e: &Ellipse, s: &mut Scratch) {
+    let stretches = ((e.perimeter_px() / 6.0) as usize).clamp(6, 200);
+    let mut sums = vec![[(0.0_f64, 0.0_f64); 2]; stretches];
+    let of = |angle: f64| ((turn_share(angle) * stretches as f64) as usize).min(stretches - 1);
+    for i in 0..s.band.u.len() {
+        let d = s.band.distance[i];
+        let near = d.abs() > 0.5;
+        if near {
+            let sum = &mut sums[of(s.band.angle[i])][usize::from(d > 0.0)];
+            *sum = (sum.0 + s.band.grey[i], sum.1 + 1.0);
+        }
+    }
+    let step = |x: &[(f64, f64); 2]| x[0].0 / x[0].1.max(1.0) - x[1].0 / x[1].1.max(1.0);
+    s.sorted.clear();
+    s.sorted.extend(sums.iter().map(step));
+    let typical = median(&mut s.sorted);
+    let alike: Vec<bool> = sums.iter().map(|x| (0.35..2.8).contains(&(step(x) / typical))).collect();
+    // Where hardly any stretch shows the step the start is bad, and a selection would only fix its error.
+    if alike.iter().filter(|a| **a).count() * 2 < stretches {
+        return;
+    }
+    for i in 0..s.band.u.len() {
+        s.band.keep[i] = alike[of(s.band.angle[i])];
+    }
 }
 
 /// Least distance of the ellipse from the outermost pixel centres, px; negative where it leaves the image.
@@ -248,11 +285,13 @@ fn median(values: &mut [f64]) -> f64 {
 }
 
 /// The poorest level model that the residuals away from the edge do not contradict, for either side.
-fn choose_levels(model: &EdgeModel, s: &mut Scratch) -> [Levels; 2] {
+/// With it the typical gradient along the contour, grey/px.
+fn choose_levels(model: &EdgeModel, s: &mut Scratch) -> ([Levels; 2], [f64; 2]) {
     let perimeter = model.ellipse.perimeter_px();
     let nodes = EdgeModel::nodes_for(perimeter);
     let mut chosen = [Levels::Constant; 2];
-    for (side, chosen) in chosen.iter_mut().enumerate() {
+    let mut gradient = [0.0; 2];
+    for side in 0..2 {
         let mut sums = vec![(0.0_f64, 0.0_f64); nodes];
         for i in 0..s.band.u.len() {
             let p = if side == 0 { s.band.inside[i] } else { 1.0 - s.band.inside[i] };
@@ -264,9 +303,13 @@ fn choose_levels(model: &EdgeModel, s: &mut Scratch) -> [Levels; 2] {
         if sums.iter().any(|x| x.1 < 3.0) {
             continue;
         }
-        *chosen = poorest(&sums, model.variance[side]);
+        chosen[side] = poorest(&sums, model.variance[side]);
+        let pairs = (0..nodes).map(|k| (sums[k], sums[(k + 1) % nodes]));
+        let square =
+            pairs.map(|(a, b)| (a.0 / a.1 - b.0 / b.1).powi(2) - model.variance[side] * (1.0 / a.1 + 1.0 / b.1));
+        gradient[side] = (square.sum::<f64>().max(0.0) / nodes as f64).sqrt() * nodes as f64 / perimeter;
     }
-    chosen
+    (chosen, gradient)
 }
 
 /// Whether the residuals away from the edge rise or fall with the distance, beyond four sigmas.
