@@ -1,11 +1,31 @@
 //! Circles and ellipses in the image.
 //!
+//! The contour of a flat disc is an ellipse in the image: a circle seen through a homography is a conic.
+//!
+//! Implicit form, `p = (u, v, 1)`: `p^T C p = 0` with `C` symmetric 3 x 3, scaled here so that
+//! `p^T C p = (x/a)^2 + (y/b)^2 - 1`: -1 at the centre, 0 on the ellipse, positive outside.
+//!
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
 //! | (u0, v0) | `center_px` | 2 | px | centre |
 //! | a >= b > 0 | `semi_major_px`, `semi_minor_px` | 1 | px | semi-axes |
 //! | phi | `angle_rad` | 1 | rad | from the u axis to the major axis, turning towards +v, in (-pi/2, pi/2] |
 //! | p | [`Ellipse::parameters`] | 5 | px, px, px, px, rad | `(u0, v0, a, b, phi)`, the order of every covariance |
+//! | e | (inside the fits) | 2 | px | `(a - b)/2 (cos 2 phi, sin 2 phi)`, which stays defined for a circle |
+//! | d | [`Ellipse::distance_px`] | 1 | px | orthogonal distance, positive outside |
+//!
+//! Not valid: hyperbolas and parabolas (a disc cut by the plane through the camera centre) are refused by type; lens
+//! distortion bends the contour off the ellipse (the fits then describe the distorted contour as well as they can);
+//! the angle of a circle has no meaning, its standard deviation is reported as at most that of a uniform angle.
+
+mod circle;
+mod fit;
+mod geometry;
+
+pub use circle::image_of_circle;
+pub(crate) use fit::fit_geometric_from;
+pub use fit::{EllipseFit, fit_direct, fit_geometric};
+pub(crate) use geometry::{covariance_from_regular, from_regular, to_regular};
 
 use crate::frames::Pixel;
 use nalgebra::SVector;

@@ -1,11 +1,55 @@
 //! From an image to discs: subpixel contours, ellipses with covariance, and the pattern they form.
 
+mod candidate;
+mod edge_model;
+mod find;
 pub mod pattern;
+mod plane;
+mod refine;
+mod trace;
+
+pub use find::find_discs;
 
 use crate::conic::Ellipse;
 use crate::frames::Pixel;
 use crate::target::{DotId, MarkKind, Polarity};
 use nalgebra::SMatrix;
+
+/// What to look for. The defaults serve any target; only [`DetectOptions::polarity`] is worth knowing in advance.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DetectOptions {
+    /// Bright or dark discs; `Auto` keeps the polarity whose contours weigh more (length times contrast).
+    pub polarity: Polarity,
+    /// Smallest minor semi-axis, px.
+    pub min_semi_minor_px: f64,
+    /// Largest major semi-axis, px.
+    pub max_semi_major_px: f64,
+    /// Smallest ratio of minor to major semi-axis.
+    pub min_axis_ratio: f64,
+    /// Smallest ratio of the grey step across the edge to the standard deviation of the noise.
+    pub min_contrast_to_noise: f64,
+    /// Smallest part of the contour that must be seen, above 0, at most 1.
+    pub min_coverage: f64,
+    /// Largest root mean square distance of edge points from the ellipse: constant part, px.
+    pub max_edge_rms_px: f64,
+    /// The same: part that grows with the minor semi-axis, px/px.
+    pub max_edge_rms_ratio: f64,
+}
+
+impl Default for DetectOptions {
+    fn default() -> Self {
+        Self {
+            polarity: Polarity::Auto,
+            min_semi_minor_px: 1.5,
+            max_semi_major_px: 2000.0,
+            min_axis_ratio: 0.2,
+            min_contrast_to_noise: 3.0,
+            min_coverage: 0.7,
+            max_edge_rms_px: 0.15,
+            max_edge_rms_ratio: 0.02,
+        }
+    }
+}
 
 /// Edge points of one contour, structure of arrays; independent of each other, each with its own sigma.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -78,6 +122,8 @@ pub enum RejectionReason {
         /// Part of the contour that was seen, 0 to 1.
         coverage: f64,
     },
+    /// A disc, but dark where the image's discs are bright, or bright where they are dark.
+    OtherPolarity,
 }
 
 /// A candidate that was turned down.

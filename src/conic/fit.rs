@@ -1,0 +1,198 @@
+//! Ellipses through points.
+//!
+//! Direct: minimise the algebraic distance `sum (a u^2 + b u v + c v^2 + d u + e v + f)^2` under `4 a c - b^2 = 1`, by the split of
+//! Halir and Flusser (1998), on points shifted and scaled to unit size. Biased towards small ellipses under noise: a start.
+//!
+//! Geometric: minimise `sum (d_i / sigma_i)^2` over the orthogonal distances `d_i` by Levenberg-Marquardt in the regular
+//! coordinates `(u0, v0, (a+b)/2, e1, e2)` of [`crate::conic`]. With `n` the outward normal at the foot `(a cos t, b sin t)`:
+//! `dd/d(u0, v0) = -n`, `dd/da = -n_x cos t`, `dd/db = -n_y sin t`, `dd/dphi = -(a^2 - b^2) cos t sin t / N`.
+//!
+//! | symbol | identifier | shape | unit | meaning |
+//! |---|---|---|---|---|
+//! | d_i | `distance` | 1 | px | orthogonal distance of point i |
+//! | sigma_i | `sigma_px` | 1 | px | its standard deviation |
+//! | J^T W J | `normal` | 5 x 5 | 1/px^2 | normal matrix; its inverse is the covariance |
+//!
+//! Not valid for fewer than 6 points (5 leave no redundancy for a covariance that means something) or points on a line.
+
+use crate::conic::{Ellipse, covariance_from_regular, from_regular, to_regular};
+use crate::error::{Insufficient, Invalid, Result};
+use crate::frames::Pixel;
+use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen, Vector3};
+
+/// An ellipse fitted to points, with what the fit knows about itself.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EllipseFit {
+    /// The ellipse.
+    pub ellipse: Ellipse,
+    /// Covariance of `(u0, v0, a, b, phi)` that follows from the sigmas given (not scaled by the residuals).
+    pub covariance: SMatrix<f64, 5, 5>,
+    /// Sum of squared distances over their sigmas.
+    pub chi2: f64,
+    /// Points minus five.
+    pub degrees_of_freedom: usize,
+    /// Root mean square of the orthogonal distances, px.
+    pub rms_px: f64,
+}
+
+/// Direct least-squares ellipse through points (px); a starting value without iteration.
+///
+/// # Errors
+/// [`Invalid::Value`] where the slices differ in length or hold numbers that are not finite;
+/// [`Insufficient::Degenerate`] for fewer than 5 points or points that lie on a line.
+pub fn fit_direct(u_px: &[f64], v_px: &[f64]) -> Result<Ellipse> {
+    check_points(u_px, v_px, 5)?;
+    let n = u_px.len() as f64;
+    let (mu, mv) = (u_px.iter().sum::<f64>() / n, v_px.iter().sum::<f64>() / n);
+    let spread: f64 = u_px.iter().zip(v_px).map(|(u, v)| (u - mu).powi(2) + (v - mv).powi(2)).sum();
+    let scale = (spread / (2.0 * n)).sqrt();
+    if !(scale > 0.0 && scale.is_finite()) {
+        return Err(degenerate("all points coincide").into());
+    }
+    let (mut s1, mut s2, mut s3) = (Matrix3::zeros(), Matrix3::zeros(), Matrix3::zeros());
+    for (u, v) in u_px.iter().zip(v_px) {
+        let (x, y) = ((u - mu) / scale, (v - mv) / scale);
+        let quadratic = Vector3::new(x * x, x * y, y * y);
+        let linear = Vector3::new(x, y, 1.0);
+        s1 += quadratic * quadratic.transpose();
+        s2 += quadratic * linear.transpose();
+        s3 += linear * linear.transpose();
+    }
+    let q = halir_flusser(&(s1 / n), &(s2 / n), &(s3 / n)).ok_or_else(|| degenerate("the points lie on a line"))?;
+    let unit = Matrix3::new(q[0], q[1] / 2.0, q[3] / 2.0, q[1] / 2.0, q[2], q[4] / 2.0, q[3] / 2.0, q[4] / 2.0, q[5]);
+    let e = Ellipse::from_matrix(&unit)?;
+    let center = Pixel::new(mu + scale * e.center_px.u_px, mv + scale * e.center_px.v_px);
+    Ellipse::new(center, scale * e.semi_major_px, scale * e.semi_minor_px, e.angle_rad)
+}
+
+/// The six coefficients that minimise the algebraic distance, from the blocks of the scatter matrix.
+fn halir_flusser(s1: &Matrix3<f64>, s2: &Matrix3<f64>, s3: &Matrix3<f64>) -> Option<SVector<f64, 6>> {
+    let t = -(s3.try_inverse()? * s2.transpose());
+    let mut reduced = s1 + s2 * t;
+    reduced = 0.5 * (reduced + reduced.transpose());
+    // Points exactly on an ellipse make the matrix singular; the ridge is far below any noise.
+    reduced += Matrix3::identity() * (1e-15 * s1.trace());
+    let lower = reduced.cholesky()?.l();
+    let lower_inverse = lower.try_inverse()?;
+    let constraint = Matrix3::new(0.0, 0.0, 2.0, 0.0, -1.0, 0.0, 2.0, 0.0, 0.0);
+    let eigen = SymmetricEigen::new(lower_inverse * constraint * lower_inverse.transpose());
+    let best = eigen.eigenvalues.imax();
+    if eigen.eigenvalues[best] <= 0.0 {
+        return None;
+    }
+    let a1 = lower_inverse.transpose() * eigen.eigenvectors.column(best);
+    let a2 = t * a1;
+    Some(SVector::from([a1[0], a1[1], a1[2], a2[0], a2[1], a2[2]]))
+}
+
+/// Orthogonal-distance ellipse through points (px) with standard deviations (px) normal to the contour.
+///
+/// # Errors
+/// [`Invalid::Value`] where the slices differ in length, numbers are not finite, or a sigma is not positive;
+/// [`Insufficient::Degenerate`] for fewer than 6 points or points that do not fix an ellipse.
+pub fn fit_geometric(u_px: &[f64], v_px: &[f64], sigma_px: &[f64]) -> Result<EllipseFit> {
+    let start = fit_direct(u_px, v_px)?;
+    fit_geometric_from(&start, u_px, v_px, sigma_px)
+}
+
+/// [`fit_geometric`] from a known start.
+pub(crate) fn fit_geometric_from(start: &Ellipse, u_px: &[f64], v_px: &[f64], sigma_px: &[f64]) -> Result<EllipseFit> {
+    check_points(u_px, v_px, 6)?;
+    if sigma_px.len() != u_px.len() {
+        return Err(Invalid::value("sigmas", sigma_px.len() as f64, format!("one per point ({})", u_px.len())).into());
+    }
+    if let Some(bad) = sigma_px.iter().find(|s| !(**s > 0.0 && s.is_finite())) {
+        return Err(Invalid::value("sigma of an edge point (px)", *bad, "a positive number").into());
+    }
+    let mut q = to_regular(start);
+    let mut ellipse = *start;
+    let (mut normal, mut gradient, mut chi2) = normal_equations(&ellipse, u_px, v_px, sigma_px);
+    let mut damping = 1e-6;
+    for _ in 0..60 {
+        let mut damped = normal;
+        for i in 0..5 {
+            damped[(i, i)] *= 1.0 + damping;
+        }
+        let step = damped.cholesky().ok_or_else(|| degenerate("the points do not fix an ellipse"))?.solve(&gradient);
+        let decrement = step.dot(&gradient);
+        let tried = from_regular(&(q - step)).map(|e| (e, normal_equations(&e, u_px, v_px, sigma_px)));
+        match tried {
+            Some((e, next)) if next.2 <= chi2 * (1.0 + 1e-12) => {
+                q -= step;
+                ellipse = e;
+                (normal, gradient, chi2) = next;
+                damping = (damping * 0.1).max(1e-12);
+                if decrement.abs() < 1e-18 * (1.0 + chi2) {
+                    break;
+                }
+            }
+            _ if decrement.abs() < 1e-12 * (1.0 + chi2) => break,
+            _ => damping = (damping * 10.0).max(1e-3),
+        }
+        if damping > 1e12 {
+            break;
+        }
+    }
+    let regular = normal.cholesky().ok_or_else(|| degenerate("the points do not fix an ellipse"))?.inverse();
+    let squares: f64 = u_px.iter().zip(v_px).map(|(u, v)| ellipse.distance_px(Pixel::new(*u, *v)).powi(2)).sum();
+    Ok(EllipseFit {
+        ellipse,
+        covariance: covariance_from_regular(&q, &regular),
+        chi2,
+        degrees_of_freedom: u_px.len() - 5,
+        rms_px: (squares / u_px.len() as f64).sqrt(),
+    })
+}
+
+/// `(J^T W J, J^T W d, chi2)` over all points, in regular coordinates.
+fn normal_equations(
+    e: &Ellipse,
+    u_px: &[f64],
+    v_px: &[f64],
+    sigma_px: &[f64],
+) -> (SMatrix<f64, 5, 5>, SVector<f64, 5>, f64) {
+    let (mut normal, mut gradient, mut chi2) = (SMatrix::<f64, 5, 5>::zeros(), SVector::<f64, 5>::zeros(), 0.0);
+    for i in 0..u_px.len() {
+        let p = Pixel::new(u_px[i], v_px[i]);
+        let t = e.closest_angle_rad(p);
+        let row = distance_row(e, t) / sigma_px[i];
+        let foot = e.point(t);
+        let n = e.normal(t);
+        let distance = ((p.u_px - foot.u_px) * n[0] + (p.v_px - foot.v_px) * n[1]) / sigma_px[i];
+        normal += row * row.transpose();
+        gradient += row * distance;
+        chi2 += distance * distance;
+    }
+    (normal, gradient, chi2)
+}
+
+/// Derivative of the orthogonal distance with respect to the regular coordinates, at eccentric angle `t_rad`.
+fn distance_row(e: &Ellipse, t_rad: f64) -> SVector<f64, 5> {
+    let (a, b) = (e.semi_major_px, e.semi_minor_px);
+    let (s, c) = t_rad.sin_cos();
+    let big_n = (b * c).hypot(a * s);
+    let (da, db) = (-b * c * c / big_n, -a * s * s / big_n);
+    let along = da - db;
+    // d(phi) carries 1 / (a - b), which cancels against (a^2 - b^2): regular for a circle.
+    let across = -(a + b) * c * s / big_n;
+    let (s2, c2) = (2.0 * e.angle_rad).sin_cos();
+    let n = e.normal(t_rad);
+    SVector::from([-n[0], -n[1], da + db, c2 * along - s2 * across, s2 * along + c2 * across])
+}
+
+fn check_points(u_px: &[f64], v_px: &[f64], needed: usize) -> Result<()> {
+    if u_px.len() != v_px.len() {
+        return Err(Invalid::value("points", v_px.len() as f64, format!("as many v as u ({})", u_px.len())).into());
+    }
+    if let Some(bad) = u_px.iter().chain(v_px).find(|x| !x.is_finite()) {
+        return Err(Invalid::value("edge point (px)", *bad, "a finite number").into());
+    }
+    if u_px.len() < needed {
+        return Err(degenerate(&format!("{} points, at least {needed} are needed", u_px.len())).into());
+    }
+    Ok(())
+}
+
+fn degenerate(why: &str) -> Insufficient {
+    Insufficient::Degenerate(format!("no ellipse through the points: {why}"))
+}

@@ -1,0 +1,401 @@
+//! From a rough ellipse to independent edge points with honest sigmas.
+//!
+//! 1. Fit the blurred-edge model ([`crate::detect::edge_model`]) to the grey values in a band around the ellipse.
+//! 2. Cut the band into sectors of about 1.75 px of contour; each pixel belongs to exactly one, so the sectors are independent.
+//! 3. In each sector solve for the shift of the edge along the normal, levels and blur fixed: with residual `r`, weight `w` and response
+//!    `h = d(model)/d(shift)`, `shift = sum w r h / sum w h^2`, `sigma = (sum w h^2)^(-1/2)` (its Fisher information).
+//! 4. Drop sectors that disagree (glare, shadow, another object), fit again without their pixels.
+//! 5. The disc's ellipse is the geometric fit through these edge points; where they scatter more than the grey noise says (rough
+//!    prints, speckle), all sigmas grow by the root of chi2 per degree of freedom.
+//!
+//! Levels, blur and slopes are common to all sectors; what their uncertainty adds to the geometry is spread evenly over the sigmas.
+
+use crate::conic::{Ellipse, fit_geometric_from};
+use crate::detect::edge_model::{Band, EdgeModel, Levels, Normal, Reach};
+use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
+use crate::frames::Pixel;
+use crate::image::{GrayView, Samples};
+use crate::target::Polarity;
+use std::f64::consts::TAU;
+
+/// Length of contour per edge point, px.
+const SECTOR_PX: f64 = 1.75;
+/// Entries of the table from eccentric angle to arc length.
+const ARC_STEPS: usize = 256;
+
+/// Buffers reused from disc to disc.
+#[derive(Debug, Default)]
+pub(crate) struct Scratch {
+    band: Band,
+    normal: Normal,
+    sectors: Sectors,
+    sorted: Vec<f64>,
+}
+
+/// A disc to refine.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Start {
+    pub(crate) ellipse: Ellipse,
+    pub(crate) blur_px: f64,
+    pub(crate) bright: bool,
+    /// How far the band may reach without meeting another edge, px.
+    pub(crate) room: Reach,
+}
+
+/// Sums per sector, structure of arrays.
+#[derive(Debug, Default)]
+struct Sectors {
+    of_pixel: Vec<u32>,
+    score: Vec<f64>,
+    information: Vec<f64>,
+    angle_sum: Vec<f64>,
+    misfit: Vec<f64>,
+    pixels: Vec<u32>,
+    keep: Vec<bool>,
+    middle_angle: Vec<f64>,
+}
+
+/// Refines one disc, or says why it is none.
+pub(crate) fn refine(
+    view: &GrayView,
+    start: &Start,
+    options: &DetectOptions,
+    scratch: &mut Scratch,
+) -> Result<Disc, RejectionReason> {
+    let mut model = rough_model(view, start, scratch)?;
+    fine_model(view, start, &mut model, scratch)?;
+    check_size(&model, start, options)?;
+    let mut coverage = 1.0;
+    for round in 0..3 {
+        assign_sectors(&model, scratch);
+        coverage = drop_sectors(&model, scratch);
+        if coverage < options.min_coverage {
+            return Err(RejectionReason::Incomplete { coverage });
+        }
+        if coverage == 1.0 || round == 2 {
+            break;
+        }
+        estimate_variance(view, &mut model, scratch);
+        descend(&mut model, scratch, 4, 1e-4)?;
+    }
+    debug_assert!(coverage > 0.0);
+    finish(&model, start, options, scratch)
+}
+
+fn not_elliptical(model_rms_px: f64, limit_px: f64) -> RejectionReason {
+    RejectionReason::NotElliptical { rms_px: model_rms_px, limit_px }
+}
+
+fn descend(model: &mut EdgeModel, s: &mut Scratch, rounds: usize, tolerance_px: f64) -> Result<(), RejectionReason> {
+    match model.descend(&mut s.band, &mut s.normal, rounds, tolerance_px) {
+        Some(_) => Ok(()),
+        None => Err(not_elliptical(f64::INFINITY, model.ellipse.semi_minor_px)),
+    }
+}
+
+/// Constant levels, narrow band: brings the ellipse within a fraction of the blur.
+fn rough_model(view: &GrayView, start: &Start, s: &mut Scratch) -> Result<EdgeModel, RejectionReason> {
+    let wanted = 2.5 * start.blur_px + 1.0;
+    let reach = Reach { inner_px: wanted.min(start.room.inner_px), outer_px: wanted.min(start.room.outer_px.max(1.5)) };
+    if !s.band.collect(view, &start.ellipse, reach) {
+        return Err(RejectionReason::CutByBorder);
+    }
+    if s.band.u.len() < 20 {
+        return Err(RejectionReason::TooSmall { semi_minor_px: start.ellipse.semi_minor_px });
+    }
+    let mut model = EdgeModel::new(&start.ellipse, start.blur_px, 0.0, 0.0);
+    model.evaluate(&mut s.band, None);
+    let mut sums = [(0.0, 0.0); 2];
+    for (d, g) in s.band.distance.iter().zip(&s.band.grey) {
+        let side = &mut sums[usize::from(*d > 0.0)];
+        *side = (side.0 + g, side.1 + 1.0);
+    }
+    let mean = |x: (f64, f64)| x.0 / f64::max(x.1, 1.0);
+    let (inner, outer) = (mean(sums[0]), mean(sums[1]));
+    model = EdgeModel::new(&start.ellipse, start.blur_px, inner, outer);
+    // Weights in units of the contrast keep the damping meaningful for any bit depth.
+    let unit = ((inner - outer) * 0.05).powi(2).max(1e-12);
+    model.variance = [unit, unit];
+    descend(&mut model, s, 12, 0.02)?;
+    if (model.step() > 0.0) != start.bright {
+        return Err(RejectionReason::LowContrast { contrast_to_noise: 0.0 });
+    }
+    Ok(model)
+}
+
+/// Wide band, level model as rich as the image asks, noise from residuals.
+fn fine_model(view: &GrayView, start: &Start, model: &mut EdgeModel, s: &mut Scratch) -> Result<(), RejectionReason> {
+    for pass in 0..2 {
+        let core = 3.5 * model.blur_px + 0.5;
+        let wide = core + (2.0 * model.blur_px).max(3.0);
+        let inner_most = 0.85 * model.ellipse.semi_minor_px;
+        let reach = Reach {
+            inner_px: wide.min(start.room.inner_px).min(inner_most),
+            outer_px: wide.min(start.room.outer_px.max(1.5)),
+        };
+        let before = model.ellipse;
+        if !s.band.collect(view, &model.ellipse, reach) {
+            return Err(RejectionReason::CutByBorder);
+        }
+        if pass == 0 {
+            descend(model, s, 4, 0.01)?;
+            estimate_variance(view, model, s);
+            let levels = choose_levels(model, s);
+            model.set_levels(levels);
+            descend(model, s, 4, 0.01)?;
+        }
+        estimate_variance(view, model, s);
+        descend(model, s, 6, 1e-4)?;
+        let moved = (before.center_px.u_px - model.ellipse.center_px.u_px)
+            .hypot(before.center_px.v_px - model.ellipse.center_px.v_px)
+            .max((before.semi_major_px - model.ellipse.semi_major_px).abs())
+            .max((before.semi_minor_px - model.ellipse.semi_minor_px).abs());
+        if pass == 0 && moved < 0.1 {
+            break;
+        }
+    }
+    Ok(())
+}
+
+fn check_size(model: &EdgeModel, start: &Start, options: &DetectOptions) -> Result<(), RejectionReason> {
+    let (e, e0) = (&model.ellipse, &start.ellipse);
+    if e.semi_minor_px < options.min_semi_minor_px {
+        return Err(RejectionReason::TooSmall { semi_minor_px: e.semi_minor_px });
+    }
+    let shift = (e.center_px.u_px - e0.center_px.u_px).hypot(e.center_px.v_px - e0.center_px.v_px);
+    let limit_px = 0.5 * e0.semi_minor_px + 1.0;
+    let gap = shift.max((e.semi_major_px - e0.semi_major_px).abs()).max((e.semi_minor_px - e0.semi_minor_px).abs());
+    if gap > limit_px || model.blur_px > 0.9 * e.semi_minor_px {
+        return Err(not_elliptical(gap.max(model.blur_px), limit_px));
+    }
+    let noise = (0.5 * (model.variance[0] + model.variance[1])).sqrt();
+    let contrast_to_noise = model.step().abs() / noise;
+    if (model.step() > 0.0) != start.bright || contrast_to_noise < options.min_contrast_to_noise {
+        return Err(RejectionReason::LowContrast { contrast_to_noise });
+    }
+    Ok(())
+}
+
+/// Smallest noise variance that samples of this kind can have, grey^2.
+fn quantisation(view: &GrayView) -> f64 {
+    match view.samples() {
+        Samples::U8(_) | Samples::U16(_) => 1.0 / 12.0,
+        Samples::F32(_) => 0.0,
+    }
+}
+
+/// Noise variance inside and outside from the residuals away from the edge.
+fn estimate_variance(view: &GrayView, model: &mut EdgeModel, s: &mut Scratch) {
+    let floor = quantisation(view).max((1e-4 * model.step()).powi(2));
+    let mut found = [None; 2];
+    for (side, found) in found.iter_mut().enumerate() {
+        let mut squares = 0.0;
+        s.sorted.clear();
+        for i in 0..s.band.u.len() {
+            let p = s.band.inside[i];
+            let away = if side == 0 { p > 0.97 } else { p < 0.03 };
+            if away && s.band.keep[i] {
+                s.sorted.push(s.band.residual[i].abs());
+                squares += s.band.residual[i].powi(2);
+            }
+        }
+        if s.sorted.len() < 8 {
+            continue;
+        }
+        let median = median(&mut s.sorted);
+        // A few glints must not make the rest look noisy, a few odd values on a clipped ground must still count.
+        let clip = (5.0 * 1.4826 * median).max(0.05 * model.step().abs());
+        let clipped: f64 = s.sorted.iter().map(|r| r.min(clip).powi(2)).sum();
+        *found = Some(clipped.min(squares) / s.sorted.len() as f64);
+    }
+    let (inner, outer) = match (found[0], found[1]) {
+        (Some(a), Some(b)) => (a, b),
+        (Some(a), None) | (None, Some(a)) => (a, a),
+        (None, None) => {
+            let kept = s.band.keep.iter().filter(|k| **k).count().max(1) as f64;
+            let sum: f64 = s.band.residual.iter().zip(&s.band.keep).filter(|(_, k)| **k).map(|(r, _)| r * r).sum();
+            (sum / kept, sum / kept)
+        }
+    };
+    // A clipped ground has no noise at all; it must not outweigh the flank of the edge.
+    let least = floor.max(inner.max(outer) / 16.0);
+    model.variance = [inner.max(least), outer.max(least)];
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// The poorest level model that the residuals away from the edge do not contradict, for either side.
+fn choose_levels(model: &EdgeModel, s: &mut Scratch) -> [Levels; 2] {
+    let perimeter = model.ellipse.perimeter_px();
+    let nodes = EdgeModel::nodes_for(perimeter);
+    let mut chosen = [Levels::Constant; 2];
+    for (side, chosen) in chosen.iter_mut().enumerate() {
+        let mut sums = vec![(0.0_f64, 0.0_f64); nodes];
+        for i in 0..s.band.u.len() {
+            let p = if side == 0 { s.band.inside[i] } else { 1.0 - s.band.inside[i] };
+            if p > 0.9 {
+                let bin = ((s.band.angle[i] / TAU).rem_euclid(1.0) * nodes as f64) as usize % nodes;
+                sums[bin] = (sums[bin].0 + s.band.residual[i], sums[bin].1 + 1.0);
+            }
+        }
+        if sums.iter().any(|x| x.1 < 3.0) {
+            continue;
+        }
+        *chosen = poorest(&sums, model.variance[side]);
+    }
+    chosen
+}
+
+/// Tests the bin means against nothing, then against a first harmonic.
+fn poorest(sums: &[(f64, f64)], variance: f64) -> Levels {
+    let n = sums.len();
+    let (mut c0, mut c1, mut s1) = (0.0, 0.0, 0.0);
+    let angle = |k: usize| (k as f64 + 0.5) / n as f64 * TAU;
+    for (k, x) in sums.iter().enumerate() {
+        let mean = x.0 / x.1;
+        c0 += mean / n as f64;
+        c1 += 2.0 * mean * angle(k).cos() / n as f64;
+        s1 += 2.0 * mean * angle(k).sin() / n as f64;
+    }
+    let (mut flat, mut wave) = (0.0, 0.0);
+    for (k, x) in sums.iter().enumerate() {
+        let mean = x.0 / x.1;
+        flat += (mean - c0).powi(2) * x.1 / variance;
+        wave += (mean - c0 - c1 * angle(k).cos() - s1 * angle(k).sin()).powi(2) * x.1 / variance;
+    }
+    let limit = |dof: f64| dof + 3.5 * (2.0 * dof).sqrt();
+    // A first harmonic has two degrees of its own; test it alone so that many bins do not drown it.
+    let harmonic = flat - wave > limit(2.0) + 4.0;
+    if n > 5 && wave > limit(n as f64 - 3.0) {
+        Levels::Spline(n)
+    } else if harmonic || flat > limit(n as f64 - 1.0) {
+        Levels::Harmonic
+    } else {
+        Levels::Constant
+    }
+}
+
+/// Gives every pixel its sector and sums up scores and information.
+fn assign_sectors(model: &EdgeModel, s: &mut Scratch) {
+    let e = &model.ellipse;
+    let perimeter = e.perimeter_px();
+    let count = ((perimeter / SECTOR_PX).round() as usize).max(8);
+    let arc = arc_table(e);
+    let q = &mut s.sectors;
+    q.of_pixel.clear();
+    for list in [&mut q.score, &mut q.information, &mut q.angle_sum, &mut q.misfit] {
+        list.clear();
+        list.resize(count, 0.0);
+    }
+    q.pixels.clear();
+    q.pixels.resize(count, 0);
+    q.middle_angle.clear();
+    q.middle_angle.extend((0..count).map(|k| angle_at(&arc, (k as f64 + 0.5) / count as f64)));
+    let b = &s.band;
+    for i in 0..b.u.len() {
+        let x = (b.angle[i] / TAU).rem_euclid(1.0) * ARC_STEPS as f64;
+        let j = (x as usize).min(ARC_STEPS - 1);
+        let along = arc[j] + (arc[j + 1] - arc[j]) * (x - j as f64);
+        let k = ((along * count as f64) as usize).min(count - 1);
+        q.of_pixel.push(k as u32);
+        let weight = 1.0 / model.variance_at(b.inside[i]);
+        let information = weight * b.response[i] * b.response[i];
+        q.score[k] += weight * b.response[i] * b.residual[i];
+        q.information[k] += information;
+        q.misfit[k] += weight * b.residual[i] * b.residual[i];
+        q.pixels[k] += 1;
+        let off = b.angle[i] - q.middle_angle[k];
+        q.angle_sum[k] += information * (off - TAU * (off / TAU).round());
+    }
+}
+
+/// Share of the contour, 0 to 1, at equal steps of the eccentric angle from 0 to 2 pi.
+fn arc_table(e: &Ellipse) -> [f64; ARC_STEPS + 1] {
+    let mut arc = [0.0; ARC_STEPS + 1];
+    for i in 0..ARC_STEPS {
+        let t = (i as f64 + 0.5) / ARC_STEPS as f64 * TAU;
+        arc[i + 1] = arc[i] + (e.semi_major_px * t.sin()).hypot(e.semi_minor_px * t.cos());
+    }
+    let total = arc[ARC_STEPS];
+    arc.map(|x| x / total)
+}
+
+fn angle_at(arc: &[f64; ARC_STEPS + 1], share: f64) -> f64 {
+    let j = arc.partition_point(|x| *x <= share).clamp(1, ARC_STEPS);
+    let f = (share - arc[j - 1]) / (arc[j] - arc[j - 1]);
+    (j as f64 - 1.0 + f) / ARC_STEPS as f64 * TAU
+}
+
+/// Marks the sectors that disagree with the rest and their pixels; returns the share that stays.
+fn drop_sectors(model: &EdgeModel, s: &mut Scratch) -> f64 {
+    let q = &mut s.sectors;
+    let count = q.score.len();
+    let collect = |f: &dyn Fn(usize) -> f64, sorted: &mut Vec<f64>| {
+        sorted.clear();
+        sorted.extend((0..count).filter(|k| q.information[*k] > 0.0).map(f));
+        if sorted.is_empty() { 0.0 } else { median(sorted) }
+    };
+    let information = collect(&|k| q.information[k], &mut s.sorted);
+    let shift = 1.4826 * collect(&|k| (q.score[k] / q.information[k]).abs(), &mut s.sorted);
+    let misfit = collect(&|k| q.misfit[k] / f64::from(q.pixels[k].max(1)), &mut s.sorted);
+    let shift_limit = 4.5 * shift.max(information.powf(-0.5));
+    q.keep.clear();
+    for k in 0..count {
+        let enough = q.information[k] > 0.15 * information && information > 0.0;
+        let near = (q.score[k] / q.information[k]).abs() < shift_limit;
+        let pixels = f64::from(q.pixels[k].max(1));
+        let like = q.misfit[k] / pixels < misfit.max(1.0) * (1.0 + 5.0 * (2.0 / pixels).sqrt() + 1.0);
+        q.keep.push(enough && near && like);
+    }
+    for i in 0..s.band.u.len() {
+        s.band.keep[i] = q.keep[q.of_pixel[i] as usize];
+    }
+    debug_assert!(model.blur_px > 0.0);
+    q.keep.iter().filter(|k| **k).count() as f64 / count as f64
+}
+
+/// Edge points, the ellipse through them, the honest sigmas.
+fn finish(model: &EdgeModel, start: &Start, options: &DetectOptions, s: &mut Scratch) -> Result<Disc, RejectionReason> {
+    let e = &model.ellipse;
+    let widen = model.nuisance_factor(&mut s.normal);
+    let q = &s.sectors;
+    let mut edge = EdgePoints::default();
+    for k in (0..q.score.len()).filter(|k| q.keep[*k]) {
+        let t = q.middle_angle[k] + q.angle_sum[k] / q.information[k];
+        let shift = q.score[k] / q.information[k];
+        let (foot, n) = (e.point(t), e.normal(t));
+        edge.u_px.push(foot.u_px + shift * n[0]);
+        edge.v_px.push(foot.v_px + shift * n[1]);
+        edge.sigma_px.push(widen * q.information[k].powf(-0.5));
+    }
+    let fit = fit_geometric_from(e, &edge.u_px, &edge.v_px, &edge.sigma_px)
+        .map_err(|_| not_elliptical(f64::INFINITY, e.semi_minor_px))?;
+    let limit_px = options.max_edge_rms_px + options.max_edge_rms_ratio * fit.ellipse.semi_minor_px;
+    if fit.rms_px > limit_px {
+        return Err(not_elliptical(fit.rms_px, limit_px));
+    }
+    let excess = (fit.chi2 / fit.degrees_of_freedom as f64).max(1.0);
+    for sigma in &mut edge.sigma_px {
+        *sigma *= excess.sqrt();
+    }
+    Ok(Disc {
+        ellipse: fit.ellipse,
+        covariance: fit.covariance * excess,
+        edge,
+        polarity: if start.bright { Polarity::Bright } else { Polarity::Dark },
+        blur_px: model.blur_px,
+        contrast: model.step().abs(),
+        mark: None,
+    })
+}
+
+/// Root mean square distance of the edge points of a disc from its ellipse, px.
+pub(crate) fn edge_rms_px(disc: &Disc) -> f64 {
+    let e = &disc.edge;
+    let squares: f64 =
+        e.u_px.iter().zip(&e.v_px).map(|(u, v)| disc.ellipse.distance_px(Pixel::new(*u, *v)).powi(2)).sum();
+    (squares / e.u_px.len().max(1) as f64).sqrt()
+}

@@ -1,0 +1,137 @@
+//! Zero lines of an image, followed to subpixel.
+//!
+//! Marching squares: a crossing lies on a lattice edge between a positive and a non-positive pixel, placed by linear
+//! interpolation; from cell to cell the line is followed until it closes or leaves the image.
+
+use crate::detect::plane::Plane;
+
+/// One zero line; the buffers are reused from line to line.
+#[derive(Debug, Default, Clone)]
+pub(crate) struct Line {
+    /// Crossings, px.
+    pub(crate) u: Vec<f32>,
+    /// Crossings, px.
+    pub(crate) v: Vec<f32>,
+    /// Whether the line closes.
+    pub(crate) closed: bool,
+    /// Whether the region enclosed is the positive one (closed lines only).
+    pub(crate) encloses_positive: bool,
+}
+
+/// Follows zero lines of `field`; remembers which lattice edges it has used.
+pub(crate) struct Tracer<'a> {
+    field: &'a Plane,
+    visited: Vec<bool>,
+}
+
+/// Sides of a cell, clockwise from the top; the cell (u, v) has the pixel (u, v) as its top left corner.
+const TOP: u8 = 0;
+const RIGHT: u8 = 1;
+const BOTTOM: u8 = 2;
+const LEFT: u8 = 3;
+
+impl<'a> Tracer<'a> {
+    pub(crate) fn new(field: &'a Plane) -> Self {
+        Self { field, visited: vec![false; field.data.len()] }
+    }
+
+    /// Whether a line crosses between (u, v) and (u + 1, v) that was not followed yet.
+    #[inline]
+    pub(crate) fn fresh_crossing(&self, u: usize, v: usize) -> bool {
+        let i = v * self.field.width + u;
+        (self.field.data[i] > 0.0) != (self.field.data[i + 1] > 0.0) && !self.visited[i]
+    }
+
+    /// Follows the line through the crossing between (u, v) and (u + 1, v) into `line`.
+    pub(crate) fn follow(&mut self, u: usize, v: usize, line: &mut Line) {
+        line.u.clear();
+        line.v.clear();
+        self.push_crossing(u, v, TOP, line);
+        line.closed = self.walk((u, v), TOP, (u, v), line);
+        if !line.closed {
+            line.u.reverse();
+            line.v.reverse();
+            if v > 0 {
+                self.walk((u, v - 1), BOTTOM, (u, v), line);
+            }
+            return;
+        }
+        let rising = self.field.at(u + 1, v) > 0.0;
+        line.encloses_positive = (doubled_area(line) < 0.0) == rising;
+    }
+
+    /// Walks from cell to cell; true where it comes back to the top side of the cell `home`.
+    fn walk(&mut self, start: (usize, usize), entry: u8, home: (usize, usize), line: &mut Line) -> bool {
+        let (mut u, mut v) = start;
+        let mut entry = entry;
+        loop {
+            if u + 1 >= self.field.width || v + 1 >= self.field.height {
+                return false;
+            }
+            let exit = self.exit(u, v, entry);
+            match exit {
+                TOP if (u, v) == home => return true,
+                BOTTOM if (u, v + 1) == home => return true,
+                _ => self.push_crossing(u, v, exit, line),
+            }
+            match exit {
+                TOP if v > 0 => v -= 1,
+                RIGHT => u += 1,
+                BOTTOM => v += 1,
+                LEFT if u > 0 => u -= 1,
+                _ => return false,
+            }
+            entry = (exit + 2) % 4;
+        }
+    }
+
+    /// The side through which the line that came in by `entry` leaves.
+    fn exit(&self, u: usize, v: usize, entry: u8) -> u8 {
+        let f = self.field;
+        let corner = [f.at(u, v), f.at(u + 1, v), f.at(u + 1, v + 1), f.at(u, v + 1)];
+        let positive = corner.map(|x| x > 0.0);
+        let crossed = |side: u8| positive[side as usize] != positive[(side as usize + 1) % 4];
+        if (0..4).all(crossed) {
+            // A saddle: the mean decides which diagonal is connected.
+            let top_left_cut_off = positive[0] != (corner.iter().sum::<f32>() > 0.0);
+            return match (top_left_cut_off, entry) {
+                (true, TOP) => LEFT,
+                (true, LEFT) => TOP,
+                (true, RIGHT) => BOTTOM,
+                (true, _) => RIGHT,
+                (false, TOP) => RIGHT,
+                (false, RIGHT) => TOP,
+                (false, BOTTOM) => LEFT,
+                (false, _) => BOTTOM,
+            };
+        }
+        (0..4).find(|side| *side != entry && crossed(*side)).unwrap_or(entry)
+    }
+
+    fn push_crossing(&mut self, u: usize, v: usize, side: u8, line: &mut Line) {
+        let (a, b) = match side {
+            TOP => ((u, v), (u + 1, v)),
+            RIGHT => ((u + 1, v), (u + 1, v + 1)),
+            BOTTOM => ((u, v + 1), (u + 1, v + 1)),
+            _ => ((u, v), (u, v + 1)),
+        };
+        if a.1 == b.1 {
+            self.visited[a.1 * self.field.width + a.0] = true;
+        }
+        let (fa, fb) = (self.field.at(a.0, a.1), self.field.at(b.0, b.1));
+        let t = fa / (fa - fb);
+        line.u.push(a.0 as f32 + t * (b.0 as f32 - a.0 as f32));
+        line.v.push(a.1 as f32 + t * (b.1 as f32 - a.1 as f32));
+    }
+}
+
+/// Twice the signed area of a closed line, px^2.
+fn doubled_area(line: &Line) -> f64 {
+    let n = line.u.len();
+    (0..n)
+        .map(|i| {
+            let j = (i + 1) % n;
+            f64::from(line.u[i]) * f64::from(line.v[j]) - f64::from(line.u[j]) * f64::from(line.v[i])
+        })
+        .sum()
+}
