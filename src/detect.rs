@@ -3,12 +3,16 @@
 mod candidate;
 mod edge_model;
 mod find;
+pub mod pattern;
 mod plane;
 mod refine;
 mod trace;
 
 pub use find::find_discs;
+<<<<<<< HEAD
 pub mod pattern;
+=======
+>>>>>>> wt-pattern
 
 use crate::conic::Ellipse;
 use crate::frames::Pixel;

@@ -131,7 +131,7 @@ fn placements(
     out: &mut Labelling,
 ) -> Result<Vec<Placement>> {
     if target.marks.is_empty() {
-        return Ok(unmarked(lattice, target, out));
+        return unmarked(image, lattice, target, out);
     }
     let (matched, best) = by_marks(sightings, &target.marks, false);
     let (mirrored, _) = by_marks(sightings, &target.marks, true);
@@ -157,7 +157,15 @@ fn placements(
     if matched < needed || sightings.len() > matched {
         out.warnings.push(format!("{matched} of {needed} marks found, {} dots look like marks", sightings.len()));
     }
-    let best = kept(best, |p| fits_size(p, lattice, target));
+    let best = if best.len() > 1 {
+        let fitting: Vec<_> = best.iter().copied().filter(|p| fits_size(p, lattice, target)).collect();
+        if fitting.is_empty() {
+            return Err(larger_than_stated(image, lattice, target));
+        }
+        fitting
+    } else {
+        best
+    };
     let best = kept(best, |p| starts_at_origin(p, lattice));
     let distinct_turns = (0..4).all(|k| best.iter().filter(|p| p.quarter_turns == k).count() <= 1);
     if !distinct_turns {
@@ -170,6 +178,21 @@ fn placements(
         ));
     }
     Ok(best)
+}
+
+fn larger_than_stated(image: &str, lattice: &Lattice, target: &Grid) -> crate::Error {
+    let (low, high) = lattice.extent();
+    let stated = |n: Option<usize>| n.map_or("any number of".into(), |n| n.to_string());
+    pattern_error(
+        image,
+        format!(
+            "the grid seen spans {} x {} dots, more than the stated {} columns and {} rows; correct columns and rows, or cover what looks like dots beside the grid",
+            high.0 - low.0 + 1,
+            high.1 - low.1 + 1,
+            stated(target.columns),
+            stated(target.rows)
+        ),
+    )
 }
 
 /// Those that pass, or all where none passes (a wish, not a condition).
@@ -218,7 +241,7 @@ fn by_marks(sightings: &[Sighting], marks: &[Mark], mirror: bool) -> (usize, Vec
 }
 
 /// Without marks the lower left dot is the origin, in every turn that the stated size allows.
-fn unmarked(lattice: &Lattice, target: &Grid, out: &mut Labelling) -> Vec<Placement> {
+fn unmarked(image: &str, lattice: &Lattice, target: &Grid, out: &mut Labelling) -> Result<Vec<Placement>> {
     let all: Vec<Placement> = (0..4)
         .map(|quarter_turns| {
             let (low, _) = Placement { quarter_turns, shift: (0, 0) }.extent(lattice);
@@ -234,7 +257,8 @@ fn unmarked(lattice: &Lattice, target: &Grid, out: &mut Labelling) -> Vec<Placem
         out.warnings.push(
             "the grid has no marks and is not seen whole: its lower left dot in this image is called (0, 0); the same dot may be called otherwise in other images".into(),
         );
-        return kept(all, |p| fits_size(p, lattice, target));
+        let fitting: Vec<_> = all.into_iter().filter(|p| fits_size(p, lattice, target)).collect();
+        return if fitting.is_empty() { Err(larger_than_stated(image, lattice, target)) } else { Ok(fitting) };
     }
-    kept(all, whole)
+    Ok(kept(all, whole))
 }

@@ -11,10 +11,19 @@ pub(super) type Cell = (i32, i32);
 const SEED_TOLERANCE: f64 = 0.22;
 /// How far a dot may be from the prediction when the lattice grows, in pitches.
 const GROWTH_TOLERANCE: f64 = 0.2;
+/// The same once the lattice says how well it predicts: robust sigmas, and never less than this many pitches.
+const GROWTH_SIGMAS: f64 = 15.0;
+const GROWTH_LEAST: f64 = 0.07;
 /// A dot of the finished lattice is off if it misses its neighbours' prediction by more robust sigmas than this ...
 const OFF_SIGMAS: f64 = 6.0;
 /// ... but never if by less than the first, always if by more than the second, in pitches.
-const OFF_LIMITS: (f64, f64) = (0.02, 0.15);
+const OFF_LIMITS: (f64, f64) = (0.006, 0.15);
+/// Largest robust miss of a lattice of real dots, in pitches; chance alignments of blobs miss by about 0.1.
+const CHANCE_MISS: f64 = 0.05;
+/// A dot's semi-axes with the foreshortening taken out, over the typical dot's: outside of this it is no dot of the lattice.
+const ALIKE: (f64, f64) = (0.65, 1.5);
+/// The same for its radius where it may be a large mark.
+const MARK_SIZE: (f64, f64) = (0.65, 4.0);
 /// Seeds tried before the largest lattice is taken.
 const SEEDS: usize = 16;
 
@@ -48,17 +57,19 @@ struct Seed {
     nodes: BTreeMap<Cell, usize>,
 }
 
-/// The largest square lattice among the dots that are `free`, where there is one of at least four dots.
+/// The largest square lattice among the dots that are `free`, where there is one that is not chance.
 pub(super) fn find(dots: &Dots, free: &[bool], between: Between) -> Option<Lattice> {
-    let mut seeds: Vec<Seed> =
-        (0..dots.len()).filter(|i| free[*i]).filter_map(|i| seed_at(dots, free, i, between)).collect();
+    let mut seeds: Vec<Seed> = (0..dots.len())
+        .filter(|i| free[*i] && looks_like_a_dot(dots, *i))
+        .filter_map(|i| seed_at(dots, free, i, between))
+        .collect();
     seeds.sort_by(|a, b| b.score.cmp(&a.score).then(a.length.total_cmp(&b.length)));
     let total = free.iter().filter(|f| **f).count();
     let enough = if between == Between::OneDot { total / 3 } else { total * 2 / 3 };
     let mut best: Option<Lattice> = None;
     for seed in seeds.into_iter().take(SEEDS) {
         let lattice = grown(dots, free, Lattice { nodes: seed.nodes });
-        if lattice.nodes.len() < 4 || !lattice.is_square(dots) {
+        if !lattice.is_credible(dots, total) {
             continue;
         }
         if best.as_ref().is_none_or(|b| lattice.nodes.len() > b.nodes.len()) {
@@ -73,6 +84,13 @@ pub(super) fn find(dots: &Dots, free: &[bool], between: Between) -> Option<Latti
 
 /// The lattice grown from given nodes, dots that do not fit removed.
 pub(super) fn grown(dots: &Dots, free: &[bool], mut lattice: Lattice) -> Lattice {
+    // Where the growth slipped onto another lattice, the dots along the slip are off and go first; what they held
+    // together falls apart, and the larger part grows again, now with a tolerance that it knows.
+    for _ in 0..2 {
+        lattice.grow(dots, free);
+        lattice.drop_off_dots(dots);
+        lattice.keep_largest_part();
+    }
     lattice.grow(dots, free);
     lattice.drop_off_dots(dots);
     lattice
@@ -84,7 +102,7 @@ fn seed_at(dots: &Dots, free: &[bool], i: usize, between: Between) -> Option<See
         let mut near: Vec<_> = dots
             .nearest(&dots.at[i], 48)
             .into_iter()
-            .filter(|k| *k != i && free[*k])
+            .filter(|k| *k != i && free[*k] && looks_like_a_dot(dots, *k))
             .map(|k| (k, dots.round[i] * (dots.at[k] - dots.at[i])))
             .collect();
         near.sort_by(|a, b| a.1.norm().total_cmp(&b.1.norm()).then(a.0.cmp(&b.0)));
@@ -184,12 +202,20 @@ impl Lattice {
     fn grow(&mut self, dots: &Dots, free: &[bool]) {
         let mut taken: Vec<bool> = free.iter().map(|f| !f).collect();
         self.nodes.values().for_each(|k| taken[*k] = true);
+        let (mut tolerance, mut measured_at) = (GROWTH_TOLERANCE, 0);
         loop {
+            // Once there are enough dots they say how well they can be predicted: a loose tolerance would let the
+            // lattice drift over to the dots of another level.
+            if self.nodes.len() >= 12 && 2 * self.nodes.len() >= 3 * measured_at {
+                measured_at = self.nodes.len();
+                let sigma = median(self.misses(dots).into_values().collect()) / 1.18;
+                tolerance = (GROWTH_SIGMAS * sigma).clamp(GROWTH_LEAST, GROWTH_TOLERANCE);
+            }
             // The best cell for each dot, so that the result does not depend on the order of the cells.
             let mut claims: BTreeMap<usize, (f64, Cell)> = BTreeMap::new();
             for (cell, steps) in self.frontier() {
                 let Some(p) = self.predict(dots, cell) else { continue };
-                let limit = if steps == 1 { GROWTH_TOLERANCE } else { 0.7 * GROWTH_TOLERANCE };
+                let limit = if steps == 1 { tolerance } else { 0.7 * tolerance };
                 if p.spread > 3.0 {
                     continue;
                 }
@@ -218,7 +244,7 @@ impl Lattice {
         let reach = limit * (p.basis.column(0).norm() + p.basis.column(1).norm());
         dots.within(&p.at, reach)
             .into_iter()
-            .filter(|k| !taken[*k])
+            .filter(|k| !taken[*k] && looks_like_a_dot(dots, *k))
             .map(|k| (k, (inverse * (dots.at[k] - p.at)).norm()))
             .filter(|(_, off)| *off < limit)
             .min_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)))
@@ -258,6 +284,39 @@ impl Lattice {
         // What nothing around it predicts is not known to belong.
         let known = self.misses(dots);
         self.nodes.retain(|c, _| known.contains_key(c));
+    }
+
+    /// Keeps the largest set of cells that are joined side by side.
+    fn keep_largest_part(&mut self) {
+        let mut part: BTreeMap<Cell, usize> = BTreeMap::new();
+        let mut sizes: Vec<usize> = Vec::new();
+        for start in self.nodes.keys() {
+            if part.contains_key(start) {
+                continue;
+            }
+            let mut open = vec![*start];
+            part.insert(*start, sizes.len());
+            let mut size = 0;
+            while let Some((i, j)) = open.pop() {
+                size += 1;
+                for next in [(i + 1, j), (i - 1, j), (i, j + 1), (i, j - 1)] {
+                    if self.nodes.contains_key(&next) && !part.contains_key(&next) {
+                        part.insert(next, sizes.len());
+                        open.push(next);
+                    }
+                }
+            }
+            sizes.push(size);
+        }
+        let largest = (0..sizes.len()).rev().max_by_key(|k| sizes[*k]);
+        self.nodes.retain(|cell, _| part.get(cell).copied() == largest);
+    }
+
+    /// Whether this is more than a few blobs in line by chance among `total`.
+    pub(super) fn is_credible(&self, dots: &Dots, total: usize) -> bool {
+        let count = self.nodes.len();
+        let enough = if total <= 12 { 4 } else { (total / 4).clamp(6, 30) };
+        count >= enough && median(self.misses(dots).into_values().collect()) < CHANCE_MISS && self.is_square(dots)
     }
 
     /// Whether the steps are of equal length and at right angles once the foreshortening is taken out.
@@ -311,6 +370,14 @@ impl Lattice {
         }
         if sum.norm() > 0.0 { -sum.y / sum.norm() } else { 0.0 }
     }
+}
+
+/// Whether a disc has the size and shape of the dots around it, or at least the shape of one larger one.
+fn looks_like_a_dot(dots: &Dots, k: usize) -> bool {
+    let e = (dots.round[k] * dots.shape[k] * dots.round[k]).symmetric_eigenvalues().map(|x| x.max(0.0).sqrt());
+    let (large, small) = (e.max(), e.min());
+    let alike = |x: f64| x > ALIKE.0 && x < ALIKE.1;
+    (alike(large) && alike(small)) || (small > MARK_SIZE.0 && large < MARK_SIZE.1 && large < ALIKE.1 * small)
 }
 
 /// Prediction of step (0, 0) from dots at other steps: projective where they allow it, else affine.

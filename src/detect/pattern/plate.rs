@@ -11,8 +11,9 @@
 use super::dots::{Dots, median};
 use super::lattice::{self, Between, Cell, Lattice};
 use super::{Labelling, Relabelling, pattern_error, rejected_in_words, turned};
-use crate::detect::{Detection, LabelledDisc, Shape};
+use crate::detect::{Detection, LabelledDisc, RejectionReason, Shape};
 use crate::error::Result;
+use crate::frames::Pixel;
 use crate::target::{DotId, Mark, Plate};
 use nalgebra::Vector2;
 
@@ -221,7 +222,7 @@ fn placements(
         let least = found.iter().map(|f| f.1).fold(f64::INFINITY, f64::min);
         found.retain(|f| f.1 <= least + 0.5 * levels.parallax.norm() * matched as f64);
     }
-    let placements: Vec<Placement> = found.into_iter().map(|f| f.0).collect();
+    let placements = hinted(detection, levels, target, found.into_iter().map(|f| f.0).collect());
     if (0..4).any(|k| placements.iter().filter(|p| p.quarter_turns == k).count() > 1) {
         return Err(pattern_error(
             image,
@@ -234,17 +235,47 @@ fn placements(
     Ok(placements)
 }
 
+/// Those under which most of the unseen marks fall on something that is there but neither disc nor clear mark.
+///
+/// A blurred triangle is often turned down; that it is there still tells one turn of the plate from another.
+fn hinted(detection: &Detection, levels: &TwoLevels<'_>, target: &Plate, placements: Vec<Placement>) -> Vec<Placement> {
+    if placements.len() < 2 {
+        return placements;
+    }
+    let blobs: Vec<Vector2<f64>> = detection
+        .rejections
+        .iter()
+        .filter(|r| matches!(r.reason, RejectionReason::NotElliptical { .. }))
+        .filter(|r| plausible_size(levels, &r.center_px, r.radius_px))
+        .map(|r| Vector2::new(r.center_px.u_px, r.center_px.v_px))
+        .chain(detection.shapes.iter().map(|s| Vector2::new(s.center_px.u_px, s.center_px.v_px)))
+        .collect();
+    let there = |p: &Placement| {
+        let at = |m: &&Mark| blobs.iter().any(|b| miss(levels, p, m, b).is_some_and(|off| off < MARK_TOLERANCE));
+        target.marks.iter().filter(at).count()
+    };
+    let most = placements.iter().map(there).max().unwrap_or(0);
+    placements.into_iter().filter(|p| there(p) == most).collect()
+}
+
+/// Distance of an image point from the place of a mark, half pitches.
+fn miss(levels: &TwoLevels<'_>, p: &Placement, mark: &Mark, at: &Vector2<f64>) -> Option<f64> {
+    let x = levels.locate(class_of(mark, p.front), at)?;
+    // Turn the place of the mark back onto the lattice.
+    let back = turned(4 - p.quarter_turns, (mark.at.column - p.shift.0, mark.at.row - p.shift.1));
+    Some((x - Vector2::new(f64::from(back.0), f64::from(back.1))).norm())
+}
+
+/// Whether something is about as large as the dots near it.
+fn plausible_size(levels: &TwoLevels<'_>, at: &Pixel, radius_px: f64) -> bool {
+    let near = levels.dots.nearest(&Vector2::new(at.u_px, at.v_px), 9);
+    let ratio = radius_px / median(near.into_iter().map(|k| levels.dots.radius(k)).collect());
+    ratio > MARK_SIZE.0 && ratio < MARK_SIZE.1
+}
+
 /// Shapes about as large as the dots near them.
 fn plausible_shapes<'a>(detection: &'a Detection, levels: &TwoLevels<'_>) -> Vec<&'a Shape> {
-    let typical = |s: &Shape| {
-        let near = levels.dots.nearest(&Vector2::new(s.center_px.u_px, s.center_px.v_px), 9);
-        median(near.into_iter().map(|k| levels.dots.radius(k)).collect())
-    };
-    let sized = |s: &&Shape| {
-        let ratio = s.radius_px / typical(s);
-        ratio > MARK_SIZE.0 && ratio < MARK_SIZE.1
-    };
-    detection.shapes.iter().filter(sized).collect()
+    detection.shapes.iter().filter(|s| plausible_size(levels, &s.center_px, s.radius_px)).collect()
 }
 
 /// The lattice class on which a mark is printed.
@@ -269,21 +300,16 @@ fn anchored(levels: &TwoLevels<'_>, quarter_turns: u8, front: usize, shape: &Sha
 
 /// How many marks are in their place, and by how much they miss it together, half pitches.
 fn explained(levels: &TwoLevels<'_>, p: &Placement, shapes: &[&Shape], marks: &[Mark]) -> (usize, f64) {
-    let (mut matched, mut miss) = (0, 0.0);
+    let (mut matched, mut total) = (0, 0.0);
     for mark in marks {
-        let off = |s: &&&Shape| {
-            let x = levels.locate(class_of(mark, p.front), &Vector2::new(s.center_px.u_px, s.center_px.v_px))?;
-            // Turn the place of the mark back onto the lattice.
-            let back = turned(4 - p.quarter_turns, (mark.at.column - p.shift.0, mark.at.row - p.shift.1));
-            Some::<f64>((x - Vector2::new(f64::from(back.0), f64::from(back.1))).norm())
-        };
-        let least = shapes.iter().filter(|s| s.mark == mark.kind).filter_map(|s| off(&s)).fold(f64::INFINITY, f64::min);
+        let off = |s: &&Shape| miss(levels, p, mark, &Vector2::new(s.center_px.u_px, s.center_px.v_px));
+        let least = shapes.iter().filter(|s| s.mark == mark.kind).filter_map(off).fold(f64::INFINITY, f64::min);
         if least < MARK_TOLERANCE {
             matched += 1;
-            miss += least;
+            total += least;
         }
     }
-    (matched, miss)
+    (matched, total)
 }
 
 /// Every turn, and either level in front.
