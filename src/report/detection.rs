@@ -105,7 +105,8 @@ pub fn detection_shapes(detection: &Detection) -> OverlayShapes {
         .map(|r| RejectedMark {
             at_px: [r.center_px.u_px, r.center_px.v_px],
             radius_px: r.radius_px,
-            reason: reason_words(r.reason),
+            // Numbers would cover the picture; they are in the JSON.
+            reason: reason_kind(r.reason).into(),
         })
         .collect();
     shapes
@@ -118,7 +119,7 @@ pub fn reason_kind(reason: RejectionReason) -> &'static str {
         RejectionReason::NotElliptical { .. } => "not elliptical",
         RejectionReason::Overlapping => "touching another disc",
         RejectionReason::TooSmall { .. } => "too small",
-        RejectionReason::LowContrast { .. } => "low contrast",
+        RejectionReason::LowContrast { .. } => "too faint",
         RejectionReason::Incomplete { .. } => "partly hidden",
         RejectionReason::OtherPolarity => "of the other polarity",
     }
@@ -132,7 +133,9 @@ pub fn reason_words(reason: RejectionReason) -> String {
             format!("{kind}: {rms_px:.2} px from its ellipse, at most {limit_px:.2}")
         }
         RejectionReason::TooSmall { semi_minor_px } => format!("{kind}: minor semi-axis {semi_minor_px:.1} px"),
-        RejectionReason::LowContrast { contrast_to_noise } => format!("{kind}: {contrast_to_noise:.1} times the noise"),
+        RejectionReason::LowContrast { contrast_to_noise } => {
+            format!("{kind} (among brighter discs, or for the noise): {contrast_to_noise:.1} times the noise")
+        }
         RejectionReason::Incomplete { coverage } => format!("{kind}: {:.0} % of its contour seen", 100.0 * coverage),
         RejectionReason::CutByBorder | RejectionReason::Overlapping | RejectionReason::OtherPolarity => kind.into(),
     }
