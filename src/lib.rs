@@ -9,6 +9,8 @@
 pub mod bitangent;
 pub mod bundle;
 pub mod camera;
+#[cfg(feature = "cli")]
+pub mod cli;
 pub mod conic;
 pub mod detect;
 pub mod error;

@@ -8,6 +8,7 @@
 //! | [`text`] | the calibration in plain words, for a terminal |
 //! | [`write_html`] | one HTML file without scripts or anything to load, also well-formed XML |
 //! | [`residuals_csv`] | one row per observation |
+//! | [`discs_csv`], [`contours_csv`], [`features_csv`], [`detection_json`] | what was found in one image |
 //! | [`overlay_png`] | the image with what was found in it, at full resolution |
 //!
 //! Pictures keep the pixel convention: a mark at (u, v) = (0, 0) is centred on the centre of the first pixel. In SVG the
@@ -18,6 +19,7 @@
 
 mod canvas;
 mod csv;
+mod detection;
 mod figures;
 mod grey;
 mod html;
@@ -31,6 +33,9 @@ mod text;
 mod verdict;
 
 pub use csv::residuals_csv;
+pub use detection::{
+    contours_csv, detection_json, detection_shapes, discs_csv, features_csv, reason_kind, reason_words,
+};
 pub use html::{OverlayInput, write_html};
 pub use overlay::{Label, Marks, OverlayShapes, Polyline, RejectedMark, overlay_png};
 pub use text::text;
