@@ -288,19 +288,18 @@ fn median(values: &mut [f64]) -> f64 {
 /// With it the typical gradient along the contour, grey/px.
 fn choose_levels(model: &EdgeModel, s: &mut Scratch) -> ([Levels; 2], [f64; 2]) {
     let perimeter = model.ellipse.perimeter_px();
-    let nodes = EdgeModel::nodes_for(perimeter);
     let mut chosen = [Levels::Constant; 2];
     let mut gradient = [0.0; 2];
     for side in 0..2 {
-        let mut sums = vec![(0.0_f64, 0.0_f64); nodes];
-        for i in 0..s.band.u.len() {
-            let p = if side == 0 { s.band.inside[i] } else { 1.0 - s.band.inside[i] };
-            if p > 0.9 {
-                let bin = (turn_share(s.band.angle[i]) * nodes as f64) as usize % nodes;
-                sums[bin] = (sums[bin].0 + s.band.residual[i], sums[bin].1 + 1.0);
-            }
+        // A narrow band leaves few pixels away from the edge: fewer nodes then, but never an untested side.
+        let mut nodes = EdgeModel::nodes_for(perimeter);
+        let mut sums = level_sums(s, side, nodes);
+        while sums.iter().any(|x| x.1 < 3.0) && nodes > 5 {
+            nodes = (nodes / 2).max(5);
+            sums = level_sums(s, side, nodes);
         }
-        if sums.iter().any(|x| x.1 < 3.0) {
+        if sums.iter().any(|x| x.1 < 1.0) {
+            chosen[side] = Levels::Harmonic;
             continue;
         }
         chosen[side] = poorest(&sums, model.variance[side]);
@@ -310,6 +309,19 @@ fn choose_levels(model: &EdgeModel, s: &mut Scratch) -> ([Levels; 2], [f64; 2]) 
         gradient[side] = (square.sum::<f64>().max(0.0) / nodes as f64).sqrt() * nodes as f64 / perimeter;
     }
     (chosen, gradient)
+}
+
+/// Sum of residuals and number of pixels away from the edge on one side, in equal bins of the eccentric angle.
+fn level_sums(s: &Scratch, side: usize, nodes: usize) -> Vec<(f64, f64)> {
+    let mut sums = vec![(0.0_f64, 0.0_f64); nodes];
+    for i in 0..s.band.u.len() {
+        let p = if side == 0 { s.band.inside[i] } else { 1.0 - s.band.inside[i] };
+        if p > 0.9 {
+            let bin = (turn_share(s.band.angle[i]) * nodes as f64) as usize % nodes;
+            sums[bin] = (sums[bin].0 + s.band.residual[i], sums[bin].1 + 1.0);
+        }
+    }
+    sums
 }
 
 /// Whether the residuals away from the edge rise or fall with the distance, beyond four sigmas.
