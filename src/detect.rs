@@ -81,6 +81,15 @@ pub struct Disc {
     pub mark: Option<MarkKind>,
 }
 
+impl Disc {
+    /// Root mean square distance of the edge points from the ellipse, px.
+    pub fn edge_rms_px(&self) -> f64 {
+        let points = self.edge.u_px.iter().zip(&self.edge.v_px);
+        let squares: f64 = points.map(|(u, v)| self.ellipse.distance_px(Pixel::new(*u, *v)).powi(2)).sum();
+        (squares / self.edge.u_px.len().max(1) as f64).sqrt()
+    }
+}
+
 /// A closed shape that is no disc but may be a mark.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shape {

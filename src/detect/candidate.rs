@@ -26,12 +26,27 @@ pub(crate) struct Candidate {
 }
 
 /// What a line is.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(crate) enum Verdict {
     Disc(Candidate),
     Mark(Candidate, MarkKind),
     Rejected(Candidate, RejectionReason),
+    /// Two discs that touch or overlap.
+    Overlap([Candidate; 2]),
+    /// No plain ellipse; [`judge_odd`] says more where the contrast makes it worth the time.
+    Odd(Odd),
     Nothing,
+}
+
+/// A closed line that no ellipse fits as a whole.
+#[derive(Debug, Clone)]
+pub(crate) struct Odd {
+    /// The ellipse of equal moments.
+    pub(crate) rough: Candidate,
+    u: Vec<f64>,
+    v: Vec<f64>,
+    /// Share of the line along which the grey falls outwards.
+    share: f64,
 }
 
 /// Area, centre and the ellipse of equal second moments of a closed line.
@@ -82,6 +97,12 @@ pub(crate) fn judge(line: &Line, smooth: &Plane, strength: Strength, level: u32,
     let direct = fit_direct(&u, &v).unwrap_or(rough);
     let rms = rms_gap(&direct, &u, &v);
     let slim = direct.semi_minor_px < options.min_axis_ratio * direct.semi_major_px;
+    let area = 0.5 * m.doubled_area.abs();
+    if rms > 0.25 + 0.015 * radius && radius >= 4.0 && !slim {
+        if let Some(kind) = polygon_kind(&u, &v, area) {
+            return Verdict::Mark(found(&rough, rms), kind);
+        }
+    }
     if rms < limit && !slim {
         if direct.semi_minor_px * scale < 0.8 * options.min_semi_minor_px {
             let semi_minor_px = direct.semi_minor_px * scale;
@@ -92,17 +113,27 @@ pub(crate) fn judge(line: &Line, smooth: &Plane, strength: Strength, level: u32,
     if radius < 4.0 || slim {
         return Verdict::Nothing;
     }
-    if let Some(kind) = polygon_kind(&u, &v, 0.5 * m.doubled_area.abs()) {
-        return Verdict::Mark(found(&rough, rms), kind);
+    Verdict::Odd(Odd { rough: found(&rough, rms), u, v, share })
+}
+
+/// Two discs in one, a disc with part of its contour spoilt, or neither.
+pub(crate) fn judge_odd(odd: &Odd, options: &DetectOptions) -> Verdict {
+    let Odd { rough, u, v, share } = odd;
+    let scale = f64::from(1u32 << rough.level);
+    let found = |ellipse: &Ellipse, rms_px: f64| Candidate {
+        ellipse: scaled(ellipse, scale),
+        rms_px: rms_px * scale,
+        ..*rough
+    };
+    if let Some(parts) = two_in_one(u, v, options.min_axis_ratio) {
+        return Verdict::Overlap(parts.map(|e| found(&e, rough.rms_px / scale)));
     }
-    if let Some(part) = two_in_one(&u, &v, options.min_axis_ratio) {
-        return Verdict::Rejected(found(&part, rms), RejectionReason::Overlapping);
+    if let Some(ellipse) = robust_ellipse(u, v, options.min_axis_ratio) {
+        return Verdict::Disc(found(&ellipse, rms_gap(&ellipse, u, v)));
     }
-    if let Some(ellipse) = robust_ellipse(&u, &v, options.min_axis_ratio) {
-        return Verdict::Disc(found(&ellipse, rms_gap(&ellipse, &u, &v)));
-    }
-    let reason = RejectionReason::NotElliptical { rms_px: rms * scale, limit_px: limit * scale };
-    if share > 0.9 { Verdict::Rejected(found(&rough, rms), reason) } else { Verdict::Nothing }
+    let limit_px = 0.5 * scale + 0.05 * (rough.ellipse.semi_major_px * rough.ellipse.semi_minor_px).sqrt();
+    let reason = RejectionReason::NotElliptical { rms_px: rough.rms_px, limit_px };
+    if *share > 0.9 { Verdict::Rejected(*rough, reason) } else { Verdict::Nothing }
 }
 
 /// A line that leaves the image: a disc cut by the border, or nothing.
@@ -318,8 +349,8 @@ fn covered_share(e: &Ellipse, u: &[f64], v: &[f64], near: f64) -> f64 {
     seen.iter().filter(|s| **s).count() as f64 / 36.0
 }
 
-/// Splits the line at its two deepest dents; where both parts are arcs of discs of their own, the larger one.
-fn two_in_one(u: &[f64], v: &[f64], min_axis_ratio: f64) -> Option<Ellipse> {
+/// Splits the line at its two deepest dents; the discs of the two parts, where both are arcs of discs.
+fn two_in_one(u: &[f64], v: &[f64], min_axis_ratio: f64) -> Option<[Ellipse; 2]> {
     let n = u.len();
     if n < 24 {
         return None;
@@ -348,8 +379,7 @@ fn two_in_one(u: &[f64], v: &[f64], min_axis_ratio: f64) -> Option<Ellipse> {
             && e.semi_minor_px > min_axis_ratio.max(0.25) * e.semi_major_px;
         good.then_some(e)
     };
-    let (one, two) = (arc(a, b)?, arc(b, a + n)?);
-    Some(if one.semi_major_px > two.semi_major_px { one } else { two })
+    Some([arc(a, b)?, arc(b, a + n)?])
 }
 
 /// Local maxima of the depth below the convex hull, (index, depth px), deepest first.
@@ -423,7 +453,7 @@ fn polygon_kind(u: &[f64], v: &[f64], area: f64) -> Option<MarkKind> {
         }
     }
     let (triangle, quadrilateral) = (triangle / hull_area, quadrilateral / hull_area);
-    if triangle > 0.76 {
+    if triangle > 0.66 {
         Some(MarkKind::Triangle)
     } else if quadrilateral > 0.82 && triangle < 0.62 {
         Some(MarkKind::Square)

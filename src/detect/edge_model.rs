@@ -17,12 +17,13 @@
 //! | s | `blur_px` | 1 | px | standard deviation of the blur, pixel area included (adds 1/12 px^2) |
 //! | t | `angle` | 1 | rad | eccentric angle of the foot point |
 //! | L_in, L_out | `levels` | 1, 3 or n per side | grey | constant; first harmonic; or periodic quadratic B-spline in t |
-//! | slopes | `slopes` | 2 | grey/px | `P d`, `(1 - P) d`: radial gradient inside and outside |
+//! | slopes | `slopes` | 2 | grey/px | `P d`, `(1 - P) d`: radial gradient inside and outside; with splines also one per node |
 //! | var_in, var_out | `variance` | 2 | grey^2 | noise on either side; in between it follows P (shot noise rises with level) |
 //!
 //! A small disc cannot tell its size from blur and radial gradient; weak priors hold what the data leave open (for discs of more than
 //! some ten pixels the data outweigh them by orders of magnitude): blur within `PRIOR_BLUR_PX` of the value given, slopes within
-//! `PRIOR_SLOPE` of the grey step per minor semi-axis.
+//! `PRIOR_SLOPE` of the grey step per minor semi-axis, and held at zero where the image shows none (a free slope costs half of what
+//! the image tells about the axes).
 //!
 //! Not valid where the radius of curvature is not well above the blur, or where another edge lies within the band.
 
@@ -85,18 +86,80 @@ impl Levels {
         }
     }
 
-    /// Up to three (index, value) pairs of the basis at an angle.
     #[inline]
-    fn basis(self, angle: f64, c: f64, s: f64) -> ([usize; 3], [f64; 3], usize) {
+    fn basis(self, angle: f64, c: f64, s: f64) -> Basis {
         match self {
-            Levels::Constant => ([0; 3], [1.0, 0.0, 0.0], 1),
-            Levels::Harmonic => ([0, 1, 2], [1.0, c, s], 3),
+            Levels::Constant => Basis { at: [0; 3], value: [1.0, 0.0, 0.0], count: 1 },
+            Levels::Harmonic => Basis { at: [0, 1, 2], value: [1.0, c, s], count: 3 },
             Levels::Spline(n) => {
-                let x = (angle / TAU).rem_euclid(1.0) * n as f64;
+                let x = turn_share(angle) * n as f64;
                 let i = (x as usize).min(n - 1);
                 let f = x - i as f64;
-                let w = [0.5 * (1.0 - f) * (1.0 - f), 0.5 + f * (1.0 - f), 0.5 * f * f];
-                ([(i + n - 1) % n, i, (i + 1) % n], w, 3)
+                let value = [0.5 * (1.0 - f) * (1.0 - f), 0.5 + f * (1.0 - f), 0.5 * f * f];
+                Basis {
+                    at: [if i == 0 { n - 1 } else { i - 1 }, i, if i + 1 == n { 0 } else { i + 1 }],
+                    value,
+                    count: 3,
+                }
+            }
+        }
+    }
+}
+
+/// The basis functions of the levels that are not zero at one angle.
+struct Basis {
+    at: [usize; 3],
+    value: [f64; 3],
+    count: usize,
+}
+
+impl Basis {
+    #[inline]
+    fn sum(&self, coefficients: &[f64]) -> f64 {
+        (0..self.count).map(|k| coefficients[self.at[k]] * self.value[k]).sum()
+    }
+}
+
+/// An angle in (-pi, pi] as a share of the turn from 0 to 1.
+#[inline]
+pub(crate) fn turn_share(angle: f64) -> f64 {
+    let share = angle / TAU;
+    if share < 0.0 { share + 1.0 } else { share }
+}
+
+/// One row of the Jacobian, only what is not zero: at most 8 fixed entries, 6 levels and 6 local slopes.
+#[derive(Default)]
+struct Row {
+    at: [usize; 20],
+    value: [f64; 20],
+    count: usize,
+}
+
+impl Row {
+    #[inline]
+    fn push(&mut self, at: usize, value: f64) {
+        self.at[self.count] = at;
+        self.value[self.count] = value;
+        self.count += 1;
+    }
+
+    #[inline]
+    fn push_basis(&mut self, start: usize, basis: &Basis, factor: f64) {
+        for k in 0..basis.count {
+            self.push(start + basis.at[k], factor * basis.value[k]);
+        }
+    }
+
+    /// Adds `weight row^T row` to the lower triangle and `weight row^T residual` to the gradient.
+    #[inline]
+    fn add_to(&self, work: &mut Normal, n: usize, weight: f64, residual: f64) {
+        for a in 0..self.count {
+            let wa = weight * self.value[a];
+            work.gradient[self.at[a]] += wa * residual;
+            for b in 0..=a {
+                let (hi, lo) =
+                    if self.at[a] > self.at[b] { (self.at[a], self.at[b]) } else { (self.at[b], self.at[a]) };
+                work.matrix[hi * n + lo] += wa * self.value[b];
             }
         }
     }
@@ -110,14 +173,18 @@ pub(crate) struct EdgeModel {
     pub(crate) blur_px: f64,
     pub(crate) slopes: [f64; 2],
     pub(crate) levels: [Levels; 2],
-    /// Coefficients of the inner, then the outer levels.
+    /// Coefficients of the inner, then the outer levels, then of the slopes that go with splines (same nodes, grey/px).
     pub(crate) coefficients: Vec<f64>,
+    /// Standard deviation of the slope at a spline node before seeing this disc, grey/px.
+    local_slope: [f64; 2],
     /// Noise variance inside and outside, grey^2.
     pub(crate) variance: [f64; 2],
     /// Blur expected before seeing this disc, px.
     pub(crate) expected_blur_px: f64,
     /// Standard deviation of the slopes before seeing this disc, grey/px.
     slope_prior: f64,
+    /// Whether the image asks for a slope inside and outside.
+    pub(crate) sloped: [bool; 2],
 }
 
 /// Dense normal equations, reused.
@@ -125,6 +192,8 @@ pub(crate) struct EdgeModel {
 pub(crate) struct Normal {
     matrix: Vec<f64>,
     gradient: Vec<f64>,
+    kept_matrix: Vec<f64>,
+    kept_gradient: Vec<f64>,
     trial: Vec<f64>,
     step: Vec<f64>,
 }
@@ -142,6 +211,8 @@ impl EdgeModel {
             variance: [1.0; 2],
             expected_blur_px: blur_px,
             slope_prior: (PRIOR_SLOPE * (inner - outer).abs() / ellipse.semi_minor_px).max(1e-9),
+            sloped: [false; 2],
+            local_slope: [0.0; 2],
         }
     }
 
@@ -152,7 +223,8 @@ impl EdgeModel {
             Levels::Spline(n) => c.iter().sum::<f64>() / n as f64,
             _ => c[0],
         };
-        [mean(self.levels[0], &self.coefficients[..n]), mean(self.levels[1], &self.coefficients[n..])]
+        let all = n + self.levels[1].count();
+        [mean(self.levels[0], &self.coefficients[..n]), mean(self.levels[1], &self.coefficients[n..all])]
     }
 
     /// Inside minus outside, grey.
@@ -161,10 +233,12 @@ impl EdgeModel {
         inner - outer
     }
 
-    /// Changes the level model, keeping the mean levels.
-    pub(crate) fn set_levels(&mut self, levels: [Levels; 2]) {
+    /// Changes the level model, keeping the mean levels. Where the levels are splines, the radial slope may vary from node to node
+    /// too, by about `local_slope` (grey/px): smoke has no preferred direction.
+    pub(crate) fn set_levels(&mut self, levels: [Levels; 2], local_slope: [f64; 2]) {
         let mean = self.mean_levels();
         self.levels = levels;
+        self.local_slope = local_slope;
         self.coefficients.clear();
         for side in 0..2 {
             let start = self.coefficients.len();
@@ -172,6 +246,25 @@ impl EdgeModel {
             self.coefficients.resize(start + levels[side].count(), fill);
             self.coefficients[start] = mean[side];
         }
+        let slopes = self.slope_nodes(0) + self.slope_nodes(1);
+        self.coefficients.resize(self.coefficients.len() + slopes, 0.0);
+    }
+
+    /// Whether the levels of either side vary from node to node.
+    pub(crate) fn has_splines(&self) -> bool {
+        self.slope_nodes(0) + self.slope_nodes(1) > 0
+    }
+
+    /// Nodes of the local slope of one side.
+    fn slope_nodes(&self, side: usize) -> usize {
+        if let Levels::Spline(n) = self.levels[side] { n } else { 0 }
+    }
+
+    /// Where the levels and local slopes of either side start among the coefficients.
+    fn starts(&self) -> ([usize; 2], [usize; 2]) {
+        let inner = self.levels[0].count();
+        let levels = inner + self.levels[1].count();
+        ([0, inner], [levels, levels + self.slope_nodes(0)])
     }
 
     fn size(&self) -> usize {
@@ -183,18 +276,18 @@ impl EdgeModel {
         ((perimeter_px / 10.0) as usize).clamp(5, MOST_NODES)
     }
 
-    /// One Levenberg-Marquardt descent; returns the last accepted step's largest move of the geometry, px.
+    /// Levenberg-Marquardt descent on every `stride`-th pixel until a step moves the geometry by less than `tolerance_px`;
+    /// `None` where the normal equations are singular.
     pub(crate) fn descend(
         &mut self,
         band: &mut Band,
         work: &mut Normal,
         rounds: usize,
+        stride: usize,
         tolerance_px: f64,
-    ) -> Option<f64> {
+    ) -> Option<()> {
         let mut damping = 1e-4;
-        let mut chi2 = self.evaluate(band, Some(work));
-        let mut moved = f64::INFINITY;
-        let mut proposed = f64::INFINITY;
+        let mut chi2 = self.evaluate(band, Some(work), stride);
         for _ in 0..rounds {
             let n = self.size();
             work.trial.clear();
@@ -207,34 +300,31 @@ impl EdgeModel {
             if !solve_symmetric(&mut work.trial, &mut work.step, n) {
                 return None;
             }
-            let next = self.stepped(&work.step);
-            let Some(next) = next else {
-                damping = (damping * 10.0_f64).max(1e-2);
-                if damping > 1e8 {
-                    return None;
+            let proposed = work.step[..5].iter().fold(0.0_f64, |m, x| m.max(x.abs()));
+            let next = self.stepped(&work.step).map(|m| {
+                std::mem::swap(&mut work.matrix, &mut work.kept_matrix);
+                std::mem::swap(&mut work.gradient, &mut work.kept_gradient);
+                let tried = m.evaluate(band, Some(work), stride);
+                (m, tried)
+            });
+            match next {
+                Some((next, tried)) if tried <= chi2 * (1.0 + 1e-9) => {
+                    *self = next;
+                    chi2 = tried;
+                    damping = (damping * 0.1).max(1e-9);
                 }
-                continue;
-            };
-            proposed = work.step[..5].iter().fold(0.0_f64, |m, x| m.max(x.abs()));
-            let tried = next.evaluate(band, None);
-            if tried <= chi2 * (1.0 + 1e-12) {
-                *self = next;
-                moved = proposed;
-                damping = (damping * 0.1).max(1e-9);
-                chi2 = self.evaluate(band, Some(work));
-                if moved < tolerance_px {
-                    return Some(moved);
+                Some(_) => {
+                    std::mem::swap(&mut work.matrix, &mut work.kept_matrix);
+                    std::mem::swap(&mut work.gradient, &mut work.kept_gradient);
+                    damping = (damping * 10.0_f64).max(1e-2);
                 }
-            } else {
-                if proposed < tolerance_px {
-                    self.evaluate(band, Some(work));
-                    return Some(proposed);
-                }
-                damping = (damping * 10.0_f64).max(1e-2);
+                None => damping = (damping * 10.0_f64).max(1e-2),
+            }
+            if proposed < tolerance_px {
+                break;
             }
         }
-        self.evaluate(band, Some(work));
-        Some(moved.min(proposed))
+        Some(())
     }
 
     fn stepped(&self, step: &[f64]) -> Option<Self> {
@@ -252,8 +342,9 @@ impl EdgeModel {
         (next.blur_px > 0.15 && next.blur_px < 30.0).then_some(next)
     }
 
-    /// Fills residuals (and the normal equations where asked) and returns the weighted sum of squares.
-    pub(crate) fn evaluate(&self, band: &mut Band, mut work: Option<&mut Normal>) -> f64 {
+    /// Fills residuals of every `stride`-th pixel (and the normal equations where asked, lower triangle); returns the weighted sum of
+    /// squares.
+    pub(crate) fn evaluate(&self, band: &mut Band, mut work: Option<&mut Normal>, stride: usize) -> f64 {
         let n = self.size();
         if let Some(w) = work.as_deref_mut() {
             w.matrix.clear();
@@ -262,26 +353,27 @@ impl EdgeModel {
             w.gradient.resize(n, 0.0);
         }
         let frame = Frame::new(&self.ellipse);
-        let outer_start = FIXED + self.levels[0].count();
         let mut chi2 = self.priors(work.as_deref_mut());
-        for i in 0..band.u.len() {
+        let (level_at, slope_at) = self.starts();
+        let local = [self.slope_nodes(0) > 0, self.slope_nodes(1) > 0];
+        let inverse_blur = 1.0 / self.blur_px;
+        for i in (0..band.u.len()).step_by(stride) {
             let foot = frame.foot(band.u[i], band.v[i]);
             let d = foot.distance;
-            let z = (d + 0.5 * foot.curvature * self.blur_px * self.blur_px) / self.blur_px;
+            let z = d * inverse_blur + 0.5 * foot.curvature * self.blur_px;
             let (p, density) = normal_tail(z);
-            let (in_at, in_value, in_count) = self.levels[0].basis(band.angle[i], foot.cos, foot.sin);
-            let (out_at, out_value, out_count) = self.levels[1].basis(band.angle[i], foot.cos, foot.sin);
-            let mut inner = self.slopes[0] * d;
-            for k in 0..in_count {
-                inner += self.coefficients[in_at[k]] * in_value[k];
+            let basis = [0, 1].map(|side| self.levels[side].basis(band.angle[i], foot.cos, foot.sin));
+            let mut level = [0.0; 2];
+            let mut slope = self.slopes;
+            for side in 0..2 {
+                if local[side] {
+                    slope[side] += basis[side].sum(&self.coefficients[slope_at[side]..]);
+                }
+                level[side] = basis[side].sum(&self.coefficients[level_at[side]..]) + slope[side] * d;
             }
-            let mut outer = self.slopes[1] * d;
-            for k in 0..out_count {
-                outer += self.coefficients[outer_start - FIXED + out_at[k]] * out_value[k];
-            }
-            let step = inner - outer;
+            let (outer, step) = (level[1], level[0] - level[1]);
             let r = band.grey[i] - (outer + step * p);
-            let response = step * density / self.blur_px;
+            let response = step * density * inverse_blur;
             band.residual[i] = r;
             band.distance[i] = d;
             band.inside[i] = p;
@@ -292,42 +384,24 @@ impl EdgeModel {
             let weight = 1.0 / self.variance_at(p);
             chi2 += weight * r * r;
             let Some(w) = work.as_deref_mut() else { continue };
-            // Entries of this pixel's row of the Jacobian: 8 fixed ones and up to 6 levels.
-            let mut at = [0usize; 14];
-            let mut value = [0.0_f64; 14];
-            let dd = -response + p * self.slopes[0] + (1.0 - p) * self.slopes[1];
-            for k in 0..5 {
-                at[k] = k;
-                value[k] = dd * foot.row[k];
+            let mut row = Row::default();
+            if density > 1e-8 {
+                let dd = -response + p * slope[0] + (1.0 - p) * slope[1];
+                for k in 0..5 {
+                    row.push(k, dd * foot.row[k]);
+                }
+                row.push(5, -step * density * (0.5 * foot.curvature - d * inverse_blur * inverse_blur));
             }
-            // dz/ds at fixed d: -d / s^2 + kappa / 2.
-            at[5] = 5;
-            value[5] = -step * density * (-d / (self.blur_px * self.blur_px) + 0.5 * foot.curvature);
-            at[6] = 6;
-            value[6] = p * d;
-            at[7] = 7;
-            value[7] = (1.0 - p) * d;
-            let mut count = FIXED;
-            if p > 1e-9 {
-                for k in 0..in_count {
-                    (at[count], value[count]) = (FIXED + in_at[k], p * in_value[k]);
-                    count += 1;
+            for (side, share) in [p, 1.0 - p].into_iter().enumerate() {
+                if share > 1e-8 {
+                    row.push(6 + side, share * d);
+                    row.push_basis(FIXED + level_at[side], &basis[side], share);
+                    if local[side] {
+                        row.push_basis(FIXED + slope_at[side], &basis[side], share * d);
+                    }
                 }
             }
-            if p < 1.0 - 1e-9 {
-                for k in 0..out_count {
-                    (at[count], value[count]) = (outer_start + out_at[k], (1.0 - p) * out_value[k]);
-                    count += 1;
-                }
-            }
-            for a in 0..count {
-                let wa = weight * value[a];
-                w.gradient[at[a]] += wa * r;
-                let row = &mut w.matrix[at[a] * n..(at[a] + 1) * n];
-                for b in 0..count {
-                    row[at[b]] += wa * value[b];
-                }
-            }
+            row.add_to(w, n, weight, r);
         }
         chi2
     }
@@ -335,8 +409,24 @@ impl EdgeModel {
     /// What the priors add to the weighted sum of squares (and to the normal equations).
     fn priors(&self, work: Option<&mut Normal>) -> f64 {
         let blur = ((self.expected_blur_px - self.blur_px) / PRIOR_BLUR_PX, 1.0 / PRIOR_BLUR_PX);
-        let slope = |k: usize| (-self.slopes[k] / self.slope_prior, 1.0 / self.slope_prior);
+        let slope = |k: usize| {
+            let sigma = if self.sloped[k] { self.slope_prior } else { 1e-4 * self.slope_prior };
+            (-self.slopes[k] / sigma, 1.0 / sigma)
+        };
         let rows = [blur, slope(0), slope(1)];
+        let (_, slope_at) = self.starts();
+        let mut local = 0.0;
+        let mut work = work;
+        for side in 0..2 {
+            let weight = self.local_slope[side].max(1e-9).powi(-2);
+            for k in slope_at[side]..slope_at[side] + self.slope_nodes(side) {
+                local += weight * self.coefficients[k].powi(2);
+                if let Some(w) = work.as_deref_mut() {
+                    w.matrix[(FIXED + k) * (self.size() + 1)] += weight;
+                    w.gradient[FIXED + k] -= weight * self.coefficients[k];
+                }
+            }
+        }
         if let Some(w) = work {
             let n = self.size();
             for (k, (r, h)) in rows.iter().enumerate() {
@@ -344,7 +434,7 @@ impl EdgeModel {
                 w.gradient[5 + k] += h * r;
             }
         }
-        rows.iter().map(|(r, _)| r * r).sum()
+        rows.iter().map(|(r, _)| r * r).sum::<f64>() + local
     }
 
     /// Noise variance of a pixel with share `p` of the disc, grey^2.
@@ -385,10 +475,11 @@ impl Band {
         self.v.clear();
         self.grey.clear();
         self.angle.clear();
+        self.distance.clear();
     }
 
-    /// Collects the pixels within `reach` of the ellipse; false where the band leaves the image.
-    pub(crate) fn collect(&mut self, view: &GrayView, ellipse: &Ellipse, reach: Reach) -> bool {
+    /// Collects the pixels of the image within `reach` of the ellipse.
+    pub(crate) fn collect(&mut self, view: &GrayView, ellipse: &Ellipse, reach: Reach) {
         self.clear();
         let frame = Frame::new(ellipse);
         // The parallel curve of an ellipse lies inside the ellipse with both axes grown by this much.
@@ -397,20 +488,15 @@ impl Band {
         let (ao, bo) = (frame.a + outer, frame.b + outer);
         let (ai, bi) = (frame.a - inner, frame.b - inner);
         let half_height = (ao * frame.sin).hypot(bo * frame.cos);
-        let (v_lo, v_hi) = ((frame.v0 - half_height).ceil(), (frame.v0 + half_height).floor());
-        let (width, height) = (view.width() as f64, view.height() as f64);
-        if v_lo < 0.0 || v_hi > height - 1.0 {
-            return false;
-        }
-        for v in v_lo as usize..=v_hi as usize {
+        let (u_last, v_last) = (view.width() as f64 - 1.0, view.height() as f64 - 1.0);
+        let (v_lo, v_hi) = ((frame.v0 - half_height).ceil().max(0.0), (frame.v0 + half_height).floor().min(v_last));
+        let rows = if v_hi < v_lo { 0..0 } else { v_lo as usize..v_hi as usize + 1 };
+        for v in rows {
             let dv = v as f64 - frame.v0;
             let Some((lo, hi)) = frame.row_span(dv, ao, bo) else { continue };
-            let (lo, hi) = ((frame.u0 + lo).ceil(), (frame.u0 + hi).floor());
+            let (lo, hi) = ((frame.u0 + lo).ceil().max(0.0), (frame.u0 + hi).floor().min(u_last));
             if hi < lo {
                 continue;
-            }
-            if lo < 0.0 || hi > width - 1.0 {
-                return false;
             }
             let hole = if ai > 0.0 && bi > 0.0 { frame.row_span(dv, ai, bi) } else { None };
             let (hole_lo, hole_hi) =
@@ -428,6 +514,7 @@ impl Band {
                     self.v.push(v as f64);
                     self.grey.push(f64::from(view.get(u, v)));
                     self.angle.push(foot.sin.atan2(foot.cos));
+                    self.distance.push(foot.distance);
                 }
                 u += 1;
             }
@@ -435,11 +522,10 @@ impl Band {
         let n = self.u.len();
         self.keep.clear();
         self.keep.resize(n, true);
-        for list in [&mut self.residual, &mut self.distance, &mut self.inside, &mut self.response] {
+        for list in [&mut self.residual, &mut self.inside, &mut self.response] {
             list.clear();
             list.resize(n, 0.0);
         }
-        true
     }
 }
 

@@ -4,7 +4,8 @@
 //! that start at a real edge are followed. A disc seen at several sizes is kept at the finest. Nothing here depends on a threshold
 //! given by the user: the least gradient follows from the noise of the image itself.
 
-use crate::detect::candidate::{Candidate, Strength, Verdict, judge};
+use crate::conic::Ellipse;
+use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd};
 use crate::detect::edge_model::Reach;
 use crate::detect::plane::Plane;
 use crate::detect::refine::{Scratch, Start, refine};
@@ -17,6 +18,8 @@ use crate::target::{MarkKind, Polarity};
 
 /// A region with less than this part of the typical contrast is texture.
 const TEXTURE: f64 = 0.15;
+/// A disc with less than this part of the typical radius is dust.
+const DUST: f64 = 0.25;
 /// Pyramid levels looked at.
 const LEVELS: u32 = 3;
 
@@ -26,6 +29,20 @@ struct Seen {
     candidates: Vec<Candidate>,
     marks: Vec<(Candidate, MarkKind)>,
     rejected: Vec<(Candidate, RejectionReason)>,
+    odd: Vec<Odd>,
+}
+
+impl Seen {
+    fn take(&mut self, verdict: Verdict) {
+        match verdict {
+            Verdict::Disc(c) => self.candidates.push(c),
+            Verdict::Mark(c, kind) => self.marks.push((c, kind)),
+            Verdict::Rejected(c, reason) => self.rejected.push((c, reason)),
+            Verdict::Overlap(parts) => self.rejected.extend(parts.map(|c| (c, RejectionReason::Overlapping))),
+            Verdict::Odd(odd) => self.odd.push(odd),
+            Verdict::Nothing => {}
+        }
+    }
 }
 
 /// Finds the discs of an image.
@@ -39,7 +56,7 @@ pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection>
     check_options(options)?;
     let image = Plane::from_view(view)?;
     let mut seen = look(&image, options);
-    drop_texture(&mut seen, f64::from(image.noise()));
+    drop_texture(&mut seen, f64::from(image.noise()), options);
     drop_repeats(&mut seen);
     let mut detection = Detection::default();
     let mut scratch = Scratch::default();
@@ -51,6 +68,7 @@ pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection>
         let start =
             Start { ellipse: candidate.ellipse, blur_px: candidate.blur_px, bright: candidate.bright, room: *room };
         match refine(view, &start, options, &mut scratch) {
+            Ok(disc) if detection.discs.iter().any(|d| one_and_the_same(d, &disc)) => {}
             Ok(disc) => detection.discs.push(disc),
             Err(reason) => detection.rejections.push(rejection(candidate, reason)),
         }
@@ -61,6 +79,8 @@ pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection>
     mark_rings(&mut detection.discs, &seen.candidates);
     keep_one_polarity(&mut detection, options.polarity);
     keep_marks(&mut detection, &seen.marks);
+    drop_dust(&mut detection);
+    keep_telling_rejections(&mut detection);
     Ok(detection)
 }
 
@@ -94,7 +114,7 @@ fn wanted(bright: bool, polarity: Polarity) -> bool {
 
 fn rejection(c: &Candidate, reason: RejectionReason) -> Rejection {
     let e = &c.ellipse;
-    Rejection { center_px: e.center_px, radius_px: (e.semi_major_px * e.semi_minor_px).sqrt(), reason }
+    Rejection { center_px: e.center_px, radius_px: mean_radius_px(e), reason }
 }
 
 /// Follows and judges the zero lines of every pyramid level.
@@ -113,28 +133,20 @@ fn look(image: &Plane, options: &DetectOptions) -> Seen {
         let smooth = current.smoothed();
         let field = smooth.minus_local_mean();
         // Central difference over 1.5 px of the smoothed image: its noise is about 0.18 of a pixel's.
-        let gradient = (5.0 * 0.18 * noise).max(0.004 * range);
+        let gradient = (5.0 * 0.18 * noise).max(0.008 * range);
         let mut tracer = Tracer::new(&field);
         for v in 0..field.height - 1 {
             for u in 0..field.width - 1 {
                 if tracer.fresh_crossing(u, v) && (smooth.at(u + 1, v) - smooth.at(u, v)).abs() > gradient {
                     tracer.follow(u, v, &mut line);
-                    match judge(&line, &smooth, Strength { gradient: f64::from(gradient) }, level, options) {
-                        Verdict::Disc(c) => seen.candidates.push(c),
-                        Verdict::Mark(c, kind) => seen.marks.push((c, kind)),
-                        Verdict::Rejected(c, reason) => seen.rejected.push((c, reason)),
-                        Verdict::Nothing => {}
-                    }
+                    let strength = Strength { gradient: f64::from(gradient) };
+                    seen.take(judge(&line, &smooth, strength, level, options));
                 }
             }
         }
         halved = smooth.halved();
         current = &halved;
         noise *= 0.273;
-        if level + 1 == LEVELS {
-            break;
-        }
-        noise = noise.max(0.0);
     }
     seen
 }
@@ -144,12 +156,13 @@ fn distance(a: Pixel, b: Pixel) -> f64 {
 }
 
 /// Drops what is far weaker than the discs that dominate the image: paper, cloth, smoke. What has the size of a disc is named.
-fn drop_texture(seen: &mut Seen, noise: f64) {
+fn drop_texture(seen: &mut Seen, noise: f64, options: &DetectOptions) {
     let weight = |c: &Candidate| c.contrast * c.ellipse.perimeter_px();
     let mut weights: Vec<(f64, f64, f64)> = seen
         .candidates
         .iter()
-        .map(|c| (c.contrast, weight(c), (c.ellipse.semi_major_px * c.ellipse.semi_minor_px).sqrt()))
+        .chain(seen.odd.iter().map(|o| &o.rough))
+        .map(|c| (c.contrast, weight(c), mean_radius_px(&c.ellipse)))
         .collect();
     let total: f64 = weights.iter().map(|w| w.1).sum();
     weights.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -163,7 +176,7 @@ fn drop_texture(seen: &mut Seen, noise: f64) {
     let (least, radius) = (TEXTURE * typical.0, typical.2);
     let mut weak = Vec::new();
     seen.candidates.retain(|c| {
-        let size = (c.ellipse.semi_major_px * c.ellipse.semi_minor_px).sqrt();
+        let size = mean_radius_px(&c.ellipse);
         let strong = c.contrast >= least;
         if !strong && size > 0.5 * radius && size < 2.0 * radius && size > 4.0 {
             let contrast_to_noise = if noise > 0.0 { c.contrast / noise } else { c.contrast };
@@ -171,6 +184,11 @@ fn drop_texture(seen: &mut Seen, noise: f64) {
         }
         strong
     });
+    for odd in std::mem::take(&mut seen.odd) {
+        if odd.rough.contrast >= least {
+            seen.take(judge_odd(&odd, options));
+        }
+    }
     seen.marks.retain(|(c, _)| c.contrast >= least);
     seen.rejected.retain(|(c, _)| c.contrast >= least);
     seen.rejected.append(&mut weak);
@@ -184,6 +202,26 @@ fn same(a: &Candidate, b: &Candidate) -> bool {
         && (ra / rb - 1.0).abs().min((rb / ra - 1.0).abs()) < 0.35 + 1.0 / ra.min(rb)
 }
 
+/// Two starts that ended on one disc.
+fn one_and_the_same(a: &Disc, b: &Disc) -> bool {
+    let (ra, rb) = (a.ellipse.semi_minor_px, b.ellipse.semi_minor_px);
+    a.polarity == b.polarity
+        && distance(a.ellipse.center_px, b.ellipse.center_px) < 0.5 * ra.min(rb)
+        && ra.min(rb) > 0.5 * ra.max(rb)
+}
+
+/// A coarse view in which a disc that is seen by itself at a finer level has run into something else.
+fn swallows(coarse: &Candidate, fine: &Candidate) -> bool {
+    let (big, small) = (mean_radius_px(&coarse.ellipse), mean_radius_px(&fine.ellipse));
+    coarse.level > fine.level
+        && coarse.bright == fine.bright
+        && !same(coarse, fine)
+        && small > 0.3 * big
+        && small < big
+        && fine.contrast > 0.5 * coarse.contrast
+        && coarse.ellipse.implicit(fine.ellipse.center_px) < 0.0
+}
+
 /// Keeps of every region the view at the finest level.
 fn drop_repeats(seen: &mut Seen) {
     let mut kept: Vec<Candidate> = Vec::with_capacity(seen.candidates.len());
@@ -192,6 +230,12 @@ fn drop_repeats(seen: &mut Seen) {
             kept.push(*c);
         }
     }
+    // Parts of a disc that overlaps another are not to be used, even where enough of the contour is free.
+    let overlaps: Vec<Candidate> =
+        seen.rejected.iter().filter(|r| r.1 == RejectionReason::Overlapping).map(|r| r.0).collect();
+    kept.retain(|c| !overlaps.iter().any(|o| same(o, c) || swallows(c, o)));
+    let finer: Vec<Candidate> = kept.clone();
+    kept.retain(|c| !finer.iter().any(|f| swallows(c, f)));
     seen.candidates = kept;
     let mut marks: Vec<(Candidate, MarkKind)> = Vec::new();
     for m in &seen.marks {
@@ -283,24 +327,59 @@ fn keep_one_polarity(detection: &mut Detection, polarity: Polarity) {
         let e = &d.ellipse;
         detection.rejections.push(Rejection {
             center_px: e.center_px,
-            radius_px: (e.semi_major_px * e.semi_minor_px).sqrt(),
+            radius_px: mean_radius_px(e),
             reason: RejectionReason::OtherPolarity,
         });
     }
 }
 
+/// Radius in whose size class the discs of the image lie, px (weighted by length times contrast).
+fn typical_radius_px(discs: &[Disc]) -> Option<f64> {
+    let mut sizes: Vec<(f64, f64)> =
+        discs.iter().map(|d| (mean_radius_px(&d.ellipse), d.contrast * d.ellipse.perimeter_px())).collect();
+    sizes.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half = 0.5 * sizes.iter().map(|s| s.1).sum::<f64>();
+    let mut sum = 0.0;
+    sizes.into_iter().find_map(|(radius, weight)| {
+        sum += weight;
+        (sum >= half).then_some(radius)
+    })
+}
+
+fn mean_radius_px(e: &Ellipse) -> f64 {
+    (e.semi_major_px * e.semi_minor_px).sqrt()
+}
+
+/// Specks far smaller than the discs of the image are no discs of the target.
+fn drop_dust(detection: &mut Detection) {
+    let Some(typical) = typical_radius_px(&detection.discs) else { return };
+    let (kept, dust): (Vec<Disc>, Vec<Disc>) =
+        std::mem::take(&mut detection.discs).into_iter().partition(|d| mean_radius_px(&d.ellipse) > DUST * typical);
+    detection.discs = kept;
+    detection.rejections.extend(dust.iter().map(|d| Rejection {
+        center_px: d.ellipse.center_px,
+        radius_px: mean_radius_px(&d.ellipse),
+        reason: RejectionReason::TooSmall { semi_minor_px: d.ellipse.semi_minor_px },
+    }));
+}
+
+/// Structure inside an accepted disc, or a coarser view of one, is not worth a word.
+fn keep_telling_rejections(detection: &mut Detection) {
+    let discs = &detection.discs;
+    detection.rejections.retain(|r| {
+        !discs.iter().any(|d| {
+            let radius = mean_radius_px(&d.ellipse);
+            distance(d.ellipse.center_px, r.center_px) < radius.max(r.radius_px.min(4.0 * radius))
+        })
+    });
+}
+
 /// Marks of the discs' polarity and of about their size.
 fn keep_marks(detection: &mut Detection, marks: &[(Candidate, MarkKind)]) {
-    let mut sizes: Vec<f64> =
-        detection.discs.iter().map(|d| (d.ellipse.semi_major_px * d.ellipse.semi_minor_px).sqrt()).collect();
-    if sizes.is_empty() {
-        return;
-    }
-    let middle = sizes.len() / 2;
-    let typical = *sizes.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let Some(typical) = typical_radius_px(&detection.discs) else { return };
     let bright = detection.discs[0].polarity == Polarity::Bright;
     for (c, kind) in marks.iter().filter(|(c, _)| c.bright == bright) {
-        let radius_px = (c.ellipse.semi_major_px * c.ellipse.semi_minor_px).sqrt();
+        let radius_px = mean_radius_px(&c.ellipse);
         if radius_px > typical / 3.0 && radius_px < 3.0 * typical {
             detection.shapes.push(Shape { center_px: c.ellipse.center_px, radius_px, mark: *kind });
         }

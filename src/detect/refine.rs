@@ -11,15 +11,18 @@
 //! Levels, blur and slopes are common to all sectors; what their uncertainty adds to the geometry is spread evenly over the sigmas.
 
 use crate::conic::{Ellipse, fit_geometric_from};
-use crate::detect::edge_model::{Band, EdgeModel, Levels, Normal, Reach};
+use crate::detect::edge_model::{Band, EdgeModel, Levels, Normal, Reach, turn_share};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
-use crate::frames::Pixel;
 use crate::image::{GrayView, Samples};
 use crate::target::Polarity;
 use std::f64::consts::TAU;
 
 /// Length of contour per edge point, px.
 const SECTOR_PX: f64 = 1.75;
+/// Pixels that suffice while the ellipse is still being approached.
+const ROUGH_PIXELS: usize = 500;
+/// A step of the whole model below this ends the descent, px: the sectors take the last step, their error is of second order.
+const FINE_PX: f64 = 0.01;
 /// Entries of the table from eccentric angle to arc length.
 const ARC_STEPS: usize = 256;
 
@@ -76,7 +79,7 @@ pub(crate) fn refine(
             break;
         }
         estimate_variance(view, &mut model, scratch);
-        descend(&mut model, scratch, 4, 1e-4)?;
+        descend(&mut model, scratch, 1, 1, FINE_PX)?;
     }
     debug_assert!(coverage > 0.0);
     finish(&model, start, options, scratch)
@@ -86,37 +89,44 @@ fn not_elliptical(model_rms_px: f64, limit_px: f64) -> RejectionReason {
     RejectionReason::NotElliptical { rms_px: model_rms_px, limit_px }
 }
 
-fn descend(model: &mut EdgeModel, s: &mut Scratch, rounds: usize, tolerance_px: f64) -> Result<(), RejectionReason> {
-    match model.descend(&mut s.band, &mut s.normal, rounds, tolerance_px) {
-        Some(_) => Ok(()),
-        None => Err(not_elliptical(f64::INFINITY, model.ellipse.semi_minor_px)),
-    }
+fn descend(
+    model: &mut EdgeModel,
+    s: &mut Scratch,
+    rounds: usize,
+    stride: usize,
+    tolerance_px: f64,
+) -> Result<(), RejectionReason> {
+    model
+        .descend(&mut s.band, &mut s.normal, rounds, stride, tolerance_px)
+        .ok_or_else(|| not_elliptical(f64::INFINITY, model.ellipse.semi_minor_px))
 }
 
-/// Constant levels, narrow band: brings the ellipse within a fraction of the blur.
+/// First-harmonic levels (light falls off over the disc), narrow band: brings the ellipse within a fraction of the blur.
 fn rough_model(view: &GrayView, start: &Start, s: &mut Scratch) -> Result<EdgeModel, RejectionReason> {
     let wanted = 2.5 * start.blur_px + 1.0;
     let reach = Reach { inner_px: wanted.min(start.room.inner_px), outer_px: wanted.min(start.room.outer_px.max(1.5)) };
-    if !s.band.collect(view, &start.ellipse, reach) {
-        return Err(RejectionReason::CutByBorder);
-    }
+    s.band.collect(view, &start.ellipse, reach);
+    screen(&start.ellipse, s);
     if s.band.u.len() < 20 {
         return Err(RejectionReason::TooSmall { semi_minor_px: start.ellipse.semi_minor_px });
     }
     let mut model = EdgeModel::new(&start.ellipse, start.blur_px, 0.0, 0.0);
-    model.evaluate(&mut s.band, None);
+    model.evaluate(&mut s.band, None, 1);
     let mut sums = [(0.0, 0.0); 2];
-    for (d, g) in s.band.distance.iter().zip(&s.band.grey) {
+    let kept = s.band.keep.iter();
+    for ((d, g), _) in s.band.distance.iter().zip(&s.band.grey).zip(kept).filter(|(_, keep)| **keep) {
         let side = &mut sums[usize::from(*d > 0.0)];
         *side = (side.0 + g, side.1 + 1.0);
     }
     let mean = |x: (f64, f64)| x.0 / f64::max(x.1, 1.0);
     let (inner, outer) = (mean(sums[0]), mean(sums[1]));
     model = EdgeModel::new(&start.ellipse, start.blur_px, inner, outer);
+    model.set_levels([Levels::Harmonic; 2], [0.0; 2]);
     // Weights in units of the contrast keep the damping meaningful for any bit depth.
     let unit = ((inner - outer) * 0.05).powi(2).max(1e-12);
     model.variance = [unit, unit];
-    descend(&mut model, s, 12, 0.02)?;
+    let stride = (s.band.u.len() / ROUGH_PIXELS).max(1) | 1;
+    descend(&mut model, s, 12, stride, 0.02)?;
     if (model.step() > 0.0) != start.bright {
         return Err(RejectionReason::LowContrast { contrast_to_noise: 0.0 });
     }
@@ -125,36 +135,83 @@ fn rough_model(view: &GrayView, start: &Start, s: &mut Scratch) -> Result<EdgeMo
 
 /// Wide band, level model as rich as the image asks, noise from residuals.
 fn fine_model(view: &GrayView, start: &Start, model: &mut EdgeModel, s: &mut Scratch) -> Result<(), RejectionReason> {
-    for pass in 0..2 {
-        let core = 3.5 * model.blur_px + 0.5;
-        let wide = core + (2.0 * model.blur_px).max(3.0);
-        let inner_most = 0.85 * model.ellipse.semi_minor_px;
-        let reach = Reach {
-            inner_px: wide.min(start.room.inner_px).min(inner_most),
-            outer_px: wide.min(start.room.outer_px.max(1.5)),
-        };
+    for pass in 0..3 {
+        let reach = fine_reach(model, start);
         let before = model.ellipse;
-        if !s.band.collect(view, &model.ellipse, reach) {
+        if border_px(view, &model.ellipse) < 1.0 {
             return Err(RejectionReason::CutByBorder);
         }
+        s.band.collect(view, &model.ellipse, reach);
+        screen(&model.ellipse, s);
         if pass == 0 {
-            descend(model, s, 4, 0.01)?;
+            let stride = (s.band.u.len() / ROUGH_PIXELS).max(1) | 1;
+            descend(model, s, 6, stride, 0.02)?;
+            model.set_levels([Levels::Constant; 2], [0.0; 2]);
+            let _ = model.evaluate(&mut s.band, None, 1);
             estimate_variance(view, model, s);
-            let levels = choose_levels(model, s);
-            model.set_levels(levels);
-            descend(model, s, 4, 0.01)?;
+            let (levels, local_slope) = choose_levels(model, s);
+            model.set_levels(levels, local_slope);
+            model.sloped = [shows_slope(model, s, 0), shows_slope(model, s, 1)];
         }
+        descend(model, s, 6, 1, FINE_PX)?;
         estimate_variance(view, model, s);
-        descend(model, s, 6, 1e-4)?;
         let moved = (before.center_px.u_px - model.ellipse.center_px.u_px)
             .hypot(before.center_px.v_px - model.ellipse.center_px.v_px)
             .max((before.semi_major_px - model.ellipse.semi_major_px).abs())
             .max((before.semi_minor_px - model.ellipse.semi_minor_px).abs());
-        if pass == 0 && moved < 0.1 {
+        // The band was laid around a place this close; its pixels are the right ones.
+        if moved < 0.15 && !(pass == 0 && model.has_splines()) {
             break;
         }
     }
     Ok(())
+}
+
+/// Band of the fine fit: the edge, and beside it what fixes the levels; close to the edge where they vary along it.
+fn fine_reach(model: &EdgeModel, start: &Start) -> Reach {
+    let core = 3.5 * model.blur_px + 0.5;
+    let beside = if model.has_splines() { 1.0 } else { (2.0 * model.blur_px).max(3.0) };
+    Reach {
+        inner_px: (core + beside).min(start.room.inner_px).min(0.85 * model.ellipse.semi_minor_px),
+        outer_px: (core + beside).min(start.room.outer_px.max(1.5)),
+    }
+}
+
+/// Sets aside stretches of the contour without the step that the others show (glare, another object): a descent would follow them.
+fn screen(e: &Ellipse, s: &mut Scratch) {
+    let stretches = ((e.perimeter_px() / 6.0) as usize).clamp(6, 200);
+    let mut sums = vec![[(0.0_f64, 0.0_f64); 2]; stretches];
+    let of = |angle: f64| ((turn_share(angle) * stretches as f64) as usize).min(stretches - 1);
+    for i in 0..s.band.u.len() {
+        let d = s.band.distance[i];
+        let near = d.abs() > 0.5;
+        if near {
+            let sum = &mut sums[of(s.band.angle[i])][usize::from(d > 0.0)];
+            *sum = (sum.0 + s.band.grey[i], sum.1 + 1.0);
+        }
+    }
+    let step = |x: &[(f64, f64); 2]| x[0].0 / x[0].1.max(1.0) - x[1].0 / x[1].1.max(1.0);
+    s.sorted.clear();
+    s.sorted.extend(sums.iter().map(step));
+    let typical = median(&mut s.sorted);
+    let alike: Vec<bool> = sums.iter().map(|x| (0.35..2.8).contains(&(step(x) / typical))).collect();
+    // Where hardly any stretch shows the step the start is bad, and a selection would only fix its error.
+    if alike.iter().filter(|a| **a).count() * 2 < stretches {
+        return;
+    }
+    for i in 0..s.band.u.len() {
+        s.band.keep[i] = alike[of(s.band.angle[i])];
+    }
+}
+
+/// Least distance of the ellipse from the outermost pixel centres, px; negative where it leaves the image.
+fn border_px(view: &GrayView, e: &Ellipse) -> f64 {
+    let (s, c) = e.angle_rad.sin_cos();
+    let half_width = (e.semi_major_px * c).hypot(e.semi_minor_px * s);
+    let half_height = (e.semi_major_px * s).hypot(e.semi_minor_px * c);
+    let (u, v) = (e.center_px.u_px, e.center_px.v_px);
+    let (u_last, v_last) = (view.width() as f64 - 1.0, view.height() as f64 - 1.0);
+    (u - half_width).min(u_last - u - half_width).min(v - half_height).min(v_last - v - half_height)
 }
 
 fn check_size(model: &EdgeModel, start: &Start, options: &DetectOptions) -> Result<(), RejectionReason> {
@@ -228,25 +285,49 @@ fn median(values: &mut [f64]) -> f64 {
 }
 
 /// The poorest level model that the residuals away from the edge do not contradict, for either side.
-fn choose_levels(model: &EdgeModel, s: &mut Scratch) -> [Levels; 2] {
+/// With it the typical gradient along the contour, grey/px.
+fn choose_levels(model: &EdgeModel, s: &mut Scratch) -> ([Levels; 2], [f64; 2]) {
     let perimeter = model.ellipse.perimeter_px();
     let nodes = EdgeModel::nodes_for(perimeter);
     let mut chosen = [Levels::Constant; 2];
-    for (side, chosen) in chosen.iter_mut().enumerate() {
+    let mut gradient = [0.0; 2];
+    for side in 0..2 {
         let mut sums = vec![(0.0_f64, 0.0_f64); nodes];
         for i in 0..s.band.u.len() {
             let p = if side == 0 { s.band.inside[i] } else { 1.0 - s.band.inside[i] };
             if p > 0.9 {
-                let bin = ((s.band.angle[i] / TAU).rem_euclid(1.0) * nodes as f64) as usize % nodes;
+                let bin = (turn_share(s.band.angle[i]) * nodes as f64) as usize % nodes;
                 sums[bin] = (sums[bin].0 + s.band.residual[i], sums[bin].1 + 1.0);
             }
         }
         if sums.iter().any(|x| x.1 < 3.0) {
             continue;
         }
-        *chosen = poorest(&sums, model.variance[side]);
+        chosen[side] = poorest(&sums, model.variance[side]);
+        let pairs = (0..nodes).map(|k| (sums[k], sums[(k + 1) % nodes]));
+        let square =
+            pairs.map(|(a, b)| (a.0 / a.1 - b.0 / b.1).powi(2) - model.variance[side] * (1.0 / a.1 + 1.0 / b.1));
+        gradient[side] = (square.sum::<f64>().max(0.0) / nodes as f64).sqrt() * nodes as f64 / perimeter;
     }
-    chosen
+    (chosen, gradient)
+}
+
+/// Whether the residuals away from the edge rise or fall with the distance, beyond four sigmas.
+fn shows_slope(model: &EdgeModel, s: &Scratch, side: usize) -> bool {
+    let (mut n, mut d1, mut d2, mut r1, mut rd) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for i in 0..s.band.u.len() {
+        let p = if side == 0 { s.band.inside[i] } else { 1.0 - s.band.inside[i] };
+        if p > 0.97 {
+            let (d, r) = (s.band.distance[i], s.band.residual[i]);
+            (n, d1, d2, r1, rd) = (n + 1.0, d1 + d, d2 + d * d, r1 + r, rd + r * d);
+        }
+    }
+    let spread = d2 - d1 * d1 / n;
+    if n < 10.0 || spread <= 0.0 {
+        return false;
+    }
+    let slope = (rd - d1 * r1 / n) / spread;
+    slope * slope * spread > 16.0 * model.variance[side]
 }
 
 /// Tests the bin means against nothing, then against a first harmonic.
@@ -296,7 +377,7 @@ fn assign_sectors(model: &EdgeModel, s: &mut Scratch) {
     q.middle_angle.extend((0..count).map(|k| angle_at(&arc, (k as f64 + 0.5) / count as f64)));
     let b = &s.band;
     for i in 0..b.u.len() {
-        let x = (b.angle[i] / TAU).rem_euclid(1.0) * ARC_STEPS as f64;
+        let x = turn_share(b.angle[i]) * ARC_STEPS as f64;
         let j = (x as usize).min(ARC_STEPS - 1);
         let along = arc[j] + (arc[j + 1] - arc[j]) * (x - j as f64);
         let k = ((along * count as f64) as usize).min(count - 1);
@@ -390,12 +471,4 @@ fn finish(model: &EdgeModel, start: &Start, options: &DetectOptions, s: &mut Scr
         contrast: model.step().abs(),
         mark: None,
     })
-}
-
-/// Root mean square distance of the edge points of a disc from its ellipse, px.
-pub(crate) fn edge_rms_px(disc: &Disc) -> f64 {
-    let e = &disc.edge;
-    let squares: f64 =
-        e.u_px.iter().zip(&e.v_px).map(|(u, v)| disc.ellipse.distance_px(Pixel::new(*u, *v)).powi(2)).sum();
-    (squares / e.u_px.len().max(1) as f64).sqrt()
 }
