@@ -43,13 +43,15 @@ mod layout;
 mod model;
 mod posterior;
 mod residuals;
+mod retraction;
 mod state;
+mod tangent;
 
 pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, problem};
 pub use facts::Fact;
 pub use model::{
-    CameraModel, DiscObservation, ImageObservations, Loss, Model, Node, PairObservation, TargetModel, TargetShape,
-    ViewModel, ViewPlace,
+    CameraModel, DiscObservation, ImageObservations, Loss, Model, Node, Observed, PairObservation, TargetModel,
+    TargetShape, ViewModel, ViewPlace,
 };
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};

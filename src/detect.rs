@@ -9,6 +9,10 @@ mod refine;
 mod trace;
 
 pub use find::find_discs;
+<<<<<<< HEAD
+pub mod pattern;
+=======
+>>>>>>> wt-pattern
 
 use crate::conic::Ellipse;
 use crate::frames::Pixel;

@@ -123,7 +123,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { decrement: 1e-6, iterations: 100 }
+        Self { decrement: 1e-6, iterations: 300 }
     }
 }
 

@@ -3,10 +3,10 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-mod scene;
+mod rig_scene;
 
 use nalgebra::DVector;
-use scene::Scene;
+use rig_scene::Scene;
 use spivcal::bundle::{AdjustOptions, adjust, named_covariance};
 use spivcal::solve::{Problem, Step, Termination};
 

@@ -10,6 +10,7 @@ use super::facts;
 use super::layout::{self, Places};
 use super::model::Model;
 use super::residuals::{DiscResidual, residuals};
+use super::retraction;
 use super::state::State;
 use crate::solve::{self, Iteration, NormalEquations, Problem, Step, Termination};
 
@@ -91,7 +92,7 @@ impl Problem for Bundle<'_> {
         layout::scales(self.model, &self.places, state)
     }
     fn retract(&self, state: &State, step: &Step) -> Option<State> {
-        layout::retract(self.model, &self.places, state, step)
+        retraction::retract(self.model, &self.places, state, step)
     }
 }
 

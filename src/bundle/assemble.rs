@@ -13,6 +13,7 @@ use super::contour::{self, EDGE, SeenCircle};
 use super::layout::Places;
 use super::model::{ImageObservations, Model};
 use super::state::State;
+use super::tangent;
 use crate::camera::INTRINSICS;
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
@@ -85,6 +86,9 @@ impl<'a> SeenImage<'a> {
         for seen in &self.observations.discs {
             sum += contour::cost(&self.circle(seen.disc), seen, scale, loss)?;
         }
+        for pair in &self.observations.pairs {
+            sum += tangent::cost(self, pair)?;
+        }
         Some(sum)
     }
 
@@ -107,6 +111,9 @@ impl<'a> SeenImage<'a> {
                     b: o.tr_mul(&n.b),
                 });
             }
+        }
+        for pair in &self.observations.pairs {
+            tangent::linearise(self, pair, &mut out)?;
         }
         Some(out)
     }

@@ -23,7 +23,7 @@ pub(super) struct SolverCamera {
 impl SolverCamera {
     pub(super) fn of(model: &CameraModel, intrinsics: &Intrinsics) -> Option<Self> {
         let camera = Camera::new(*intrinsics).ok()?;
-        let cam_from_solver = if model.pinhole_chart() { camera.cam_from_pinhole() } else { Matrix3::identity() };
+        let cam_from_solver = if model.uses_pinhole_frame() { camera.cam_from_pinhole() } else { Matrix3::identity() };
         Some(Self { camera, cam_from_solver })
     }
 }
@@ -31,7 +31,7 @@ impl SolverCamera {
 /// Intrinsics after a step of the chart coordinates `(f or f_e, aspect, cx or cx_e, cy or cy_e, alpha or cx,
 /// beta or cy, k1, k2, k3, m)`.
 pub(super) fn retract(model: &CameraModel, i: &Intrinsics, step: &[f64; INTRINSICS]) -> Option<Intrinsics> {
-    if !model.pinhole_chart() {
+    if !model.uses_pinhole_frame() {
         let mut p = i.to_array();
         p.iter_mut().zip(step).for_each(|(p, d)| *p += d);
         return Some(Intrinsics::from_array(&p, i.radial));
@@ -50,7 +50,7 @@ pub(super) fn retract(model: &CameraModel, i: &Intrinsics, step: &[f64; INTRINSI
 /// Which chart coordinates move, given which intrinsics are free.
 pub(super) fn active(model: &CameraModel) -> [bool; INTRINSICS] {
     let f = model.free;
-    if !model.pinhole_chart() {
+    if !model.uses_pinhole_frame() {
         return f;
     }
     // f, alpha, beta free: three pinhole coordinates; the axis point is coordinates 4 and 5.
@@ -60,7 +60,7 @@ pub(super) fn active(model: &CameraModel) -> [bool; INTRINSICS] {
 /// Derivative of intrinsics and frame turn by the chart coordinates.
 pub(super) fn derivative(model: &CameraModel, camera: &Camera) -> ChartDerivative {
     let mut d = ChartDerivative::zeros();
-    if !model.pinhole_chart() {
+    if !model.uses_pinhole_frame() {
         d.fixed_view_mut::<INTRINSICS, INTRINSICS>(0, 0).fill_with_identity();
         return d;
     }

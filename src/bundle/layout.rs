@@ -1,4 +1,4 @@
-//! Where each unknown stands in the normal equations, and the retraction.
+//! Where each unknown stands in the normal equations, and how far it may go in one step.
 //!
 //! Global unknowns: cameras' charts, motions between cameras, plane, shape, offsets. Block of a view: pose (6, or 3 in the
 //! plane) and its own shape where it has one.
@@ -7,10 +7,8 @@ use super::chart;
 use super::model::{Model, ViewPlace};
 use super::state::State;
 use crate::camera::INTRINSICS;
-use crate::frames::{Sheet, Target};
-use crate::rigid::Motion;
 use crate::solve::{self, Step};
-use nalgebra::{DVector, SVector};
+use nalgebra::DVector;
 
 /// Index of the first unknown of each part; `None` for one that is not adjusted.
 #[derive(Debug, Clone, PartialEq)]
@@ -65,51 +63,6 @@ impl Places {
     }
 }
 
-fn six(step: &DVector<f64>, at: usize) -> SVector<f64, 6> {
-    step.fixed_rows::<6>(at).into_owned()
-}
-
-/// The state after a step.
-pub(super) fn retract(model: &Model, places: &Places, state: &State, step: &Step) -> Option<State> {
-    let mut next = state.clone();
-    let g = &step.global;
-    for (c, camera) in model.cameras.iter().enumerate() {
-        let d = places.charts[c].map(|at| at.map_or(0.0, |at| g[at]));
-        next.cameras[c] = chart::retract(camera, &state.cameras[c], &d)?;
-        if let Some(at) = places.motions[c] {
-            next.camera_from_first[c] = state.camera_from_first[c].retract(&six(g, at));
-        }
-    }
-    for (k, at) in places.shape.iter().enumerate() {
-        next.shape_mm[k] += at.map_or(0.0, |at| g[at]);
-    }
-    if let Some(at) = places.offsets {
-        for (j, o) in next.offsets_mm.iter_mut().enumerate() {
-            (0..4).for_each(|k| o[k] += g[at + 4 * j + k]);
-        }
-    }
-    if let (Some(at), Some(plane)) = (places.plane, &state.first_from_plane) {
-        let d = SVector::<f64, 6>::from([g[at], g[at + 1], 0.0, 0.0, 0.0, g[at + 2]]);
-        next.first_from_plane = Some(*plane * Motion::<Sheet, Sheet>::identity().retract(&d));
-    }
-    for (v, view) in next.views.iter_mut().enumerate() {
-        let b = &step.blocks[v];
-        match (&view.plane_from_target, &next.first_from_plane) {
-            (Some(planar), Some(plane)) => {
-                let d = SVector::<f64, 6>::from([0.0, 0.0, b[0], b[1], b[2], 0.0]);
-                let planar: Motion<Sheet, Target> = planar.retract(&d);
-                view.first_from_target = *plane * planar;
-                view.plane_from_target = Some(planar);
-            }
-            _ => view.first_from_target = view.first_from_target.retract(&six(b, 0)),
-        }
-        for (k, at) in places.view_shape.iter().enumerate() {
-            view.shape_mm[k] += at.map_or(0.0, |at| b[places.pose_sizes[v] + at]);
-        }
-    }
-    plausible(model, &next).then_some(next)
-}
-
 /// Steps up to which the problem is about linear: a few percent of distances and focal lengths, a hundredth of a radian,
 /// distortion that moves the edge of the image by about half a percent.
 pub(super) fn scales(model: &Model, places: &Places, state: &State) -> Step {
@@ -118,7 +71,7 @@ pub(super) fn scales(model: &Model, places: &Places, state: &State) -> Step {
         // Half of a usual field: the image reaches about to the mirrored axis point.
         let s = (i.cx_px.abs().max(i.cy_px.abs()) / i.f_px).powi(2).clamp(1e-4, 1.0);
         let pixels = 0.02 * i.f_px;
-        let tilt = if model.cameras[c].pinhole_chart() { 0.01 * i.f_px } else { 0.02 };
+        let tilt = if model.cameras[c].uses_pinhole_frame() { 0.01 * i.f_px } else { 0.02 };
         let all = [pixels, 0.01, pixels, pixels, tilt, tilt, 5e-3 / s, 5e-3 / (s * s), 5e-3 / (s * s * s), 0.05];
         for (at, scale) in places.charts[c].iter().zip(all) {
             at.iter().for_each(|at| global[*at] = scale);
@@ -154,12 +107,4 @@ pub(super) fn scales(model: &Model, places: &Places, state: &State) -> Step {
         block
     });
     Step { blocks: blocks.collect(), global }
-}
-
-/// Radii and spacings must stay positive.
-fn plausible(model: &Model, state: &State) -> bool {
-    let positive = |s: &[f64; 3]| {
-        s[0] > 0.0 && s[1] > 0.0 && (s[2] > 0.0 || !matches!(model.target.shape, super::TargetShape::Pair { .. }))
-    };
-    if model.target.per_view() { state.views.iter().all(|v| positive(&v.shape_mm)) } else { positive(&state.shape_mm) }
 }

@@ -16,7 +16,7 @@ pub struct CameraModel {
 
 impl CameraModel {
     /// True where the pinhole chart can be used: f and both tilts are free.
-    pub(super) fn pinhole_chart(&self) -> bool {
+    pub(crate) fn uses_pinhole_frame(&self) -> bool {
         self.free[0] && self.free[4] && self.free[5]
     }
 }
@@ -159,6 +159,10 @@ pub enum Loss {
 }
 
 impl Loss {
+    /// Weight of a whitened residual, 0 to 1.
+    pub fn weight(self, r: f64) -> f64 {
+        self.apply(r * r).1
+    }
     /// `(rho(s), rho'(s))` for `s = |r|^2`.
     #[inline]
     pub(super) fn apply(self, s: f64) -> (f64, f64) {
@@ -188,4 +192,31 @@ pub struct Model {
     pub images: Vec<ImageObservations>,
     /// Robust loss.
     pub loss: Loss,
+}
+
+/// Sizes of a model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Observed {
+    /// Scalar observations.
+    pub observations: usize,
+    /// Rows of what is known beforehand.
+    pub facts: usize,
+    /// Unknowns.
+    pub unknowns: usize,
+}
+
+impl Model {
+    /// How many scalar observations, facts and unknowns there are.
+    pub fn counts(&self) -> Observed {
+        let layout = super::layout::Places::of(self).layout();
+        let of_image = |i: &ImageObservations| -> usize {
+            let edges: usize = i.discs.iter().map(|d| d.edge.u_px.len()).sum();
+            edges + i.pairs.iter().map(|p| p.whitening.nrows()).sum::<usize>()
+        };
+        Observed {
+            observations: self.images.iter().map(of_image).sum(),
+            facts: super::facts::count(self),
+            unknowns: layout.global + layout.blocks.iter().sum::<usize>(),
+        }
+    }
 }
