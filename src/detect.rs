@@ -9,10 +9,6 @@ mod refine;
 mod trace;
 
 pub use find::find_discs;
-<<<<<<< HEAD
-pub mod pattern;
-=======
->>>>>>> wt-pattern
 
 use crate::conic::Ellipse;
 use crate::frames::Pixel;
