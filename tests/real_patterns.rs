@@ -1,5 +1,7 @@
 //! Patterns on real images of others: every dot must get the label that perspective demands.
 
+#![allow(clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)]
+
 use nalgebra::{DMatrix, Matrix3, Vector2, Vector3};
 use spivcal::detect::pattern::{Labelling, label_discs};
 use spivcal::detect::{DetectOptions, Detection, find_discs};

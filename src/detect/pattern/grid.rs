@@ -180,6 +180,7 @@ fn placements(
     Ok(best)
 }
 
+/// Refusal where no turn of the lattice fits the stated size.
 fn larger_than_stated(image: &str, lattice: &Lattice, target: &Grid) -> crate::Error {
     let (low, high) = lattice.extent();
     let stated = |n: Option<usize>| n.map_or("any number of".into(), |n| n.to_string());

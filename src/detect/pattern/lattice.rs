@@ -14,6 +14,8 @@ const GROWTH_TOLERANCE: f64 = 0.2;
 /// The same once the lattice says how well it predicts: robust sigmas, and never less than this many pitches.
 const GROWTH_SIGMAS: f64 = 15.0;
 const GROWTH_LEAST: f64 = 0.07;
+/// Cells that the neighbourhood predicts with a larger spread (in sigmas of a dot) are not filled: any blob would do.
+const MOST_SPREAD: f64 = 2.5;
 /// A dot of the finished lattice is off if it misses its neighbours' prediction by more robust sigmas than this ...
 const OFF_SIGMAS: f64 = 6.0;
 /// ... but never if by less than the first, always if by more than the second, in pitches.
@@ -216,7 +218,7 @@ impl Lattice {
             for (cell, steps) in self.frontier() {
                 let Some(p) = self.predict(dots, cell) else { continue };
                 let limit = if steps == 1 { tolerance } else { 0.7 * tolerance };
-                if p.spread > 3.0 {
+                if p.spread > MOST_SPREAD {
                     continue;
                 }
                 if let Some((k, off)) = self.nearest_free(dots, &taken, &p, limit) {

@@ -108,8 +108,9 @@ fn named(discs: &[Disc], [larger, smaller]: [usize; 2], target: &Pair) -> Labell
     let zero_first = if ratio < EQUAL { u(larger) <= u(smaller) } else { !second_is_larger };
     let order = if zero_first { [larger, smaller] } else { [smaller, larger] };
     let id = |column| DotId { column, row: 0, level: 0 };
-    let mut out = Labelling::default();
-    out.discs = vec![LabelledDisc { disc: order[0], id: id(0) }, LabelledDisc { disc: order[1], id: id(1) }];
-    out.alternatives = vec![Relabelling { quarter_turns: 2, columns: 1, rows: 0, two_levels: false }];
-    out
+    Labelling {
+        discs: vec![LabelledDisc { disc: order[0], id: id(0) }, LabelledDisc { disc: order[1], id: id(1) }],
+        alternatives: vec![Relabelling { quarter_turns: 2, columns: 1, rows: 0, two_levels: false }],
+        ..Labelling::default()
+    }
 }

@@ -196,7 +196,7 @@ fn recall(
     make: impl Fn(&mut Random, f64) -> (Scene, Target),
 ) -> (f64, f64) {
     let mut r = Random(seed);
-    let (mut found, mut dots, mut refused) = (0, 0, 0);
+    let (mut found, mut dots, mut refused, mut open) = (0, 0, 0, 0);
     for run in 0..runs {
         let oblique = max_oblique_deg.to_radians() * (run as f64 + 0.5) / runs as f64;
         let (mut scene, target) = make(&mut r, oblique);
@@ -204,14 +204,16 @@ fn recall(
         scene.shuffle(&mut r);
         match label_discs("image", &scene.detection, &target) {
             Ok(l) => {
-                let right = scene.all_right(&l.discs);
-                for d in l.discs.iter().filter(|d| scene.truth[d.disc] != Some(d.id)) {
-                    println!(
-                        "run {run}: {:?} called {:?}, {:?}",
-                        scene.truth[d.disc], d.id, scene.detection.discs[d.disc].ellipse
-                    );
-                }
-                assert!(right, "run {run}: wrong labels at {:.0} deg, {:?}", oblique.to_degrees(), l.warnings);
+                // A mark out of view may leave a turn open; then the labelling says so and holds the truth.
+                let among = l.alternatives.iter().any(|a| scene.all_right(&l.relabelled(a)));
+                let wrong: Vec<_> = l.discs.iter().filter(|d| scene.truth[d.disc] != Some(d.id)).collect();
+                open += usize::from(!l.alternatives.is_empty());
+                assert!(
+                    wrong.is_empty() || among,
+                    "run {run} at {:.0} deg: {wrong:?}, {:?}",
+                    oblique.to_degrees(),
+                    l.warnings
+                );
                 found += l.discs.len();
                 dots += scene.dots();
             }
@@ -222,7 +224,12 @@ fn recall(
         }
     }
     let shares = (found as f64 / dots as f64, refused as f64 / runs as f64);
-    println!("{:.1} % of the dots found, {:.1} % of the images refused", 100.0 * shares.0, 100.0 * shares.1);
+    println!(
+        "{:.1} % of the dots found, {:.1} % of the images refused, {open} left open",
+        100.0 * shares.0,
+        100.0 * shares.1
+    );
+    assert!(open * 50 <= runs, "{open} of {runs} left open");
     shares
 }
 
@@ -424,12 +431,12 @@ fn a_plain_grid_is_no_two_level_plate() {
 #[test]
 fn two_discs_are_the_pair_that_stands_out() {
     let target = |radii_mm, spacing_mm| Target::TwoDiscs(Pair { spacing_mm, radii_mm });
-    let mut d = Detection::default();
-    d.discs = vec![
+    let discs = vec![
         disc(300.0, 500.0, 8.0, 5.0, 0.3),
         disc(900.0, 500.0, 150.0, 105.0, 0.02),
         disc(500.0, 500.0, 190.0, 135.0, 0.0),
     ];
+    let mut d = Detection { discs, ..Detection::default() };
     let l = label_discs("image", &d, &target(None, None)).unwrap();
     assert_eq!(l.discs, vec![LabelledDisc { disc: 2, id: id(0, 0, 0) }, LabelledDisc { disc: 1, id: id(1, 0, 0) }]);
     assert_eq!((l.left_over.clone(), l.alternatives.len()), (vec![0], 1));
