@@ -6,7 +6,7 @@
 //!    `h = d(model)/d(shift)`, `shift = sum w r h / sum w h^2`, `sigma = (sum w h^2)^(-1/2)` (its Fisher information).
 //! 4. Drop sectors that disagree (glare, shadow, another object), fit again without their pixels.
 //! 5. The disc's ellipse is the geometric fit through these edge points; where they scatter more than the grey noise says (rough
-//!    prints, speckle), all sigmas grow by the root of chi2 per degree of freedom.
+//!    prints, speckle), one variance is added to all until chi2 is the number of degrees of freedom.
 //!
 //! Levels, blur and slopes are common to all sectors; what their uncertainty adds to the geometry is spread evenly over the sigmas.
 
@@ -450,6 +450,20 @@ fn drop_sectors(model: &EdgeModel, s: &mut Scratch) -> f64 {
     q.keep.iter().filter(|k| **k).count() as f64 / count as f64
 }
 
+/// Variance that, added to those of the edge points, makes their chi-square the number of degrees of freedom, px^2.
+fn roughness_px2(ellipse: &Ellipse, edge: &EdgePoints, degrees_of_freedom: f64) -> f64 {
+    let squares: Vec<f64> = (0..edge.u_px.len())
+        .map(|i| ellipse.distance_px(crate::frames::Pixel::new(edge.u_px[i], edge.v_px[i])).powi(2))
+        .collect();
+    let chi2 = |x: f64| squares.iter().zip(&edge.sigma_px).map(|(r, s)| r / (s * s + x)).sum::<f64>();
+    let (mut low, mut high) = (0.0, squares.iter().sum::<f64>() / degrees_of_freedom);
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if chi2(middle) > degrees_of_freedom { low = middle } else { high = middle }
+    }
+    high
+}
+
 /// Edge points, the ellipse through them, the honest sigmas.
 fn finish(model: &EdgeModel, start: &Start, options: &DetectOptions, s: &mut Scratch) -> Result<Disc, RejectionReason> {
     let e = &model.ellipse;
@@ -464,19 +478,24 @@ fn finish(model: &EdgeModel, start: &Start, options: &DetectOptions, s: &mut Scr
         edge.v_px.push(foot.v_px + shift * n[1]);
         edge.sigma_px.push(widen * q.information[k].powf(-0.5));
     }
-    let fit = fit_geometric_from(e, &edge.u_px, &edge.v_px, &edge.sigma_px)
-        .map_err(|_| not_elliptical(f64::INFINITY, e.semi_minor_px))?;
+    let fit_edges = |edge: &EdgePoints| {
+        fit_geometric_from(e, &edge.u_px, &edge.v_px, &edge.sigma_px)
+            .map_err(|_| not_elliptical(f64::INFINITY, e.semi_minor_px))
+    };
+    let mut fit = fit_edges(&edge)?;
     let limit_px = options.max_edge_rms_px + options.max_edge_rms_ratio * fit.ellipse.semi_minor_px;
     if fit.rms_px > limit_px {
         return Err(not_elliptical(fit.rms_px, limit_px));
     }
-    let excess = (fit.chi2 / fit.degrees_of_freedom as f64).max(1.0);
-    for sigma in &mut edge.sigma_px {
-        *sigma *= excess.sqrt();
+    if fit.chi2 > fit.degrees_of_freedom as f64 {
+        // Rough prints and speckle scatter all edge points alike, sharp or blurred: their variance adds to that of the noise.
+        let roughness = roughness_px2(&fit.ellipse, &edge, fit.degrees_of_freedom as f64);
+        edge.sigma_px.iter_mut().for_each(|s| *s = (*s * *s + roughness).sqrt());
+        fit = fit_edges(&edge)?;
     }
     Ok(Disc {
         ellipse: fit.ellipse,
-        covariance: fit.covariance * excess,
+        covariance: fit.covariance,
         edge,
         polarity: if start.bright { Polarity::Bright } else { Polarity::Dark },
         blur_px: model.blur_px,
