@@ -27,6 +27,10 @@
 //! combinations, and a damping that is small against the diagonal is still large against the valley. The scales are
 //! those on which the *problem* bends, so strong directions are never damped and weak ones only as far as they bend.
 //!
+//! Where steps still bend, the geodesic acceleration `a = -(H + mu D)^-1 J^T r_vv` goes with the velocity: `step = v + a / 2`,
+//! refused where `|a| > 0.75 |v|` (Transtrum and Sethna, "Improvements to the Levenberg-Marquardt algorithm for nonlinear
+//! least-squares minimization", 2012).
+//!
 //! This room knows numbers, never cameras. Not for problems whose blocks meet each other directly.
 
 mod factor;
@@ -87,6 +91,15 @@ impl NormalEquations {
     }
 }
 
+/// A right-hand side: the shape of [`NormalEquations::b_g`] and the blocks' `b_v`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Gradient {
+    /// Of the global unknowns.
+    pub global: DVector<f64>,
+    /// Of each block.
+    pub blocks: Vec<DVector<f64>>,
+}
+
 /// A step of all unknowns.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Step {
@@ -108,6 +121,11 @@ pub trait Problem {
     fn linearise(&self, state: &Self::State) -> Option<NormalEquations>;
     /// For each unknown the step up to which the problem is about linear (units of the unknown, positive).
     fn scales(&self, state: &Self::State) -> Step;
+    /// Right-hand side `-J^T r_vv` of the geodesic acceleration: `r_vv` is the second derivative of the residuals along the
+    /// retraction of `velocity`. `None` where the problem does not offer it.
+    fn bend(&self, _state: &Self::State, _velocity: &Step) -> Option<Gradient> {
+        None
+    }
     /// The state after a step; `None` where there is none.
     fn retract(&self, state: &Self::State, step: &Step) -> Option<Self::State>;
 }
@@ -209,10 +227,10 @@ pub fn minimise<P: Problem>(
             equations: None,
         };
     };
-    let mut radius = Damping { mu: 1.0, growth: 4.0 };
+    let mut radius = Damping { mu: 1.0, growth: 4.0, bent: false };
     let mut iterations = 1;
     let (mut decrement, termination) = loop {
-        let decrement = Reduced::of(&equations, &Ridge::Relative(FLAT_RIDGE)).map_or(f64::INFINITY, |r| r.decrement());
+        let decrement = decrement(&equations);
         if !observe(&Iteration { number: iterations, cost: equations.cost, decrement }) {
             break (decrement, Termination::Cancelled);
         }
@@ -238,7 +256,14 @@ pub fn minimise<P: Problem>(
 struct Damping {
     mu: f64,
     growth: f64,
+    /// The last step did not do what the straight model said.
+    bent: bool,
 }
+
+/// Gain below which a step counts as bent.
+const STRAIGHT_GAIN: f64 = 0.9;
+/// Largest acceleration over velocity.
+const BEND_LIMIT: f64 = 0.75;
 
 /// Shortens the step until the cost falls; `None` where nothing helps.
 fn accepted_step<P: Problem>(
@@ -249,16 +274,24 @@ fn accepted_step<P: Problem>(
 ) -> Option<(P::State, NormalEquations)> {
     let scales = problem.scales(state);
     while damping.mu < MU_MAX {
-        if let Some(trial) = trial_step(problem, state, equations, damping.mu, &scales) {
+        if let Some(trial) = trial_step(problem, state, equations, damping, &scales) {
             // Nielsen's law, allowed to fall by 100 so that the weak valley is undamped after few good steps.
             let factor = (1.0 - (2.0 * trial.gain - 1.0).powi(3)).clamp(0.01, 2.0);
-            *damping = Damping { mu: (damping.mu * factor).max(MU_MIN), growth: 4.0 };
+            *damping = Damping { mu: (damping.mu * factor).max(MU_MIN), growth: 4.0, bent: trial.gain < STRAIGHT_GAIN };
             return Some((trial.state, trial.equations));
         }
         damping.mu *= damping.growth;
         damping.growth *= 2.0;
+        damping.bent = true;
     }
     None
+}
+
+/// Length of a step in units of the scales.
+fn length(step: &Step, scales: &Step) -> f64 {
+    let part = |d: &DVector<f64>, s: &DVector<f64>| d.component_div(s).norm_squared();
+    let blocks: f64 = step.blocks.iter().zip(&scales.blocks).map(|(d, s)| part(d, s)).sum();
+    (part(&step.global, &scales.global) + blocks).sqrt()
 }
 
 struct Trial<S> {
@@ -271,24 +304,45 @@ fn trial_step<P: Problem>(
     problem: &P,
     state: &P::State,
     equations: &NormalEquations,
-    mu: f64,
+    damping: &Damping,
     scales: &Step,
 ) -> Option<Trial<P::State>> {
-    let reduced = Reduced::of(equations, &Ridge::Scaled { mu, scales })?;
-    let step = reduced.step();
+    let reduced = Reduced::of(equations, &Ridge::Scaled { mu: damping.mu, scales })?;
+    let velocity = reduced.step();
+    let mut step = velocity.clone();
+    if damping.bent
+        && let Some(rhs) = problem.bend(state, &velocity)
+    {
+        let acceleration = reduced.solve(&rhs)?;
+        if length(&acceleration, scales) > BEND_LIMIT * length(&velocity, scales) {
+            return None;
+        }
+        step.global += &acceleration.global * 0.5;
+        step.blocks.iter_mut().zip(&acceleration.blocks).for_each(|(s, a)| *s += a * 0.5);
+    }
+    let predicted = reduced.predicted_decrease(&velocity);
     let next = problem.retract(state, &step)?;
-    let predicted = reduced.predicted_decrease(&step);
+    let decrease = equations.cost - problem.cost(&next)?;
     // Pixels of size 1e3 and sigmas of 0.01 px leave 1e-11 in a whitened residual.
     let rounding = 1e-11 * equations.cost;
-    let cost = problem.cost(&next)?;
-    let decrease = equations.cost - cost;
-    // Below rounding the cost cannot judge a step; Newton's own prediction has to do.
-    let gain = if predicted <= rounding && decrease.abs() <= rounding { 1.0 } else { decrease / predicted };
-    if !(gain > 1e-4) {
-        return None;
+    if predicted > rounding || decrease.abs() > rounding {
+        let gain = decrease / predicted;
+        if !(gain > 1e-4) {
+            return None;
+        }
+        return problem.linearise(&next).map(|equations| Trial { state: next, equations, gain });
     }
-    let equations = problem.linearise(&next)?;
-    Some(Trial { state: next, equations, gain })
+    // Below rounding the cost cannot judge a step: the gradient has to. Where residuals bend more than the valley is steep,
+    // an undamped step overshoots, and only this notices.
+    let next_equations = problem.linearise(&next)?;
+    let left = decrement(&next_equations) / decrement(equations);
+    let gain = if left < 0.3 { 1.0 } else { 0.5 };
+    (left < 1.0).then_some(Trial { state: next, equations: next_equations, gain })
+}
+
+/// Newton decrement of normal equations, infinite where they are not positive.
+fn decrement(equations: &NormalEquations) -> f64 {
+    Reduced::of(equations, &Ridge::Relative(FLAT_RIDGE)).map_or(f64::INFINITY, |r| r.decrement())
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@ use super::model::Model;
 use super::residuals::{DiscResidual, residuals};
 use super::retraction;
 use super::state::State;
-use crate::solve::{self, Iteration, NormalEquations, Problem, Step, Termination};
+use crate::solve::{self, Gradient, Iteration, NormalEquations, Problem, Step, Termination};
 
 /// Options of [`adjust`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -90,6 +90,15 @@ impl Problem for Bundle<'_> {
     }
     fn scales(&self, state: &State) -> Step {
         layout::scales(self.model, &self.places, state)
+    }
+    fn bend(&self, state: &State, velocity: &Step) -> Option<Gradient> {
+        // A tenth of the step: far above rounding, near enough for a second derivative.
+        const H: f64 = 0.1;
+        let part = |h: f64| {
+            let blocks = velocity.blocks.iter().map(|b| b * h).collect();
+            retraction::retract(self.model, &self.places, state, &Step { global: &velocity.global * h, blocks })
+        };
+        assemble::bend(self.model, &self.places, [&part(-H)?, state, &part(H)?], H)
     }
     fn retract(&self, state: &State, step: &Step) -> Option<State> {
         retraction::retract(self.model, &self.places, state, step)

@@ -17,7 +17,7 @@ use super::tangent;
 use crate::camera::INTRINSICS;
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
-use crate::solve::NormalEquations;
+use crate::solve::{Gradient, NormalEquations};
 use nalgebra::{DMatrix, DVector, Matrix4, SMatrix, SVector, Vector3, Vector4};
 use rayon::prelude::*;
 
@@ -229,6 +229,51 @@ pub(super) fn linearise(model: &Model, places: &Places, state: &State) -> Option
         }
     }
     Some(equations)
+}
+
+/// Right-hand side of the geodesic acceleration from the states a part `h` of the step before and behind; of the contours
+/// only (facts and tangent features bend little).
+pub(super) fn bend(model: &Model, places: &Places, states: [&State; 3], h: f64) -> Option<Gradient> {
+    let each: Option<Vec<(LocalVector, Vec<(usize, Vector4<f64>)>, Vec<Slot>, DMatrix<f64>)>> = model
+        .images
+        .par_iter()
+        .map(|o| {
+            let seen = [
+                SeenImage::of(model, states[0], o)?,
+                SeenImage::of(model, states[1], o)?,
+                SeenImage::of(model, states[2], o)?,
+            ];
+            let (slots, map) = image_map(model, places, states[1], &seen[1]);
+            let (mut local, mut offsets) = (LocalVector::zeros(), vec![]);
+            for d in &o.discs {
+                let circles = [seen[0].circle(d.disc), seen[1].circle(d.disc), seen[2].circle(d.disc)];
+                let b = contour::bend([&circles[0], &circles[1], &circles[2]], d, o.sigma_scale, model.loss, h)?;
+                local += seen[1].disc_map(d.disc).tr_mul(&b);
+                if places.offsets.is_some() {
+                    offsets.push((d.disc, seen[1].offset_map().tr_mul(&b)));
+                }
+            }
+            Some((local, offsets, slots, map))
+        })
+        .collect();
+    let layout = places.layout();
+    let blocks = layout.blocks.iter().map(|d| DVector::zeros(*d)).collect();
+    let mut out = Gradient { global: DVector::zeros(layout.global), blocks };
+    for (o, (local, offsets, slots, map)) in model.images.iter().zip(each?) {
+        let b = map.tr_mul(&local);
+        for (slot, x) in slots.iter().zip(b.iter()) {
+            match *slot {
+                Slot::Global(g) => out.global[g] += x,
+                Slot::Block(v) => out.blocks[o.view][v] += x,
+            }
+        }
+        if let Some(first) = places.offsets {
+            for (disc, x) in offsets {
+                (0..4).for_each(|k| out.global[first + 4 * disc + k] += x[k]);
+            }
+        }
+    }
+    Some(out)
 }
 
 /// Adds a dense symmetric piece to the block-arrow equations.

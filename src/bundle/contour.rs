@@ -158,3 +158,28 @@ pub(super) fn row(camera: &Camera, foot: &Foot) -> Option<[f64; EDGE]> {
     row[EDGE - 1] = g.dot(&foot.radial);
     Some(row)
 }
+
+/// `sum of w row r_vv / sigma`: the part of one contour in the right-hand side of the geodesic acceleration, with
+/// `r_vv = (r(+h) - 2 r + r(-h)) / h^2`; `None` where a circle has no image.
+pub(super) fn bend(
+    circles: [&SeenCircle; 3],
+    seen: &DiscObservation,
+    scale: f64,
+    loss: Loss,
+    h: f64,
+) -> Option<SVector<f64, EDGE>> {
+    let starts = [circles[0].start()?, circles[1].start()?, circles[2].start()?];
+    let edge = &seen.edge;
+    let mut b = SVector::zeros();
+    for i in 0..edge.u_px.len() {
+        let q = Vector2::new(edge.u_px[i], edge.v_px[i]);
+        let foot = |k: usize| circles[k].foot(&starts[k], &q);
+        let (minus, here, plus) = (foot(0)?, foot(1)?, foot(2)?);
+        let iw = 1.0 / (edge.sigma_px[i] * scale);
+        let weight = loss.weight(here.distance_px * iw);
+        let second = (plus.distance_px - 2.0 * here.distance_px + minus.distance_px) / (h * h);
+        let row = SVector::from(row(circles[1].camera, &here)?);
+        b += row * (weight * second * iw * iw);
+    }
+    Some(b)
+}

@@ -1,7 +1,7 @@
 //! Damped Schur elimination of the blocks and back substitution.
 
 use super::factor::Cholesky;
-use super::{NormalEquations, Step};
+use super::{Gradient, NormalEquations, Step};
 use nalgebra::{DMatrix, DVector};
 
 /// What is added to the diagonal of H.
@@ -52,6 +52,7 @@ pub(super) struct EliminatedBlock {
     pub(super) coupling: DMatrix<f64>,
     /// `H_vv^-1 b_v`.
     pub(super) own: DVector<f64>,
+    factor: Cholesky,
 }
 
 /// The factored, damped equations.
@@ -77,7 +78,7 @@ pub(super) fn eliminate(
         let own = factor.solve_vector(&block.b_v);
         s.gemm_tr(-1.0, &block.h_vg, &coupling, 1.0);
         rhs.gemv_tr(-1.0, &block.h_vg, &own, 1.0);
-        blocks.push(EliminatedBlock { coupling, own });
+        blocks.push(EliminatedBlock { coupling, own, factor });
     }
     Some((s, rhs, blocks))
 }
@@ -98,6 +99,21 @@ impl<'a> Reduced<'a> {
         };
         let blocks = self.blocks.iter().map(|b| &b.own - &b.coupling * &global).collect();
         Step { global, blocks }
+    }
+
+    /// Solution of the damped equations for another right-hand side; `None` where it is not finite.
+    pub(super) fn solve(&self, rhs: &Gradient) -> Option<Step> {
+        let mut reduced = rhs.global.clone();
+        let mut own = vec![];
+        for ((block, eliminated), b) in self.equations.blocks.iter().zip(&self.blocks).zip(&rhs.blocks) {
+            let x = eliminated.factor.solve_vector(b);
+            reduced.gemv_tr(-1.0, &block.h_vg, &x, 1.0);
+            own.push(x);
+        }
+        let global = self.factor.as_ref().map_or_else(|| DVector::zeros(0), |f| f.solve_vector(&reduced));
+        let blocks: Vec<_> = self.blocks.iter().zip(own).map(|(e, x)| x - &e.coupling * &global).collect();
+        let finite = global.iter().chain(blocks.iter().flatten()).all(|x: &f64| x.is_finite());
+        finite.then_some(Step { global, blocks })
     }
 
     /// `sqrt(b^T (H + lambda D)^-1 b)`.
