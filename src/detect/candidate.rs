@@ -436,7 +436,7 @@ fn polygon_kind(u: &[f64], v: &[f64], area: f64) -> Option<MarkKind> {
         return None;
     }
     let hull_area = polygon_area(&corners);
-    if area < 0.92 * hull_area {
+    if area < 0.84 * hull_area {
         return None;
     }
     let doubled = |a: usize, b: usize, c: usize| {
