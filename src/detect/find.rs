@@ -233,7 +233,7 @@ fn drop_repeats(seen: &mut Seen) {
     // Parts of a disc that overlaps another are not to be used, even where enough of the contour is free.
     let overlaps: Vec<Candidate> =
         seen.rejected.iter().filter(|r| r.1 == RejectionReason::Overlapping).map(|r| r.0).collect();
-    kept.retain(|c| !overlaps.iter().any(|o| same(o, c) || swallows(c, o)));
+    kept.retain(|c| !overlaps.iter().any(|o| (o.level <= c.level && same(o, c)) || swallows(c, o)));
     let finer: Vec<Candidate> = kept.clone();
     kept.retain(|c| !finer.iter().any(|f| swallows(c, f)));
     seen.candidates = kept;
