@@ -377,9 +377,13 @@ fn two_in_one(u: &[f64], v: &[f64], min_axis_ratio: f64) -> Option<[Ellipse; 2]>
         let e = fit_direct(&au, &av).ok()?;
         let good = rms_gap(&e, &au, &av) < 0.5 + 0.04 * e.semi_minor_px
             && e.semi_minor_px > min_axis_ratio.max(0.25) * e.semi_major_px;
-        good.then_some(e)
+        // A smear that touches a disc follows some ellipse too; a second disc shows much of its own contour.
+        let shown = line_length(&au, &av) > 0.35 * e.perimeter_px();
+        (good && shown).then_some(e)
     };
-    Some([arc(a, b)?, arc(b, a + n)?])
+    let (one, two) = (arc(a, b)?, arc(b, a + n)?);
+    let ratio = one.semi_minor_px / two.semi_minor_px;
+    (0.3..3.4).contains(&ratio).then_some([one, two])
 }
 
 /// Local maxima of the depth below the convex hull, (index, depth px), deepest first.
@@ -436,7 +440,7 @@ fn polygon_kind(u: &[f64], v: &[f64], area: f64) -> Option<MarkKind> {
         return None;
     }
     let hull_area = polygon_area(&corners);
-    if area < 0.92 * hull_area {
+    if area < 0.84 * hull_area {
         return None;
     }
     let doubled = |a: usize, b: usize, c: usize| {

@@ -127,39 +127,68 @@ pub(crate) fn turn_share(angle: f64) -> f64 {
     if share < 0.0 { share + 1.0 } else { share }
 }
 
-/// One row of the Jacobian, only what is not zero: at most 8 fixed entries, 6 levels and 6 local slopes.
+/// One row of the Jacobian: the fixed entries in full, of the levels and local slopes only what is not zero.
 #[derive(Default)]
 struct Row {
-    at: [usize; 20],
-    value: [f64; 20],
+    fixed: [f64; FIXED],
+    at: [usize; 12],
+    value: [f64; 12],
     count: usize,
 }
 
 impl Row {
     #[inline]
-    fn push(&mut self, at: usize, value: f64) {
-        self.at[self.count] = at;
-        self.value[self.count] = value;
-        self.count += 1;
-    }
-
-    #[inline]
     fn push_basis(&mut self, start: usize, basis: &Basis, factor: f64) {
         for k in 0..basis.count {
-            self.push(start + basis.at[k], factor * basis.value[k]);
+            self.at[self.count] = start + basis.at[k];
+            self.value[self.count] = factor * basis.value[k];
+            self.count += 1;
         }
     }
 
-    /// Adds `weight row^T row` to the lower triangle and `weight row^T residual` to the gradient.
+    /// Adds `weight row^T row` to the lower triangle and `weight row^T residual` to the gradient; the fixed block is kept apart in
+    /// `block` until the end of the band, where it stays in registers and cache.
     #[inline]
-    fn add_to(&self, work: &mut Normal, n: usize, weight: f64, residual: f64) {
+    fn add_to(&self, block: &mut Block, work: &mut Normal, n: usize, weight: f64, residual: f64, edge: bool) {
+        let fixed = self.fixed.map(|x| weight * x);
+        let from = if edge { 0 } else { FIXED - 2 };
+        for a in from..FIXED {
+            block.gradient[a] += fixed[a] * residual;
+            for b in 0..FIXED {
+                block.matrix[a][b] += fixed[a] * self.fixed[b];
+            }
+        }
         for a in 0..self.count {
             let wa = weight * self.value[a];
+            let start = self.at[a] * n;
             work.gradient[self.at[a]] += wa * residual;
-            for b in 0..=a {
+            let row = &mut work.matrix[start..start + self.at[a] + 1];
+            for (r, f) in row[..FIXED].iter_mut().zip(&self.fixed) {
+                *r += wa * f;
+            }
+            row[self.at[a]] += wa * self.value[a];
+            for b in 0..a {
                 let (hi, lo) =
                     if self.at[a] > self.at[b] { (self.at[a], self.at[b]) } else { (self.at[b], self.at[a]) };
                 work.matrix[hi * n + lo] += wa * self.value[b];
+            }
+        }
+    }
+}
+
+/// Normal equations of the fixed parameters alone.
+#[derive(Default)]
+struct Block {
+    matrix: [[f64; FIXED]; FIXED],
+    gradient: [f64; FIXED],
+}
+
+impl Block {
+    fn flush(&self, work: &mut Normal, n: usize) {
+        for a in 0..FIXED {
+            work.gradient[a] += self.gradient[a];
+            for b in 0..=a {
+                work.matrix[a * n + b] += self.matrix[a][b];
             }
         }
     }
@@ -286,7 +315,7 @@ impl EdgeModel {
         stride: usize,
         tolerance_px: f64,
     ) -> Option<()> {
-        let mut damping = 1e-4;
+        let mut damping = 1e-6;
         let mut chi2 = self.evaluate(band, Some(work), stride);
         for _ in 0..rounds {
             let n = self.size();
@@ -357,6 +386,7 @@ impl EdgeModel {
         let (level_at, slope_at) = self.starts();
         let local = [self.slope_nodes(0) > 0, self.slope_nodes(1) > 0];
         let inverse_blur = 1.0 / self.blur_px;
+        let mut block = Block::default();
         for i in (0..band.u.len()).step_by(stride) {
             let foot = frame.foot(band.u[i], band.v[i]);
             let d = foot.distance;
@@ -385,23 +415,27 @@ impl EdgeModel {
             chi2 += weight * r * r;
             let Some(w) = work.as_deref_mut() else { continue };
             let mut row = Row::default();
-            if density > 1e-8 {
+            let edge = density > 1e-8;
+            if edge {
                 let dd = -response + p * slope[0] + (1.0 - p) * slope[1];
                 for k in 0..5 {
-                    row.push(k, dd * foot.row[k]);
+                    row.fixed[k] = dd * foot.row[k];
                 }
-                row.push(5, -step * density * (0.5 * foot.curvature - d * inverse_blur * inverse_blur));
+                row.fixed[5] = -step * density * (0.5 * foot.curvature - d * inverse_blur * inverse_blur);
             }
             for (side, share) in [p, 1.0 - p].into_iter().enumerate() {
                 if share > 1e-8 {
-                    row.push(6 + side, share * d);
+                    row.fixed[6 + side] = share * d;
                     row.push_basis(FIXED + level_at[side], &basis[side], share);
                     if local[side] {
                         row.push_basis(FIXED + slope_at[side], &basis[side], share * d);
                     }
                 }
             }
-            row.add_to(w, n, weight, r);
+            row.add_to(&mut block, w, n, weight, r, edge);
+        }
+        if let Some(w) = work {
+            block.flush(w, n);
         }
         chi2
     }

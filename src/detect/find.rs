@@ -233,17 +233,19 @@ fn drop_repeats(seen: &mut Seen) {
     // Parts of a disc that overlaps another are not to be used, even where enough of the contour is free.
     let overlaps: Vec<Candidate> =
         seen.rejected.iter().filter(|r| r.1 == RejectionReason::Overlapping).map(|r| r.0).collect();
-    kept.retain(|c| !overlaps.iter().any(|o| same(o, c) || swallows(c, o)));
+    kept.retain(|c| !overlaps.iter().any(|o| (o.level <= c.level && same(o, c)) || swallows(c, o)));
     let finer: Vec<Candidate> = kept.clone();
     kept.retain(|c| !finer.iter().any(|f| swallows(c, f)));
     seen.candidates = kept;
     let mut marks: Vec<(Candidate, MarkKind)> = Vec::new();
     for m in &seen.marks {
-        if !marks.iter().any(|k| same(&k.0, &m.0)) {
+        // Coarse views round corners off and cut gaps: the finest view decides what a region is.
+        let finer = seen.candidates.iter().any(|c| c.level < m.0.level && same(c, &m.0));
+        if !finer && !marks.iter().any(|k| same(&k.0, &m.0)) {
             marks.push(*m);
         }
     }
-    seen.candidates.retain(|c| !marks.iter().any(|m| same(&m.0, c)));
+    seen.candidates.retain(|c| !marks.iter().any(|m| m.0.level <= c.level && same(&m.0, c)));
     seen.marks = marks;
     let mut rejected: Vec<(Candidate, RejectionReason)> = Vec::new();
     for r in &seen.rejected {

@@ -22,7 +22,7 @@ const SECTOR_PX: f64 = 1.75;
 /// Pixels that suffice while the ellipse is still being approached.
 const ROUGH_PIXELS: usize = 500;
 /// A step of the whole model below this ends the descent, px: the sectors take the last step, their error is of second order.
-const FINE_PX: f64 = 0.01;
+const FINE_PX: f64 = 0.02;
 /// Entries of the table from eccentric angle to arc length.
 const ARC_STEPS: usize = 256;
 
@@ -68,20 +68,21 @@ pub(crate) fn refine(
     let mut model = rough_model(view, start, scratch)?;
     fine_model(view, start, &mut model, scratch)?;
     check_size(&model, start, options)?;
-    let mut coverage = 1.0;
-    for round in 0..3 {
+    let mut before = 1.0;
+    for _ in 0..3 {
         assign_sectors(&model, scratch);
-        coverage = drop_sectors(&model, scratch);
+        let coverage = drop_sectors(scratch);
         if coverage < options.min_coverage {
             return Err(RejectionReason::Incomplete { coverage });
         }
-        if coverage == 1.0 || round == 2 {
+        // Few sectors more or less do not move a fit that they were not pulling.
+        if coverage > before - 0.03 {
             break;
         }
+        before = coverage;
         estimate_variance(view, &mut model, scratch);
         descend(&mut model, scratch, 1, 1, FINE_PX)?;
     }
-    debug_assert!(coverage > 0.0);
     finish(&model, start, options, scratch)
 }
 
@@ -152,6 +153,10 @@ fn fine_model(view: &GrayView, start: &Start, model: &mut EdgeModel, s: &mut Scr
             let (levels, local_slope) = choose_levels(model, s);
             model.set_levels(levels, local_slope);
             model.sloped = [shows_slope(model, s, 0), shows_slope(model, s, 1)];
+            if model.has_splines() {
+                // Another, narrower band serves these; the ellipse is as good as this one can make it.
+                continue;
+            }
         }
         descend(model, s, 6, 1, FINE_PX)?;
         estimate_variance(view, model, s);
@@ -160,7 +165,7 @@ fn fine_model(view: &GrayView, start: &Start, model: &mut EdgeModel, s: &mut Scr
             .max((before.semi_major_px - model.ellipse.semi_major_px).abs())
             .max((before.semi_minor_px - model.ellipse.semi_minor_px).abs());
         // The band was laid around a place this close; its pixels are the right ones.
-        if moved < 0.15 && !(pass == 0 && model.has_splines()) {
+        if moved < 0.15 {
             break;
         }
     }
@@ -423,7 +428,7 @@ fn angle_at(arc: &[f64; ARC_STEPS + 1], share: f64) -> f64 {
 }
 
 /// Marks the sectors that disagree with the rest and their pixels; returns the share that stays.
-fn drop_sectors(model: &EdgeModel, s: &mut Scratch) -> f64 {
+fn drop_sectors(s: &mut Scratch) -> f64 {
     let q = &mut s.sectors;
     let count = q.score.len();
     let collect = |f: &dyn Fn(usize) -> f64, sorted: &mut Vec<f64>| {
@@ -446,7 +451,6 @@ fn drop_sectors(model: &EdgeModel, s: &mut Scratch) -> f64 {
     for i in 0..s.band.u.len() {
         s.band.keep[i] = q.keep[q.of_pixel[i] as usize];
     }
-    debug_assert!(model.blur_px > 0.0);
     q.keep.iter().filter(|k| **k).count() as f64 / count as f64
 }
 
