@@ -2,6 +2,8 @@
 //!
 //! The real program runs on changed copies of `examples/printed`.
 
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
+
 use spivcal::detect::{DetectOptions, Disc, find_discs};
 use spivcal::image::{GrayImage, Pixels};
 use spivcal::pipeline::{load_image, png_bytes};

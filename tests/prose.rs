@@ -1,5 +1,7 @@
 //! What is written about the program is true: commands, exit codes, defaults, versions, files named.
 
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
+
 use spivcal::error::{Error, Insufficient, Invalid, Unusable};
 use spivcal::rig_file::{Focus, RigDescription};
 use std::collections::BTreeSet;
