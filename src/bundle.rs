@@ -56,3 +56,6 @@ pub use model::{
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
 pub use state::{State, ViewState};
+
+/// How the adjustment is steered and how it ended: rooms above speak of it without knowing the solver.
+pub use crate::solve::{Iteration, Options as SolveOptions, Termination};

@@ -4,11 +4,13 @@
 //! degenerate data; 4 internal. On an error nothing is written.
 
 mod arguments;
+mod calibrate;
 mod detect;
 mod files;
 mod progress;
 mod show;
 mod simulate;
+mod threads;
 
 use crate::Error;
 use arguments::{Arguments, Command};
@@ -56,6 +58,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
 fn dispatch(arguments: &Arguments) -> crate::Result<Done> {
     let progress = progress::Bar::new(arguments.quiet || arguments.json);
     match &arguments.command {
+        Command::Calibrate(c) => calibrate::run(c, arguments.threads, &progress),
         Command::Detect(c) => detect::run(c, arguments.threads, &progress),
         Command::Simulate(c) => simulate::run(c, &progress),
         Command::Show(c) => show::run(c),

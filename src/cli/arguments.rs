@@ -27,6 +27,8 @@ const EXIT_CODES: &str = "Exit codes: 0 done; 1 done, but flagged (see the warni
 
 #[derive(Debug, Subcommand)]
 pub(super) enum Command {
+    /// The main job: images to calibration, report and overlays
+    Calibrate(Calibrate),
     /// Find discs in images: contours, ellipses and features as CSV and JSON, overlay PNG
     Detect(Detect),
     /// Render synthetic images with their truth, and a rig file ready to calibrate
@@ -40,6 +42,19 @@ impl Command {
     pub(super) fn answers_on_stdout(&self) -> bool {
         matches!(self, Command::Show(_))
     }
+}
+
+#[derive(Debug, Args)]
+pub(super) struct Calibrate {
+    /// Rig file: cameras, target, scale and views
+    #[arg(value_name = "RIG.toml")]
+    pub(super) rig: PathBuf,
+    /// Folder for the results, made where it is missing
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) output: PathBuf,
+    /// Folder of the images [default: that of the rig file]
+    #[arg(long, value_name = "DIR")]
+    pub(super) images: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]

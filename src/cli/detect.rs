@@ -4,8 +4,9 @@ use super::Done;
 use super::arguments::Detect;
 use super::files::{Output, fault};
 use super::progress::Bar;
+use super::threads;
 use crate::detect::{DetectOptions, Detection, find_discs};
-use crate::error::{Error, Insufficient, Invalid, Result};
+use crate::error::{Insufficient, Invalid, Result};
 use crate::image::GrayImage;
 use crate::pipeline::load_image;
 use crate::report::{
@@ -35,7 +36,7 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
         progress.step();
         found
     };
-    let pool = thread_pool(threads)?;
+    let pool = threads::pool(threads)?;
     // Collected first, so that the error that is told is that of the first image, whatever the threads did.
     let found: Vec<Result<Found>> = pool.install(|| command.images.par_iter().zip(&stems).map(one).collect());
     let found = found.into_iter().collect::<Result<Vec<Found>>>()?;
@@ -54,15 +55,6 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
     out.commit(&command.output)?;
     let json = json!({ "output": command.output.display().to_string(), "images": images });
     Ok(Done { text, json, flags })
-}
-
-/// A pool of this call's own: the global one would outlive it.
-fn thread_pool(threads: Option<NonZeroUsize>) -> Result<rayon::ThreadPool> {
-    let count = threads.map_or(0, NonZeroUsize::get);
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(count)
-        .build()
-        .map_err(|e| Error::Bug(format!("{count} threads cannot be started: {e}")))
 }
 
 /// What result files of each image are called after; two images must not write the same files.

@@ -25,6 +25,14 @@ impl Bar {
         self.0.set_message(what.to_string());
         self.0.tick();
     }
+    /// Says how far a stage is whose end is not known.
+    pub(super) fn say(&self, what: String) {
+        if let Ok(style) = ProgressStyle::with_template("{msg}") {
+            self.0.set_style(style);
+        }
+        self.0.set_message(what);
+        self.0.tick();
+    }
     /// One more step is done.
     pub(super) fn step(&self) {
         self.0.inc(1);

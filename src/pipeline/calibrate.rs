@@ -7,13 +7,14 @@ use super::residual_rows::residual_rows;
 use super::sheet_part::sheet_part;
 use super::{Progress, Source};
 use crate::bitangent::{ExternalUse, POINTS, bitangents};
-use crate::bundle::{AdjustOptions, Adjustment, Model, NamedCovariance, PairObservation, adjust, named_covariance};
+use crate::bundle::{
+    AdjustOptions, Adjustment, Iteration, Model, NamedCovariance, PairObservation, adjust, named_covariance,
+};
 use crate::error::{Error, Result};
 use crate::record::{Record, ResidualTable};
 use crate::report::OverlayShapes;
 use crate::rig::{RigSolution, calibrate_rig};
 use crate::rig_file::{Observations, RigDescription};
-use crate::solve::Iteration;
 use nalgebra::DMatrix;
 use std::sync::Mutex;
 

@@ -2,7 +2,7 @@
 
 use super::calibrate::Solved;
 use super::residual_rows::ImageFit;
-use crate::bundle::{Fact, Observed, ParameterKnowledge, TargetShape};
+use crate::bundle::{Fact, Observed, ParameterKnowledge, TargetShape, Termination};
 use crate::camera::{Camera, INTRINSIC_NAMES};
 use crate::error::{Error, Result};
 use crate::record::{
@@ -10,7 +10,6 @@ use crate::record::{
     Rig, RigSigma, Scale, Sheet, Target, TargetPoint, TargetSigma, View, ViewTarget,
 };
 use crate::rig_file::{Adjust, Length, Loss, Observations, Scale as ScaleFact};
-use crate::solve::Termination;
 use crate::target::Target as Kind;
 use std::collections::BTreeMap;
 

@@ -2,11 +2,12 @@
 
 use super::mono::calibrate_camera;
 use super::{Mono, RigProblem, RigSolution, rms_of};
-use crate::bundle::{AdjustOptions, Fact, State, TargetShape, ViewPlace, ViewState, adjust};
+use crate::bundle::{
+    AdjustOptions, Fact, Iteration, SolveOptions, State, TargetShape, Termination, ViewPlace, ViewState, adjust,
+};
 use crate::error::{Error, Insufficient, Result, Unusable};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::rigid::{Motion, rotation_log};
-use crate::solve::{Iteration, Termination};
 use nalgebra::{Matrix3, Vector3};
 
 /// Motions of two views that differ by more than this contradict each other, rad. Poses of a camera calibrated alone are
@@ -42,11 +43,8 @@ pub fn calibrate_rig(
             start = Some(state);
         } else {
             // A weak pose of one camera alone is no contradiction: let the common adjustment decide.
-            let quick = AdjustOptions {
-                solve: crate::solve::Options { decrement: 1e-1, iterations: 100 },
-                rounds: 0,
-                ..*options
-            };
+            let quick =
+                AdjustOptions { solve: SolveOptions { decrement: 1e-1, iterations: 100 }, rounds: 0, ..*options };
             let trial = adjust(&problem.model, state, &quick, observe);
             let alone = monos.iter().map(|m| m.rms_px).fold(0.0, f64::max);
             if rms_of(&problem.model, &trial.state).is_some_and(|r| r < (CONTRADICTION * alone).max(0.3)) {
@@ -257,7 +255,7 @@ fn contradiction(problem: &RigProblem, monos: &[Mono], agreed: &Agreed) -> Error
         .into();
     }
     Insufficient::Inconsistent(format!(
-        "the two cameras do not see the same target position in view(s) {} (counted from 0): {} of {common} views agree on how the cameras stand to each other; check that both images of a view were taken at the same moment and that no camera was moved",
+        "the two cameras do not see the same target position in view(s) {} (counted from 0): {} of {common} views agree on how the cameras stand to each other; check that both images of a view were taken at the same moment, that they are not exchanged, and that no camera was moved",
         list(outside),
         common - outside.len()
     ))

@@ -2,8 +2,8 @@
 
 use super::{CameraStart, Mono, RigProblem, rms_of};
 use crate::bundle::{
-    AdjustOptions, Adjustment, DiscObservation, Fact, ImageObservations, Loss, Model, State, TargetShape, ViewModel,
-    ViewPlace, ViewState, adjust,
+    AdjustOptions, Adjustment, DiscObservation, Fact, ImageObservations, Loss, Model, SolveOptions, State, TargetShape,
+    ViewModel, ViewPlace, ViewState, adjust,
 };
 use crate::camera::{Camera, EffectivePinhole, Intrinsics, Radial};
 use crate::conic::Ellipse;
@@ -14,7 +14,6 @@ use crate::rigid::Motion;
 use crate::seed::{
     CircularPoint, homography, lattice_circular_point, lattice_pose, pair_circular_point, pair_pose, pinholes,
 };
-use crate::solve;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// Edge points per disc and discs per image that a start looks at: enough to choose, few enough to be quick.
@@ -56,7 +55,7 @@ pub(super) fn calibrate_camera(problem: &RigProblem, c: usize) -> Result<Mono> {
     let candidates = pinholes(&points, start.size_px, start.nominal_f_px);
     let model = mono_model(problem, c, &seeds);
     let quick =
-        AdjustOptions { solve: solve::Options { decrement: 1.0, iterations: 25 }, rounds: 0, outlier_sigmas: 6.0 };
+        AdjustOptions { solve: SolveOptions { decrement: 1.0, iterations: 25 }, rounds: 0, outlier_sigmas: 6.0 };
     let mut best: Option<Adjustment> = None;
     for pinhole in &candidates {
         let Some(state) = mono_start(problem, c, &seeds, pinhole) else { continue };
@@ -75,7 +74,7 @@ pub(super) fn calibrate_camera(problem: &RigProblem, c: usize) -> Result<Mono> {
         ))
     })?;
     let fine =
-        AdjustOptions { solve: solve::Options { decrement: 1e-2, iterations: 100 }, rounds: 0, outlier_sigmas: 6.0 };
+        AdjustOptions { solve: SolveOptions { decrement: 1e-2, iterations: 100 }, rounds: 0, outlier_sigmas: 6.0 };
     let done = adjust(&model, best.state, &fine, &mut |_| true);
     let mut poses = vec![None; problem.model.views.len()];
     for (k, s) in seeds.iter().enumerate() {
