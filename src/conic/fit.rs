@@ -122,7 +122,7 @@ pub(crate) fn fit_geometric_from(start: &Ellipse, u_px: &[f64], v_px: &[f64], si
                 ellipse = e;
                 (normal, gradient, chi2) = next;
                 damping = (damping * 0.1).max(1e-12);
-                if decrement.abs() < 1e-18 * (1.0 + chi2) {
+                if decrement.abs() < 1e-14 * (1.0 + chi2) {
                     break;
                 }
             }

@@ -50,9 +50,17 @@ pub(crate) struct Band {
     pub(crate) grey: Vec<f64>,
     /// Eccentric angle of the foot point when collected, rad.
     pub(crate) angle: Vec<f64>,
-    /// 0 for pixels that do not count.
+    /// Its cosine and sine when collected.
+    cos: Vec<f64>,
+    sin: Vec<f64>,
+    /// The same, following the ellipse; start of the next search for the foot point.
+    foot_cos: Vec<f64>,
+    foot_sin: Vec<f64>,
+    /// So far off that the edge does not reach it: its distance when collected is good enough.
+    far: Vec<bool>,
+    /// Whether the pixel counts.
     pub(crate) keep: Vec<bool>,
-    /// Model minus data is never kept: residual = data - model, grey levels.
+    /// Data minus model, grey levels.
     pub(crate) residual: Vec<f64>,
     /// Signed distance from the ellipse, px.
     pub(crate) distance: Vec<f64>,
@@ -356,6 +364,27 @@ impl EdgeModel {
         Some(())
     }
 
+    /// Solves for the levels alone, geometry and blur held, and fills the residuals: after a change of the level model a common step
+    /// would move the geometry for the sake of levels that are not there yet.
+    pub(crate) fn fit_levels(&mut self, band: &mut Band, work: &mut Normal) {
+        self.evaluate(band, Some(work), 1);
+        let (n, levels) = (self.size(), self.coefficients.len());
+        work.trial.clear();
+        for i in 0..levels {
+            let row = (FIXED + i) * n + FIXED;
+            work.trial.extend_from_slice(&work.matrix[row..row + levels]);
+            work.trial[i * levels + i] *= 1.0 + 1e-9;
+        }
+        work.step.clear();
+        work.step.extend_from_slice(&work.gradient[FIXED..n]);
+        if solve_symmetric(&mut work.trial, &mut work.step, levels) {
+            for (c, s) in self.coefficients.iter_mut().zip(&work.step) {
+                *c += s;
+            }
+        }
+        self.evaluate(band, None, 1);
+    }
+
     fn stepped(&self, step: &[f64]) -> Option<Self> {
         let mut next = self.clone();
         for i in 0..5 {
@@ -388,11 +417,16 @@ impl EdgeModel {
         let inverse_blur = 1.0 / self.blur_px;
         let mut block = Block::default();
         for i in (0..band.u.len()).step_by(stride) {
-            let foot = frame.foot(band.u[i], band.v[i]);
+            let mut foot = Foot { distance: band.distance[i], ..Foot::default() };
+            let (mut p, mut density) = (if foot.distance < 0.0 { 1.0 } else { 0.0 }, 0.0);
+            if !band.far[i] {
+                foot = frame.foot(band.u[i], band.v[i], Some((band.foot_cos[i], band.foot_sin[i])));
+                (band.foot_cos[i], band.foot_sin[i]) = (foot.cos, foot.sin);
+                let z = foot.distance * inverse_blur + 0.5 * foot.curvature * self.blur_px;
+                (p, density) = normal_tail(z);
+            }
             let d = foot.distance;
-            let z = d * inverse_blur + 0.5 * foot.curvature * self.blur_px;
-            let (p, density) = normal_tail(z);
-            let basis = [0, 1].map(|side| self.levels[side].basis(band.angle[i], foot.cos, foot.sin));
+            let basis = [0, 1].map(|side| self.levels[side].basis(band.angle[i], band.cos[i], band.sin[i]));
             let mut level = [0.0; 2];
             let mut slope = self.slopes;
             for side in 0..2 {
@@ -448,17 +482,20 @@ impl EdgeModel {
             (-self.slopes[k] / sigma, 1.0 / sigma)
         };
         let rows = [blur, slope(0), slope(1)];
-        let (_, slope_at) = self.starts();
-        let mut local = 0.0;
-        let mut work = work;
+        let (level_at, slope_at) = self.starts();
+        let (mut local, mut work) = (0.0, work);
         for side in 0..2 {
-            let weight = self.local_slope[side].max(1e-9).powi(-2);
-            for k in slope_at[side]..slope_at[side] + self.slope_nodes(side) {
-                local += weight * self.coefficients[k].powi(2);
-                if let Some(w) = work.as_deref_mut() {
-                    w.matrix[(FIXED + k) * (self.size() + 1)] += weight;
-                    w.gradient[FIXED + k] -= weight * self.coefficients[k];
-                }
+            let nodes = self.slope_nodes(side);
+            let weight = self.self.self.local_slope[side].max(1e-9).powi(-2);
+            for k in slope_at[side]..slope_at[side] + nodes {
+                local += self.add_prior(work.as_deref_mut(), &[(k, 1.0)], weight);
+            }
+            // Neighbouring levels differ by less than the step of the edge: this fills stretches that are hidden.
+            let weight = self.step().abs().max(1e-9).powi(-2);
+            for k in 0..nodes {
+                let next = if k + 1 == nodes { 0 } else { k + 1 };
+                let pair = [(level_at[side] + k, 1.0), (level_at[side] + next, -1.0)];
+                local += self.add_prior(work.as_deref_mut(), &pair, weight);
             }
         }
         if let Some(w) = work {
@@ -469,6 +506,21 @@ impl EdgeModel {
             }
         }
         rows.iter().map(|(r, _)| r * r).sum::<f64>() + local
+    }
+
+    /// A prior of zero, with its weight, on a combination of coefficients; returns its part of the weighted sum of squares.
+    fn add_prior(&self, work: Option<&mut Normal>, terms: &[(usize, f64)], weight: f64) -> f64 {
+        let value: f64 = terms.iter().map(|(k, x)| x * self.coefficients[*k]).sum();
+        if let Some(w) = work {
+            let n = self.size();
+            for (i, x) in terms {
+                w.gradient[FIXED + i] -= weight * x * value;
+                for (j, y) in terms.iter().filter(|(j, _)| j <= i) {
+                    w.matrix[(FIXED + i) * n + FIXED + j] += weight * x * y;
+                }
+            }
+        }
+        weight * value * value
     }
 
     /// Noise variance of a pixel with share `p` of the disc, grey^2.
@@ -509,11 +561,19 @@ impl Band {
         self.v.clear();
         self.grey.clear();
         self.angle.clear();
+        self.cos.clear();
+        self.sin.clear();
+        self.far.clear();
         self.distance.clear();
     }
 
-    /// Collects the pixels of the image within `reach` of the ellipse.
-    pub(crate) fn collect(&mut self, view: &GrayView, ellipse: &Ellipse, reach: Reach) {
+    /// Eccentric angle of the foot point of a pixel on the ellipse last evaluated, rad.
+    pub(crate) fn foot_angle(&self, i: usize) -> f64 {
+        self.foot_sin[i].atan2(self.foot_cos[i])
+    }
+
+    /// Collects the pixels of the image within `reach` of the ellipse; beyond `edge_px` the edge is not felt.
+    pub(crate) fn collect(&mut self, view: &GrayView, ellipse: &Ellipse, reach: Reach, edge_px: f64) {
         self.clear();
         let frame = Frame::new(ellipse);
         // The parallel curve of an ellipse lies inside the ellipse with both axes grown by this much.
@@ -542,12 +602,15 @@ impl Band {
                     u = (hole_hi.ceil() as usize).max(u + 1);
                     continue;
                 }
-                let foot = frame.foot(uf, v as f64);
+                let foot = frame.foot(uf, v as f64, None);
                 if foot.distance >= -reach.inner_px && foot.distance <= reach.outer_px {
                     self.u.push(uf);
                     self.v.push(v as f64);
                     self.grey.push(f64::from(view.get(u, v)));
                     self.angle.push(foot.sin.atan2(foot.cos));
+                    self.cos.push(foot.cos);
+                    self.sin.push(foot.sin);
+                    self.far.push(foot.distance.abs() > edge_px);
                     self.distance.push(foot.distance);
                 }
                 u += 1;
@@ -556,6 +619,8 @@ impl Band {
         let n = self.u.len();
         self.keep.clear();
         self.keep.resize(n, true);
+        self.foot_cos.clone_from(&self.cos);
+        self.foot_sin.clone_from(&self.sin);
         for list in [&mut self.residual, &mut self.inside, &mut self.response] {
             list.clear();
             list.resize(n, 0.0);
@@ -576,6 +641,7 @@ struct Frame {
 }
 
 /// Foot point of a pixel on the ellipse.
+#[derive(Default)]
 struct Foot {
     distance: f64,
     curvature: f64,
@@ -613,30 +679,39 @@ impl Frame {
         })
     }
 
-    /// Closest point by Newton steps on the eccentric angle, held as a unit vector: no trigonometry in the loop.
+    /// Closest point by Newton steps on the eccentric angle, held as a unit vector: no trigonometry in the loop. `near` is the answer
+    /// for an ellipse close by.
     #[inline]
-    fn foot(&self, u: f64, v: f64) -> Foot {
+    fn foot(&self, u: f64, v: f64, near: Option<(f64, f64)>) -> Foot {
         let (du, dv) = (u - self.u0, v - self.v0);
         let (x, y) = (self.cos * du + self.sin * dv, self.cos * dv - self.sin * du);
         let (a, b) = (self.a, self.b);
         let e2 = a * a - b * b;
-        let (mut c, mut s) = (x * b, y * a);
-        let norm = (c * c + s * s).sqrt();
-        if norm > 0.0 {
-            c /= norm;
-            s /= norm;
-        } else {
-            (c, s) = (0.0, 1.0);
-        }
-        for _ in 0..3 {
+        let (mut c, mut s) = near.unwrap_or((1.0, 0.0));
+        let mut fresh = near.is_none();
+        let mut steps = 0;
+        while steps < 4 {
+            if fresh {
+                (c, s) = (x * b, y * a);
+                let norm = (c * c + s * s).sqrt();
+                (c, s) = if norm > 0.0 { (c / norm, s / norm) } else { (0.0, 1.0) };
+            }
             let f = e2 * c * s - x * a * s + y * b * c;
             let df = e2 * (c * c - s * s) - x * a * c - y * b * s;
             // Towards the minimum only: at the far side of the evolute the curvature of the square distance turns.
-            let t = if df < 0.0 { (-f / df).clamp(-0.5, 0.5) } else { 0.0 };
-            let (c1, s1) = (c - t * s, s + t * c);
-            let inverse = 1.0 / (c1 * c1 + s1 * s1).sqrt();
-            (c, s) = (c1 * inverse, s1 * inverse);
-            if t.abs() < 1e-6 {
+            let t = if df < 0.0 { -f / df } else { 0.0 };
+            if !fresh && (df >= 0.0 || t.abs() > 0.1) {
+                // The axes of a near-circle can swap from one ellipse to the next: start over.
+                fresh = true;
+                continue;
+            }
+            fresh = false;
+            let t = t.clamp(-0.5, 0.5);
+            let inverse =
+                if t.abs() < 0.1 { 1.0 - 0.5 * t * t * (1.0 - 0.75 * t * t) } else { 1.0 / (1.0 + t * t).sqrt() };
+            (c, s) = ((c - t * s) * inverse, (s + t * c) * inverse);
+            steps += 1;
+            if t.abs() < 1e-3 {
                 break;
             }
         }

@@ -277,7 +277,11 @@ fn rooms(candidates: &[Candidate]) -> Vec<Reach> {
                     }
                 } else if apart > e.semi_minor_px && weighty {
                     // Along the line of centres; conservative for slim ellipses.
-                    room.outer_px = room.outer_px.min(0.6 * (apart - e.semi_major_px - o.semi_major_px).max(2.0));
+                    let gap = apart - e.semi_major_px - o.semi_major_px;
+                    // A spot of the other polarity upon the contour (glare) spoils a few sectors, not the whole band.
+                    if gap > 2.0 || other.bright == c.bright {
+                        room.outer_px = room.outer_px.min(0.6 * gap.max(2.0));
+                    }
                 }
             }
             room
