@@ -486,7 +486,7 @@ impl EdgeModel {
         let (mut local, mut work) = (0.0, work);
         for side in 0..2 {
             let nodes = self.slope_nodes(side);
-            let weight = self.self.self.local_slope[side].max(1e-9).powi(-2);
+            let weight = self.local_slope[side].max(1e-9).powi(-2);
             for k in slope_at[side]..slope_at[side] + nodes {
                 local += self.add_prior(work.as_deref_mut(), &[(k, 1.0)], weight);
             }
