@@ -35,7 +35,7 @@ use std::f64::consts::{FRAC_2_SQRT_PI, TAU};
 /// Geometry, blur and slopes come first in the parameter vector, the levels after them.
 const FIXED: usize = 8;
 /// Most level coefficients on one side.
-const MOST_NODES: usize = 64;
+const MOST_NODES: usize = 32;
 
 /// Standard deviation of the prior of the blur, px.
 const PRIOR_BLUR_PX: f64 = 0.3;
@@ -366,8 +366,8 @@ impl EdgeModel {
 
     /// Solves for the levels alone, geometry and blur held, and fills the residuals: after a change of the level model a common step
     /// would move the geometry for the sake of levels that are not there yet.
-    pub(crate) fn fit_levels(&mut self, band: &mut Band, work: &mut Normal) {
-        self.evaluate(band, Some(work), 1);
+    pub(crate) fn fit_levels(&mut self, band: &mut Band, work: &mut Normal, stride: usize) {
+        self.evaluate(band, Some(work), stride);
         let (n, levels) = (self.size(), self.coefficients.len());
         work.trial.clear();
         for i in 0..levels {

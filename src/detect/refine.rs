@@ -114,8 +114,6 @@ fn rough_model(view: &GrayView, start: &Start, s: &mut Scratch) -> Result<EdgeMo
     if s.band.u.len() < 20 {
         return Err(RejectionReason::TooSmall { semi_minor_px: start.ellipse.semi_minor_px });
     }
-    let mut model = EdgeModel::new(&start.ellipse, start.blur_px, 0.0, 0.0);
-    model.evaluate(&mut s.band, None, 1);
     let mut sums = [(0.0, 0.0); 2];
     let kept = s.band.keep.iter();
     for ((d, g), _) in s.band.distance.iter().zip(&s.band.grey).zip(kept).filter(|(_, keep)| **keep) {
@@ -124,7 +122,7 @@ fn rough_model(view: &GrayView, start: &Start, s: &mut Scratch) -> Result<EdgeMo
     }
     let mean = |x: (f64, f64)| x.0 / f64::max(x.1, 1.0);
     let (inner, outer) = (mean(sums[0]), mean(sums[1]));
-    model = EdgeModel::new(&start.ellipse, start.blur_px, inner, outer);
+    let mut model = EdgeModel::new(&start.ellipse, start.blur_px, inner, outer);
     model.set_levels([Levels::Harmonic; 2], [0.0; 2]);
     // Weights in units of the contrast keep the damping meaningful for any bit depth.
     let unit = ((inner - outer) * 0.05).powi(2).max(1e-12);
@@ -145,14 +143,17 @@ fn fine_model(view: &GrayView, start: &Start, model: &mut EdgeModel, s: &mut Scr
         if border_px(view, &model.ellipse) < 1.0 {
             return Err(RejectionReason::CutByBorder);
         }
-        s.band.collect(view, &model.ellipse, reach, 4.5 * model.blur_px + 1.0);
+        s.band.collect(view, &model.ellipse, reach, 3.8 * model.blur_px + 0.5);
         screen(&model.ellipse, s);
         if pass == 0 {
             model.set_levels([Levels::Constant; 2], [0.0; 2]);
             model.evaluate(&mut s.band, None, 1);
+            let stride = (s.band.u.len() / ROUGH_PIXELS).max(1) | 1;
             estimate_variance(view, model, s);
             choose_levels(view, model, s);
-            model.fit_levels(&mut s.band, &mut s.normal);
+            if model.levels != [Levels::Constant; 2] {
+                model.fit_levels(&mut s.band, &mut s.normal, if model.has_splines() { 1 } else { stride });
+            }
             estimate_variance(view, model, s);
             model.sloped = [shows_slope(model, s, 0), shows_slope(model, s, 1)];
             if model.has_splines() {
@@ -177,7 +178,7 @@ fn fine_model(view: &GrayView, start: &Start, model: &mut EdgeModel, s: &mut Scr
 
 /// Band of the fine fit: the edge, and beside it what fixes the levels; close to the edge where they vary along it.
 fn fine_reach(model: &EdgeModel, start: &Start) -> Reach {
-    let core = 3.5 * model.blur_px + 0.5;
+    let core = 3.0 * model.blur_px + 0.7;
     let beside = if model.has_splines() { 1.0 } else { (2.0 * model.blur_px).max(3.0) };
     Reach {
         inner_px: (core + beside).min(start.room.inner_px).min(0.85 * model.ellipse.semi_minor_px),
