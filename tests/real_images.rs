@@ -1,7 +1,7 @@
 //! Real images of others, read from `../shared/data` or the folder in `SPIVCAL_REAL_IMAGES`; never copied into the repository.
 //!
 //! Counts were established by looking at the pictures: every dot that is whole in the image.
-#![allow(missing_docs)]
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
 use spivcal::detect::{DetectOptions, Detection, Disc, find_discs};
 use spivcal::image::{GrayImage, Pixels};

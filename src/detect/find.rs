@@ -5,8 +5,8 @@
 //! given by the user: the least gradient follows from the noise of the image itself.
 
 use crate::conic::Ellipse;
+use crate::detect::band::Reach;
 use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd};
-use crate::detect::edge_model::Reach;
 use crate::detect::plane::Plane;
 use crate::detect::refine::{Scratch, Start, refine};
 use crate::detect::trace::{Line, Tracer};
@@ -92,7 +92,7 @@ fn check_options(o: &DetectOptions) -> Result<()> {
         ("max_edge_rms_px", o.max_edge_rms_px),
     ];
     for (name, value) in positive {
-        if !(value > 0.0) {
+        if value.is_nan() || value <= 0.0 {
             return Err(Invalid::value(name, value, "a positive number").into());
         }
     }

@@ -11,7 +11,8 @@
 //! Levels, blur and slopes are common to all sectors; what their uncertainty adds to the geometry is spread evenly over the sigmas.
 
 use crate::conic::{Ellipse, fit_geometric_from};
-use crate::detect::edge_model::{Band, EdgeModel, Levels, Normal, Reach, turn_share};
+use crate::detect::band::{Band, Reach};
+use crate::detect::edge_model::{EdgeModel, Levels, Normal, turn_share};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::{GrayView, Samples};
 use crate::target::Polarity;
