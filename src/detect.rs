@@ -4,6 +4,7 @@ mod band;
 mod candidate;
 mod edge_model;
 mod find;
+pub mod pattern;
 mod plane;
 mod refine;
 mod trace;

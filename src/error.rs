@@ -134,6 +134,14 @@ pub enum Insufficient {
         /// What does not fit and what to do.
         message: String,
     },
+    /// Two discs touch, overlap or contain one another: they do not have four common tangents.
+    #[error(
+        "the two discs are not separated (gap {gap:.3}, in the unit of their radii): they have no four common tangents; keep the discs apart"
+    )]
+    NotSeparated {
+        /// Signed gap along the best separating direction; px in an image, mm on a target.
+        gap: f64,
+    },
     /// The views do not determine a quantity that the next step needs.
     #[error("{0}")]
     Degenerate(String),

@@ -6,12 +6,26 @@
 //!
 #![doc = include_str!("MAP.md")]
 
+pub mod bitangent;
+pub mod bundle;
+pub mod camera;
+#[cfg(feature = "cli")]
+pub mod cli;
 pub mod conic;
 pub mod detect;
 pub mod error;
 pub mod frames;
 pub mod image;
+pub mod pipeline;
+pub mod record;
+pub mod report;
+pub mod rig;
+pub mod rig_file;
 pub mod rigid;
+pub mod seed;
+pub mod sheet;
+pub mod simulate;
+pub mod solve;
 pub mod target;
 
 pub use error::{Error, Result};

@@ -6,7 +6,7 @@
 //!    `h = d(model)/d(shift)`, `shift = sum w r h / sum w h^2`, `sigma = (sum w h^2)^(-1/2)` (its Fisher information).
 //! 4. Drop sectors that disagree (glare, shadow, another object), fit again without their pixels.
 //! 5. The disc's ellipse is the geometric fit through these edge points; where they scatter more than the grey noise says (rough
-//!    prints, speckle), all sigmas grow by the root of chi2 per degree of freedom.
+//!    prints, speckle), one variance is added to all until chi2 is the number of degrees of freedom.
 //!
 //! Levels, blur and slopes are common to all sectors; what their uncertainty adds to the geometry is spread evenly over the sigmas.
 
@@ -317,22 +317,19 @@ impl Stretch {
 /// With it the noise variance that is left when the levels follow the image.
 fn choose_levels(view: &GrayView, model: &mut EdgeModel, s: &Scratch) {
     let perimeter = model.ellipse.perimeter_px();
-    let nodes = EdgeModel::nodes_for(perimeter);
     let mut chosen = [Levels::Constant; 2];
     let mut gradient = [0.0; 2];
     let mut noise = model.variance;
     for side in 0..2 {
-        let mut all = vec![Stretch::default(); nodes];
-        for i in (0..s.band.u.len()).filter(|i| s.band.keep[*i]) {
-            let p = if side == 0 { s.band.inside[i] } else { 1.0 - s.band.inside[i] };
-            if p > 0.97 {
-                let r = s.band.residual[i];
-                let x = &mut all[(turn_share(s.band.angle[i]) * nodes as f64) as usize % nodes];
-                *x = Stretch { count: x.count + 1.0, sum: x.sum + r, squares: x.squares + r * r };
-            }
+        // A narrow band leaves few pixels away from the edge: fewer nodes then, but never an untested side.
+        let mut nodes = EdgeModel::nodes_for(perimeter);
+        let mut seen = stretches(s, side, nodes);
+        while seen.len() * 10 < nodes * 6 && nodes > 5 {
+            nodes = (nodes / 2).max(5);
+            seen = stretches(s, side, nodes);
         }
-        let seen: Vec<(usize, Stretch)> = all.into_iter().enumerate().filter(|x| x.1.count >= 3.0).collect();
-        if seen.len() < 5 {
+        if seen.len() < 4 {
+            chosen[side] = Levels::Harmonic;
             continue;
         }
         // Scatter within the stretches only: what varies between them is what is asked for.
@@ -352,6 +349,20 @@ fn choose_levels(view: &GrayView, model: &mut EdgeModel, s: &Scratch) {
     }
     model.variance = not_too_sure(view, model, noise);
     model.set_levels(chosen, gradient);
+}
+
+/// Residuals away from the edge on one side, in equal stretches of the eccentric angle; those with too few pixels left out.
+fn stretches(s: &Scratch, side: usize, nodes: usize) -> Vec<(usize, Stretch)> {
+    let mut all = vec![Stretch::default(); nodes];
+    for i in (0..s.band.u.len()).filter(|i| s.band.keep[*i]) {
+        let p = if side == 0 { s.band.inside[i] } else { 1.0 - s.band.inside[i] };
+        if p > 0.95 {
+            let r = s.band.residual[i];
+            let x = &mut all[(turn_share(s.band.angle[i]) * nodes as f64) as usize % nodes];
+            *x = Stretch { count: x.count + 1.0, sum: x.sum + r, squares: x.squares + r * r };
+        }
+    }
+    all.into_iter().enumerate().filter(|x| x.1.count >= 3.0).collect()
 }
 
 /// Whether the residuals away from the edge rise or fall with the distance, beyond four sigmas.
@@ -482,6 +493,20 @@ fn drop_sectors(s: &mut Scratch) -> f64 {
     q.keep.iter().filter(|k| **k).count() as f64 / count as f64
 }
 
+/// Variance that, added to those of the edge points, makes their chi-square the number of degrees of freedom, px^2.
+fn roughness_px2(ellipse: &Ellipse, edge: &EdgePoints, degrees_of_freedom: f64) -> f64 {
+    let squares: Vec<f64> = (0..edge.u_px.len())
+        .map(|i| ellipse.distance_px(crate::frames::Pixel::new(edge.u_px[i], edge.v_px[i])).powi(2))
+        .collect();
+    let chi2 = |x: f64| squares.iter().zip(&edge.sigma_px).map(|(r, s)| r / (s * s + x)).sum::<f64>();
+    let (mut low, mut high) = (0.0, squares.iter().sum::<f64>() / degrees_of_freedom);
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if chi2(middle) > degrees_of_freedom { low = middle } else { high = middle }
+    }
+    high
+}
+
 /// Edge points, the ellipse through them, the honest sigmas.
 fn finish(model: &EdgeModel, start: &Start, options: &DetectOptions, s: &mut Scratch) -> Result<Disc, RejectionReason> {
     let e = &model.ellipse;
@@ -496,19 +521,24 @@ fn finish(model: &EdgeModel, start: &Start, options: &DetectOptions, s: &mut Scr
         edge.v_px.push(foot.v_px + shift * n[1]);
         edge.sigma_px.push(widen * q.information[k].powf(-0.5));
     }
-    let fit = fit_geometric_from(e, &edge.u_px, &edge.v_px, &edge.sigma_px)
-        .map_err(|_| not_elliptical(f64::INFINITY, e.semi_minor_px))?;
+    let fit_edges = |edge: &EdgePoints| {
+        fit_geometric_from(e, &edge.u_px, &edge.v_px, &edge.sigma_px)
+            .map_err(|_| not_elliptical(f64::INFINITY, e.semi_minor_px))
+    };
+    let mut fit = fit_edges(&edge)?;
     let limit_px = options.max_edge_rms_px + options.max_edge_rms_ratio * fit.ellipse.semi_minor_px;
     if fit.rms_px > limit_px {
         return Err(not_elliptical(fit.rms_px, limit_px));
     }
-    let excess = (fit.chi2 / fit.degrees_of_freedom as f64).max(1.0);
-    for sigma in &mut edge.sigma_px {
-        *sigma *= excess.sqrt();
+    if fit.chi2 > fit.degrees_of_freedom as f64 {
+        // Rough prints and speckle scatter all edge points alike, sharp or blurred: their variance adds to that of the noise.
+        let roughness = roughness_px2(&fit.ellipse, &edge, fit.degrees_of_freedom as f64);
+        edge.sigma_px.iter_mut().for_each(|s| *s = (*s * *s + roughness).sqrt());
+        fit = fit_edges(&edge)?;
     }
     Ok(Disc {
         ellipse: fit.ellipse,
-        covariance: fit.covariance * excess,
+        covariance: fit.covariance,
         edge,
         polarity: if start.bright { Polarity::Bright } else { Polarity::Dark },
         blur_px: model.blur_px,

@@ -1,0 +1,61 @@
+//! Bundle adjustment: all images of one or two cameras, the poses, the target and the laser sheet in one least squares.
+//!
+//! This is the only room where a camera meets a solver.
+//!
+//! **Observation models.** `contour`: every subpixel edge point against the image of its circle through the whole lens
+//! model; the residual is the signed orthogonal distance in the image,
+//! ```text
+//! r = n . (q - q(phi)),   q(phi) = image of C + R (cos phi, sin phi, 0),   (q - q(phi)) . q'(phi) = 0
+//! ```
+//! Because the foot `phi` makes the distance stationary, the derivative is exactly `-n . dq/dz` at fixed `phi`, for
+//! every unknown z. `bitangent`: the 14 tangent features of a pair of discs against the images of the circles' own
+//! features, whitened with their rank-10 covariance.
+//!
+//! **Unknowns.**
+//!
+//! | symbol | identifier | size | unit | frame | meaning |
+//! |---|---|---|---|---|---|
+//! | e | chart of a camera | 10 | px, rad, 1 | - | intrinsics, see [`chart`](self) below |
+//! | (w, v) | `camera_from_first` | 6 | rad, mm | second camera | motion between the cameras, step on the left |
+//! | (w, v) | pose of a view | 6 | rad, mm | first camera | `first_from_target`, step on the left |
+//! | (wx, wy, vz) | plane | 3 | rad, mm | Sheet | the common plane of all views in the sheet or on a traverse |
+//! | (wz, vx, vy) | planar pose | 3 | rad, mm | Sheet | where such a view lies in that plane |
+//! | tau | `shape` | 3 | mm | Target | two discs: spacing, radius 0, radius 1; grids: pitch, radius, step between levels |
+//! | (dx, dy, dz, dr) | `offsets` | 4 per disc | mm | Target | departure of a printed disc from its nominal place and radius |
+//!
+//! **Charts.** Without distortion a tilted camera equals a pinhole along its sensor normal, so f, tilts, axis point and
+//! all poses trade off along a curved two-dimensional valley (method section 2). The *pinhole chart* makes it
+//! straight: the unknowns are `(f_e, aspect, cx_e, cy_e, cx, cy, k1, k2, k3, m)` and poses are held in the pinhole's frame,
+//! so that moving the axis point changes nothing but the distortion's centre. The *lens chart* has the intrinsics
+//! themselves and poses in the lens frame; it is used where f or a tilt is fixed.
+//!
+//! **Gauge.** The first camera is the rig frame. Scale comes from one [`Fact`]. Nothing else is free.
+//!
+//! Source: the paper's section 2; Triggs et al. (2000); the orthogonal distance after Ahn, "Least squares orthogonal
+//! distance fitting" (2004). Not valid where a circle is not wholly in front of a camera (the state is refused).
+
+mod adjust;
+mod assemble;
+mod chart;
+mod contour;
+mod facts;
+mod layout;
+mod model;
+mod posterior;
+mod residuals;
+mod retraction;
+mod state;
+mod tangent;
+
+pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, problem};
+pub use facts::Fact;
+pub use model::{
+    CameraModel, DiscObservation, ImageObservations, Loss, Model, Node, Observed, PairObservation, TargetModel,
+    TargetShape, ViewModel, ViewPlace,
+};
+pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
+pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
+pub use state::{State, ViewState};
+
+/// How the adjustment is steered and how it ended: rooms above speak of it without knowing the solver.
+pub use crate::solve::{Iteration, Options as SolveOptions, Termination};

@@ -1,0 +1,221 @@
+//! The adjustment: Levenberg-Marquardt with sigmas that follow the data and discs that do not fit set aside.
+//!
+//! The given sigmas come from grey-value noise. Real contours scatter more (rough print, a lens that the model does not
+//! know), and they do so disc by disc, not edge point by edge point. After each solve two variance factors are formed per
+//! camera: of the edge points within their discs, and of the discs' own departures (centre and size, three numbers each).
+//! The larger one, where it is significant, scales the sigmas of that camera, and the solve is repeated.
+
+use super::assemble;
+use super::facts;
+use super::layout::{self, Places};
+use super::model::Model;
+use super::residuals::{DiscResidual, residuals};
+use super::retraction;
+use super::state::State;
+use crate::solve::{self, Gradient, Iteration, NormalEquations, Problem, Step, Termination};
+
+/// Options of [`adjust`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AdjustOptions {
+    /// When a solve ends.
+    pub solve: solve::Options,
+    /// How often sigmas are rescaled and outliers set aside; 0 keeps the given sigmas.
+    pub rounds: usize,
+    /// A disc whose image lies more than this many robust standard deviations off (and more than 0.2 px) is an outlier.
+    pub outlier_sigmas: f64,
+}
+
+impl Default for AdjustOptions {
+    fn default() -> Self {
+        Self { solve: solve::Options::default(), rounds: 4, outlier_sigmas: 6.0 }
+    }
+}
+
+/// A disc that was set aside.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outlier {
+    /// View.
+    pub view: usize,
+    /// Camera.
+    pub camera: usize,
+    /// Disc of the target.
+    pub disc: usize,
+    /// Distance of its image from where the adjustment without it expects it, px.
+    pub distance_px: f64,
+}
+
+/// Result of [`adjust`].
+#[derive(Debug, Clone)]
+pub struct Adjustment {
+    /// The estimate.
+    pub state: State,
+    /// The model with the final sigma scales and without outliers.
+    pub model: Model,
+    /// Cost at the estimate.
+    pub cost: f64,
+    /// Newton decrement, in sigmas.
+    pub decrement: f64,
+    /// Linearisations in all rounds.
+    pub iterations: usize,
+    /// Why the last solve ended.
+    pub termination: Termination,
+    /// Normal equations at the estimate; `None` only after a bad start.
+    pub equations: Option<NormalEquations>,
+    /// Discs set aside.
+    pub outliers: Vec<Outlier>,
+}
+
+/// The least-squares problem of a model, for solvers and tests of other makes.
+pub fn problem(model: &Model) -> impl Problem<State = State> + '_ {
+    Bundle { model, places: Places::of(model) }
+}
+
+struct Bundle<'a> {
+    model: &'a Model,
+    places: Places,
+}
+
+impl Problem for Bundle<'_> {
+    type State = State;
+    fn layout(&self) -> solve::Layout {
+        self.places.layout()
+    }
+    fn cost(&self, state: &State) -> Option<f64> {
+        Some(assemble::cost(self.model, state)? + facts::cost(self.model, &self.places, state)?)
+    }
+    fn linearise(&self, state: &State) -> Option<NormalEquations> {
+        let mut e = assemble::linearise(self.model, &self.places, state)?;
+        facts::linearise(self.model, &self.places, state, &mut e)?;
+        Some(e)
+    }
+    fn scales(&self, state: &State) -> Step {
+        layout::scales(self.model, &self.places, state)
+    }
+    fn bend(&self, state: &State, velocity: &Step) -> Option<Gradient> {
+        // A tenth of the step: far above rounding, near enough for a second derivative.
+        const H: f64 = 0.1;
+        let part = |h: f64| {
+            let blocks = velocity.blocks.iter().map(|b| b * h).collect();
+            retraction::retract(self.model, &self.places, state, &Step { global: &velocity.global * h, blocks })
+        };
+        assemble::bend(self.model, &self.places, [&part(-H)?, state, &part(H)?], H)
+    }
+    fn retract(&self, state: &State, step: &Step) -> Option<State> {
+        retraction::retract(self.model, &self.places, state, step)
+    }
+}
+
+/// Adjusts everything from a start. `observe` sees each iteration and returns false to cancel.
+pub fn adjust(
+    model: &Model,
+    start: State,
+    options: &AdjustOptions,
+    observe: &mut dyn FnMut(&Iteration) -> bool,
+) -> Adjustment {
+    let mut model = model.clone();
+    let mut state = start;
+    let mut iterations = 0;
+    let mut outliers = vec![];
+    let mut round = 0;
+    loop {
+        let bundle = Bundle { model: &model, places: Places::of(&model) };
+        let out = solve::minimise(&bundle, state, &options.solve, observe);
+        iterations += out.iterations;
+        let stopped = matches!(out.termination, Termination::Cancelled | Termination::BadStart);
+        let changed = round < options.rounds && !stopped && {
+            let set_aside = set_outliers_aside(&mut model, &out.state, options, &mut outliers);
+            rescale(&mut model, &out.state) || set_aside
+        };
+        if !changed {
+            return Adjustment {
+                state: out.state,
+                model,
+                cost: out.cost,
+                decrement: out.decrement,
+                iterations,
+                termination: out.termination,
+                equations: out.equations,
+                outliers,
+            };
+        }
+        state = out.state;
+        round += 1;
+    }
+}
+
+/// Number of unknowns that the discs of one camera have to pay for: its share of all.
+fn unknowns_per_disc(model: &Model) -> f64 {
+    let layout = Places::of(model).layout();
+    let unknowns = layout.global + layout.blocks.iter().sum::<usize>();
+    let discs: usize = model.images.iter().map(|i| i.discs.len()).sum();
+    (unknowns.saturating_sub(facts::count(model))) as f64 / discs.max(1) as f64
+}
+
+/// Scales the sigmas of each camera to what the residuals show; true where a scale changed by more than 3 %.
+fn rescale(model: &mut Model, state: &State) -> bool {
+    let price = unknowns_per_disc(model);
+    let mut changed = false;
+    for c in 0..model.cameras.len() {
+        let (mut edge_chi2, mut edge_dof, mut disc_chi2, mut disc_dof) = (0.0, 0.0, 0.0, 0.0);
+        for image in model.images.iter().filter(|i| i.camera == c) {
+            let Some(r) = residuals(model, state, image) else { continue };
+            let unscale = image.sigma_scale * image.sigma_scale;
+            for disc in &r.discs {
+                disc_chi2 += disc.chi2 * unscale;
+                disc_dof += 3.0 - price;
+                edge_chi2 += (disc.edge_chi2 - disc.chi2) * unscale;
+                edge_dof += disc.edges.distance_px.len() as f64 - 3.0;
+            }
+        }
+        let factor = variance_factor(edge_chi2, edge_dof).max(variance_factor(disc_chi2, disc_dof));
+        let scale = factor.sqrt();
+        for image in model.images.iter_mut().filter(|i| i.camera == c) {
+            changed |= (scale / image.sigma_scale - 1.0).abs() > 0.03;
+            image.sigma_scale = scale;
+        }
+    }
+    changed
+}
+
+/// `chi2 / dof` where it exceeds 1 by more than three of its standard deviations, else 1: a factor that follows mere
+/// chance would spoil true sigmas.
+fn variance_factor(chi2: f64, dof: f64) -> f64 {
+    if dof < 1.0 || chi2 - dof < 3.0 * (2.0 * dof).sqrt() { 1.0 } else { chi2 / dof }
+}
+
+/// Takes out discs that lie off by more than the limit; never more than a fifth of an image.
+fn set_outliers_aside(model: &mut Model, state: &State, options: &AdjustOptions, outliers: &mut Vec<Outlier>) -> bool {
+    let mut found = false;
+    for c in 0..model.cameras.len() {
+        let all: Vec<(usize, Vec<DiscResidual>)> = model
+            .images
+            .iter()
+            .enumerate()
+            .filter(|(_, i)| i.camera == c)
+            .filter_map(|(k, i)| residuals(model, state, i).map(|r| (k, r.discs)))
+            .collect();
+        let mut sizes: Vec<f64> = all.iter().flat_map(|(_, d)| d.iter().map(DiscResidual::distance_px)).collect();
+        if sizes.len() < 20 {
+            continue;
+        }
+        sizes.sort_by(f64::total_cmp);
+        // Median of a two-dimensional normal distance is 1.1774 sigma.
+        let limit = (options.outlier_sigmas * sizes[sizes.len() / 2] / 1.1774).max(0.2);
+        for (k, discs) in all {
+            let bad: Vec<&DiscResidual> = discs.iter().filter(|d| d.distance_px() > limit).collect();
+            if bad.is_empty() || bad.len() * 5 > discs.len() {
+                continue;
+            }
+            found = true;
+            let image = &mut model.images[k];
+            outliers.extend(bad.iter().map(|d| Outlier {
+                view: image.view,
+                camera: c,
+                disc: d.disc,
+                distance_px: d.distance_px(),
+            }));
+            image.discs.retain(|d| !bad.iter().any(|b| b.disc == d.disc));
+        }
+    }
+    found
+}

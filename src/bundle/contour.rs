@@ -1,0 +1,185 @@
+//! Contour residuals: edge points against the image of their circle.
+//!
+//! | symbol | identifier | shape | unit | meaning |
+//! |---|---|---|---|---|
+//! | C, R | `center`, `radius` | 3, 1 | mm | circle in the target frame, parallel to z = 0 |
+//! | phi | `phi` | 1 | rad | foot on the circle |
+//! | q(phi) | `pixel` | 2 | px | its image |
+//! | n | `normal` | 2 | 1 | unit normal of the imaged circle, outwards |
+//! | g | `dq_dp^T n` | 3 | px/mm | moves the image along n per movement of the point in the camera frame |
+//!
+//! One row per edge point, `dr/dz = -n . dq/dz`: intrinsics `n . dq/di`; turn w: `p x g`; shift v: `g`; radius: `g . e(phi)`
+//! with e the radial direction. A shift of the centre is a shift v turned into the camera frame.
+
+use super::model::{DiscObservation, Loss};
+use crate::camera::{Camera, INTRINSICS};
+use crate::frames::{Cam, Target};
+use crate::rigid::Motion;
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
+
+/// Unknowns of one edge point: intrinsics, turn, shift, radius.
+pub(super) const EDGE: usize = INTRINSICS + 7;
+
+/// A circle of the target as one camera has it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SeenCircle<'a> {
+    pub(super) camera: &'a Camera,
+    pub(super) cam_from_target: &'a Motion<Cam, Target>,
+    pub(super) center: Vector3<f64>,
+    pub(super) radius: f64,
+}
+
+/// Foot of an edge point on its imaged circle.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Foot {
+    /// Point of the circle in the camera frame, mm.
+    pub(super) p_in_cam: Vector3<f64>,
+    /// Radial direction at the foot, in the camera frame.
+    pub(super) radial: Vector3<f64>,
+    /// Unit normal in the image, outwards.
+    pub(super) normal: Vector2<f64>,
+    /// Signed distance of the edge point, px; positive outside.
+    pub(super) distance_px: f64,
+}
+
+/// Image of the centre and the affine map from the target's plane to the image there: what starts every foot.
+pub(super) struct Start {
+    center_px: Vector2<f64>,
+    plane_from_image: Matrix2<f64>,
+}
+
+impl Start {
+    /// Image of the circle's centre, px.
+    pub(super) fn center_px(&self) -> Vector2<f64> {
+        self.center_px
+    }
+}
+
+impl SeenCircle<'_> {
+    pub(super) fn start(&self) -> Option<Start> {
+        let rotation = &self.cam_from_target.rotation;
+        let p = self.cam_from_target.apply(&self.center);
+        let (q, dq_dp) = self.camera.image_of_point(&p).ok()?;
+        let affine = dq_dp * rotation.fixed_columns::<2>(0);
+        Some(Start { center_px: q, plane_from_image: affine.try_inverse()? })
+    }
+
+    /// Nearest point of the imaged circle: Newton on `(q - q(phi)) . q'(phi) = 0` with the ellipse's own `q'' = q_c - q`.
+    pub(super) fn foot(&self, start: &Start, q: &Vector2<f64>) -> Option<Foot> {
+        let rotation = &self.cam_from_target.rotation;
+        let (ex, ey) = (rotation.column(0), rotation.column(1));
+        let c = self.cam_from_target.apply(&self.center);
+        let guess = start.plane_from_image * (q - start.center_px);
+        let (mut sin, mut cos) = guess.y.atan2(guess.x).sin_cos();
+        for round in 0..12 {
+            let radial = ex * cos + ey * sin;
+            let p = c + radial * self.radius;
+            let (pixel, dq_dp) = self.camera.image_of_point(&p).ok()?;
+            let tangent = dq_dp * (ey * cos - ex * sin) * self.radius;
+            let (gap, speed) = (q - pixel, tangent.norm_squared());
+            let along = gap.dot(&tangent);
+            // 1e-7 px along the curve leave 1e-15 px across it.
+            if along * along <= 1e-14 * speed || round == 11 {
+                let outward = Vector2::new(tangent.y, -tangent.x) / speed.sqrt();
+                let normal = if outward.dot(&(pixel - start.center_px)) < 0.0 { -outward } else { outward };
+                return Some(Foot { p_in_cam: p, radial, normal, distance_px: normal.dot(&gap) });
+            }
+            let curvature = gap.dot(&(start.center_px - pixel));
+            let step = along / (speed - curvature).max(0.3 * speed);
+            let (s, co) = step.clamp(-0.7, 0.7).sin_cos();
+            (sin, cos) = (sin * co + cos * s, cos * co - sin * s);
+        }
+        None
+    }
+}
+
+/// Normal equations of one disc's contour in its own unknowns.
+pub(super) struct DiscNormal {
+    pub(super) h: SMatrix<f64, EDGE, EDGE>,
+    pub(super) b: SVector<f64, EDGE>,
+    pub(super) cost: f64,
+}
+
+/// Cost of one contour; `None` where the circle has no image.
+pub(super) fn cost(circle: &SeenCircle, seen: &DiscObservation, scale: f64, loss: Loss) -> Option<f64> {
+    let start = circle.start()?;
+    let edge = &seen.edge;
+    let mut sum = 0.0;
+    for i in 0..edge.u_px.len() {
+        let foot = circle.foot(&start, &Vector2::new(edge.u_px[i], edge.v_px[i]))?;
+        let r = foot.distance_px / (edge.sigma_px[i] * scale);
+        sum += loss.apply(r * r).0;
+    }
+    sum.is_finite().then_some(0.5 * sum)
+}
+
+/// Normal equations of one contour; `None` where the circle has no image.
+pub(super) fn linearise(circle: &SeenCircle, seen: &DiscObservation, scale: f64, loss: Loss) -> Option<DiscNormal> {
+    let start = circle.start()?;
+    let edge = &seen.edge;
+    let mut h = [[0.0; EDGE]; EDGE];
+    let mut b = [0.0; EDGE];
+    let mut sum = 0.0;
+    for i in 0..edge.u_px.len() {
+        let foot = circle.foot(&start, &Vector2::new(edge.u_px[i], edge.v_px[i]))?;
+        let row = row(circle.camera, &foot)?;
+        let iw = 1.0 / (edge.sigma_px[i] * scale);
+        let r = foot.distance_px * iw;
+        let (rho, weight) = loss.apply(r * r);
+        sum += rho;
+        // The residual is (distance)/sigma and falls as the image moves outwards: J = -row / sigma.
+        let w = weight * iw * iw;
+        let wr = weight * iw * r;
+        for m in 0..EDGE {
+            b[m] += wr * row[m];
+            let f = w * row[m];
+            for n in 0..=m {
+                h[m][n] += f * row[n];
+            }
+        }
+    }
+    let h = SMatrix::from_fn(|m, n| if n <= m { h[m][n] } else { h[n][m] });
+    sum.is_finite().then(|| DiscNormal { h, b: SVector::from(b), cost: 0.5 * sum })
+}
+
+/// `n . dq/dz` of one edge point.
+pub(super) fn row(camera: &Camera, foot: &Foot) -> Option<[f64; EDGE]> {
+    let jet = camera.project_jet(&foot.p_in_cam).ok()?;
+    let g = jet.dq_dp.tr_mul(&foot.normal);
+    let turn = foot.p_in_cam.cross(&g);
+    let mut row = [0.0; EDGE];
+    for k in 0..INTRINSICS {
+        row[k] = jet.dq_dintrinsics.column(k).dot(&foot.normal);
+    }
+    for k in 0..3 {
+        row[INTRINSICS + k] = turn[k];
+        row[INTRINSICS + 3 + k] = g[k];
+    }
+    row[EDGE - 1] = g.dot(&foot.radial);
+    Some(row)
+}
+
+/// `sum of w row r_vv / sigma`: the part of one contour in the right-hand side of the geodesic acceleration, with
+/// `r_vv = (r(+h) - 2 r + r(-h)) / h^2`; `None` where a circle has no image.
+pub(super) fn bend(
+    circles: [&SeenCircle; 3],
+    seen: &DiscObservation,
+    scale: f64,
+    loss: Loss,
+    h: f64,
+) -> Option<SVector<f64, EDGE>> {
+    let starts = [circles[0].start()?, circles[1].start()?, circles[2].start()?];
+    let edge = &seen.edge;
+    let mut b = SVector::zeros();
+    for i in 0..edge.u_px.len() {
+        let q = Vector2::new(edge.u_px[i], edge.v_px[i]);
+        let foot = |k: usize| circles[k].foot(&starts[k], &q);
+        let (minus, here, plus) = (foot(0)?, foot(1)?, foot(2)?);
+        let iw = 1.0 / (edge.sigma_px[i] * scale);
+        let weight = loss.weight(here.distance_px * iw);
+        let second = (plus.distance_px - 2.0 * here.distance_px + minus.distance_px) / (h * h);
+        let row = SVector::from(row(circles[1].camera, &here)?);
+        b += row * (weight * second * iw * iw);
+    }
+    Some(b)
+}

@@ -1,0 +1,126 @@
+//! What is known beforehand, each a Gaussian row `(value(x) - known) / sigma`.
+//!
+//! | fact | value | gradient |
+//! |---|---|---|
+//! | an intrinsic | i_k | row k of the chart's derivative |
+//! | baseline | `|t|`, t the origin of one camera seen from the other | `t / |t|` by the motion's shift |
+//! | a length of the target | tau_k, shared or of one view | 1 |
+//! | offsets of printed discs | (dx, dy, dz, dr) | 1 |
+//! | focus | the thin-lens relation of method section 6 | see `focus_rows` |
+
+use super::assemble::{Slot, add};
+use super::chart::{self, SolverCamera};
+use super::layout::Places;
+use super::model::Model;
+use super::state::State;
+use crate::camera::INTRINSICS;
+use crate::solve::NormalEquations;
+use nalgebra::{DMatrix, DVector};
+
+/// Something known before the images are looked at.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Fact {
+    /// An intrinsic parameter of a camera, by its index in [`crate::camera::INTRINSIC_NAMES`].
+    Intrinsic {
+        /// Camera.
+        camera: usize,
+        /// Index of the parameter.
+        parameter: usize,
+        /// Known value, px, rad or 1.
+        value: f64,
+        /// Its standard deviation.
+        sigma: f64,
+    },
+    /// Distance of the two projection centres.
+    Baseline {
+        /// Known value, mm.
+        value_mm: f64,
+        /// Its standard deviation, mm.
+        sigma_mm: f64,
+    },
+    /// A shape parameter of the target, see [`super::TargetShape`].
+    Shape {
+        /// 0, 1 or 2.
+        parameter: usize,
+        /// The view, where the shape belongs to views.
+        view: Option<usize>,
+        /// Known value, mm.
+        value_mm: f64,
+        /// Its standard deviation, mm.
+        sigma_mm: f64,
+    },
+}
+
+/// One whitened row: residual and its derivatives.
+struct Row {
+    view: usize,
+    residual: f64,
+    slots: Vec<(Slot, f64)>,
+}
+
+fn rows(model: &Model, places: &Places, state: &State) -> Option<Vec<Row>> {
+    let mut out = vec![];
+    for fact in &model.facts {
+        out.push(row(model, places, state, fact)?);
+    }
+    if let (Some(sigmas), Some(first)) = (model.target.offset_sigma_mm, places.offsets) {
+        for (j, offset) in state.offsets_mm.iter().enumerate() {
+            for k in 0..4 {
+                let slots = vec![(Slot::Global(first + 4 * j + k), 1.0 / sigmas[k])];
+                out.push(Row { view: 0, residual: offset[k] / sigmas[k], slots });
+            }
+        }
+    }
+    Some(out)
+}
+
+fn row(model: &Model, places: &Places, state: &State, fact: &Fact) -> Option<Row> {
+    match *fact {
+        Fact::Intrinsic { camera, parameter, value, sigma } => {
+            let now = state.cameras[camera].to_array()[parameter];
+            let seen = SolverCamera::of(&model.cameras[camera], &state.cameras[camera])?;
+            let d = chart::derivative(&model.cameras[camera], &seen.camera);
+            let slot = |k: usize| places.charts[camera][k].map(|at| (Slot::Global(at), d[(parameter, k)] / sigma));
+            Some(Row { view: 0, residual: (now - value) / sigma, slots: (0..INTRINSICS).filter_map(slot).collect() })
+        }
+        Fact::Baseline { value_mm, sigma_mm } => {
+            let t = state.camera_from_first.get(1)?.translation_mm;
+            let at = (*places.motions.get(1)?)?;
+            let slots = (0..3).map(|k| (Slot::Global(at + 3 + k), t[k] / t.norm() / sigma_mm)).collect();
+            Some(Row { view: 0, residual: (t.norm() - value_mm) / sigma_mm, slots })
+        }
+        Fact::Shape { parameter, view, value_mm, sigma_mm } => {
+            let (now, slot) = match view {
+                Some(v) if model.target.per_view() => {
+                    let at = places.view_shape[parameter].map(|at| Slot::Block(places.pose_sizes[v] + at));
+                    (state.views[v].shape_mm[parameter], at)
+                }
+                _ => (state.shape_mm[parameter], places.shape[parameter].map(Slot::Global)),
+            };
+            let slots = slot.map(|s| (s, 1.0 / sigma_mm)).into_iter().collect();
+            Some(Row { view: view.unwrap_or(0), residual: (now - value_mm) / sigma_mm, slots })
+        }
+    }
+}
+
+/// Cost of all facts.
+pub(super) fn cost(model: &Model, places: &Places, state: &State) -> Option<f64> {
+    rows(model, places, state).map(|r| r.iter().map(|r| 0.5 * r.residual * r.residual).sum())
+}
+
+/// Adds all facts to the normal equations.
+pub(super) fn linearise(model: &Model, places: &Places, state: &State, e: &mut NormalEquations) -> Option<()> {
+    for row in rows(model, places, state)? {
+        let slots: Vec<Slot> = row.slots.iter().map(|s| s.0).collect();
+        let j = DVector::from_iterator(slots.len(), row.slots.iter().map(|s| s.1));
+        let h: DMatrix<f64> = &j * j.transpose();
+        add(e, row.view, &slots, &h, &(&j * -row.residual));
+        e.cost += 0.5 * row.residual * row.residual;
+    }
+    Some(())
+}
+
+/// Number of rows that facts add to the observations.
+pub(super) fn count(model: &Model) -> usize {
+    model.facts.len() + model.target.offset_sigma_mm.map_or(0, |_| 4 * model.target.disc_count())
+}

@@ -1,0 +1,222 @@
+//! What is adjusted: cameras, target, views, observations; constant during a solve.
+
+use super::facts::Fact;
+use crate::camera::INTRINSICS;
+use crate::detect::EdgePoints;
+use nalgebra::{DMatrix, Vector3};
+
+/// One camera of the adjustment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraModel {
+    /// Name for messages.
+    pub name: String,
+    /// Which intrinsics are adjusted, in the order of [`crate::camera::INTRINSIC_NAMES`].
+    pub free: [bool; INTRINSICS],
+}
+
+impl CameraModel {
+    /// True where the pinhole chart can be used: f and both tilts are free.
+    pub(crate) fn uses_pinhole_frame(&self) -> bool {
+        self.free[0] && self.free[4] && self.free[5]
+    }
+}
+
+/// Lattice place of a disc in units of the pitch, and whether it lies on the back level.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Node {
+    /// Along target x, in pitches.
+    pub x: f64,
+    /// Along target y, in pitches.
+    pub y: f64,
+    /// 0 front; 1 back, one step behind (target z = -step).
+    pub level: f64,
+}
+
+/// How the discs of a target follow from its three shape parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub enum TargetShape {
+    /// Disc 0 at the origin, disc 1 at (spacing, 0, 0); shape = (spacing, radius 0, radius 1).
+    Pair {
+        /// True where every view has a shape of its own (drifting bubbles).
+        per_view: bool,
+    },
+    /// Discs at lattice nodes; shape = (pitch, radius, step).
+    Lattice(Vec<Node>),
+}
+
+/// The target of the adjustment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TargetModel {
+    /// Its discs.
+    pub shape: TargetShape,
+    /// Which of the three shape parameters are adjusted.
+    pub free: [bool; 3],
+    /// Standard deviations of disc offsets `(dx, dy, dz, dr)`, mm, where every disc is estimated.
+    pub offset_sigma_mm: Option<[f64; 4]>,
+}
+
+impl TargetModel {
+    /// Number of discs.
+    pub fn disc_count(&self) -> usize {
+        match &self.shape {
+            TargetShape::Pair { .. } => 2,
+            TargetShape::Lattice(nodes) => nodes.len(),
+        }
+    }
+    /// True where the shape belongs to the views.
+    pub fn per_view(&self) -> bool {
+        matches!(self.shape, TargetShape::Pair { per_view: true })
+    }
+    /// Centre and radius of disc `j` without offsets, mm, for shape parameters `tau`.
+    pub fn nominal_disc(&self, j: usize, tau: &[f64; 3]) -> (Vector3<f64>, f64) {
+        match &self.shape {
+            TargetShape::Pair { .. } if j == 0 => (Vector3::zeros(), tau[1]),
+            TargetShape::Pair { .. } => (Vector3::new(tau[0], 0.0, 0.0), tau[2]),
+            TargetShape::Lattice(nodes) => {
+                let n = nodes[j];
+                (Vector3::new(n.x * tau[0], n.y * tau[0], -n.level * tau[2]), tau[1])
+            }
+        }
+    }
+    /// Derivative of (X, Y, Z, R) of disc `j` by the shape parameters, one row of three each.
+    pub(super) fn disc_derivative(&self, j: usize) -> [[f64; 3]; 4] {
+        match &self.shape {
+            TargetShape::Pair { .. } if j == 0 => [[0.0; 3], [0.0; 3], [0.0; 3], [0.0, 1.0, 0.0]],
+            TargetShape::Pair { .. } => [[1.0, 0.0, 0.0], [0.0; 3], [0.0; 3], [0.0, 0.0, 1.0]],
+            TargetShape::Lattice(nodes) => {
+                let n = nodes[j];
+                [[n.x, 0.0, 0.0], [n.y, 0.0, 0.0], [0.0, 0.0, -n.level], [0.0, 1.0, 0.0]]
+            }
+        }
+    }
+}
+
+/// Where a view's target is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ViewPlace {
+    /// Anywhere.
+    Free,
+    /// Parallel to the common plane, `z_mm` in front of it (0: in the sheet).
+    InPlane {
+        /// Position along the plane's normal, mm, known.
+        z_mm: f64,
+    },
+}
+
+/// One view: a moment at which the cameras saw the target at one place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ViewModel {
+    /// Where the target is.
+    pub place: ViewPlace,
+}
+
+/// The contour of one disc in one image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DiscObservation {
+    /// Index of the disc in the target.
+    pub disc: usize,
+    /// Its edge points.
+    pub edge: EdgePoints,
+}
+
+/// The tangent features of a pair of discs in one image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PairObservation {
+    /// Indices of the two discs in the target, in the order in which the features were made.
+    pub discs: [usize; 2],
+    /// Features used, by their index in the order of [`crate::bitangent`].
+    pub kept: Vec<usize>,
+    /// Their pixels `(u, v, u, v, ...)`.
+    pub pixels_px: Vec<f64>,
+    /// Whitening matrix, rank x 2 kept.
+    pub whitening: DMatrix<f64>,
+}
+
+/// Everything observed in one image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImageObservations {
+    /// Index of the view.
+    pub view: usize,
+    /// Index of the camera.
+    pub camera: usize,
+    /// Contours (observation model `contour`).
+    pub discs: Vec<DiscObservation>,
+    /// Pairs (observation model `bitangent`).
+    pub pairs: Vec<PairObservation>,
+    /// Factor on all given sigmas: how much larger the real scatter was found to be.
+    pub sigma_scale: f64,
+}
+
+/// Robust loss on the whitened residual.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Loss {
+    /// Least squares.
+    None,
+    /// Huber: linear beyond this many sigmas.
+    Huber(f64),
+    /// Cauchy with this scale in sigmas.
+    Cauchy(f64),
+}
+
+impl Loss {
+    /// Weight of a whitened residual, 0 to 1.
+    pub fn weight(self, r: f64) -> f64 {
+        self.apply(r * r).1
+    }
+    /// `(rho(s), rho'(s))` for `s = |r|^2`.
+    #[inline]
+    pub(super) fn apply(self, s: f64) -> (f64, f64) {
+        match self {
+            Loss::Huber(k) if s > k * k => (2.0 * k * s.sqrt() - k * k, k / s.sqrt()),
+            Loss::None | Loss::Huber(_) => (s, 1.0),
+            Loss::Cauchy(k) => {
+                let c = k * k;
+                (c * (s / c).ln_1p(), 1.0 / (1.0 + s / c))
+            }
+        }
+    }
+}
+
+/// A least-squares problem of the rig.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Model {
+    /// One or two cameras; the first is the rig frame.
+    pub cameras: Vec<CameraModel>,
+    /// The target.
+    pub target: TargetModel,
+    /// The views.
+    pub views: Vec<ViewModel>,
+    /// What is known beforehand.
+    pub facts: Vec<Fact>,
+    /// The images.
+    pub images: Vec<ImageObservations>,
+    /// Robust loss.
+    pub loss: Loss,
+}
+
+/// Sizes of a model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Observed {
+    /// Scalar observations.
+    pub observations: usize,
+    /// Rows of what is known beforehand.
+    pub facts: usize,
+    /// Unknowns.
+    pub unknowns: usize,
+}
+
+impl Model {
+    /// How many scalar observations, facts and unknowns there are.
+    pub fn counts(&self) -> Observed {
+        let layout = super::layout::Places::of(self).layout();
+        let of_image = |i: &ImageObservations| -> usize {
+            let edges: usize = i.discs.iter().map(|d| d.edge.u_px.len()).sum();
+            edges + i.pairs.iter().map(|p| p.whitening.nrows()).sum::<usize>()
+        };
+        Observed {
+            observations: self.images.iter().map(of_image).sum(),
+            facts: super::facts::count(self),
+            unknowns: layout.global + layout.blocks.iter().sum::<usize>(),
+        }
+    }
+}

@@ -1,0 +1,313 @@
+//! Covariance in the user's own parameters, with names, and what is not determined, in words.
+//!
+//! The solver's unknowns are charts and steps in solver frames. The natural parameters follow linearly at the estimate:
+//! ```text
+//! intrinsics       di = A dchart
+//! cam_from_rig     (w_c, 0) + diag(E_c, E_c) dmotion - Ad(cam_from_rig) (w_0, 0)      w_c = B_c dchart_c
+//! rig_from_target  (w_0, 0) + diag(E_0, E_0) dpose
+//! ```
+//! Steps of natural motions are left steps (see [`crate::rigid`]) about the axes of the target frame of the motion.
+
+use super::Fact;
+use super::adjust::Adjustment;
+use super::chart::{self, SolverCamera};
+use super::layout::Places;
+use super::model::{Model, TargetShape};
+use super::state::State;
+use crate::camera::{Camera, INTRINSIC_NAMES, INTRINSICS};
+use crate::frames::{Cam, Rig, Sheet, Target};
+use crate::rigid::Motion;
+use crate::solve::{Posterior, posterior};
+use nalgebra::{DMatrix, DVector, SMatrix, Vector3};
+
+/// How a parameter is known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ParameterKnowledge {
+    /// From the images; the part of its variance that a prior alone would give, 0 to 1.
+    Estimated {
+        /// Posterior variance over prior variance; 0 without prior, near 1 where only the prior speaks.
+        prior_share: f64,
+    },
+    /// Held fixed.
+    Fixed,
+    /// Neither images nor priors determine it.
+    Undetermined,
+}
+
+/// Covariance of the natural parameters of the first-camera gauge.
+#[derive(Debug, Clone)]
+pub struct NamedCovariance {
+    /// One name per row, unit at its end: `left.f_px`, `right.cam_from_rig.rx_rad`, `view0.rig_from_target.tx_mm`.
+    pub names: Vec<String>,
+    /// Covariance, over the determined directions.
+    pub matrix: DMatrix<f64>,
+    /// False where a parameter moves along an undetermined direction.
+    pub determined: Vec<bool>,
+    /// Knowledge of each camera's intrinsics, in the order of [`INTRINSIC_NAMES`].
+    pub intrinsics: Vec<[ParameterKnowledge; INTRINSICS]>,
+    /// Number of undetermined directions.
+    pub nullity: usize,
+    /// Undetermined and prior-dominated parameters in words.
+    pub undetermined: Vec<String>,
+    /// Standard deviations of disc offsets `(dx, dy, dz, dr)`, mm; empty where discs are not estimated.
+    pub offset_sigmas_mm: Vec<[f64; 4]>,
+    /// Cameras, motions and poses in the natural frames.
+    pub natural: Natural,
+}
+
+/// The estimate in natural frames.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Natural {
+    /// The cameras.
+    pub cameras: Vec<Camera>,
+    /// Motion of each camera against the first.
+    pub cam_from_rig: Vec<Motion<Cam, Rig>>,
+    /// The common plane, where there is one; z towards the viewer of the target.
+    pub rig_from_plane: Option<Motion<Rig, Sheet>>,
+    /// Pose of each view.
+    pub rig_from_target: Vec<Motion<Rig, Target>>,
+}
+
+impl NamedCovariance {
+    /// Row of a name.
+    pub fn index(&self, name: &str) -> Option<usize> {
+        self.names.iter().position(|n| n == name)
+    }
+    /// Standard deviation of a parameter; 0 for one that is not adjusted, `None` where it is undetermined.
+    pub fn sigma(&self, name: &str) -> Option<f64> {
+        match self.index(name) {
+            None => Some(0.0),
+            Some(i) => self.determined[i].then(|| self.matrix[(i, i)].max(0.0).sqrt()),
+        }
+    }
+    /// Covariance of linear functions of named parameters: `rows` are (name, coefficient) lists.
+    pub fn propagate(&self, rows: &[Vec<(String, f64)>]) -> DMatrix<f64> {
+        let j = DMatrix::from_fn(rows.len(), self.names.len(), |r, c| {
+            rows[r].iter().filter(|(n, _)| *n == self.names[c]).map(|(_, v)| v).sum()
+        });
+        &j * &self.matrix * j.transpose()
+    }
+}
+
+/// One natural parameter as a linear function of all unknowns.
+struct Row {
+    name: String,
+    terms: Vec<(usize, f64)>,
+}
+
+/// The estimate and its covariance in natural parameters; `None` after a bad start.
+pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
+    let (model, state) = (&adjustment.model, &adjustment.state);
+    let places = Places::of(model);
+    let post = posterior(adjustment.equations.as_ref()?);
+    let natural = natural(model, state)?;
+    let rows = rows(model, &places, state, &natural)?;
+    let full = post.full();
+    let g = DMatrix::from_fn(rows.len(), full.ncols(), |r, c| {
+        rows[r].terms.iter().filter(|t| t.0 == c).map(|t| t.1).sum::<f64>()
+    });
+    let matrix = &g * &full * g.transpose();
+    let determined = determined(&post, &places, &rows, adjustment.equations.as_ref()?);
+    let names: Vec<String> = rows.into_iter().map(|r| r.name).collect();
+    let offset_sigmas_mm = places.offsets.map_or_else(Vec::new, |at| {
+        let sigma = |i: usize| post.global[(i, i)].max(0.0).sqrt();
+        (0..model.target.disc_count()).map(|j| [0, 1, 2, 3].map(|k| sigma(at + 4 * j + k))).collect()
+    });
+    let mut out = NamedCovariance {
+        names,
+        matrix,
+        determined,
+        intrinsics: vec![],
+        nullity: post.nullity,
+        undetermined: vec![],
+        offset_sigmas_mm,
+        natural,
+    };
+    out.intrinsics = (0..model.cameras.len()).map(|c| knowledge(model, &out, c)).collect();
+    out.undetermined = words(model, &out);
+    Some(out)
+}
+
+fn natural(model: &Model, state: &State) -> Option<Natural> {
+    let solver: Option<Vec<SolverCamera>> =
+        model.cameras.iter().zip(&state.cameras).map(|(m, i)| SolverCamera::of(m, i)).collect();
+    let solver = solver?;
+    let e0 = solver[0].cam_from_solver;
+    let rig_from_first: Motion<Rig, Rig> = Motion::new(e0, Vector3::zeros());
+    let motion = |c: usize| {
+        let turn: Motion<Cam, Cam> = Motion::new(solver[c].cam_from_solver, Vector3::zeros());
+        turn * state.camera_from_first[c] * rig_from_first.inverse()
+    };
+    Some(Natural {
+        cameras: solver.iter().map(|s| s.camera).collect(),
+        cam_from_rig: (0..solver.len()).map(|c| if c == 0 { Motion::identity() } else { motion(c) }).collect(),
+        rig_from_plane: state.first_from_plane.map(|p| rig_from_first * p),
+        rig_from_target: state.views.iter().map(|v| rig_from_first * v.first_from_target).collect(),
+    })
+}
+
+const STEP_NAMES: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
+
+fn rows(model: &Model, places: &Places, state: &State, natural: &Natural) -> Option<Vec<Row>> {
+    let mut out = vec![];
+    let mut turns: Vec<SMatrix<f64, 3, INTRINSICS>> = vec![];
+    let chart_at = |c: usize, k: usize| places.charts[c][k];
+    for (c, camera) in natural.cameras.iter().enumerate() {
+        let d = chart::derivative(&model.cameras[c], camera);
+        for (k, name) in INTRINSIC_NAMES.iter().enumerate().filter(|(k, _)| model.cameras[c].free[*k]) {
+            let terms = (0..INTRINSICS).filter_map(|j| chart_at(c, j).map(|at| (at, d[(k, j)]))).collect();
+            out.push(Row { name: format!("{}.{name}", model.cameras[c].name), terms });
+        }
+        turns.push(d.fixed_rows::<3>(INTRINSICS).into_owned());
+    }
+    // A turn of a camera's solver frame as a left step through the adjoint `ad`.
+    let turn_terms = |c: usize, ad: &SMatrix<f64, 6, 6>, row: usize, sign: f64| -> Vec<(usize, f64)> {
+        (0..INTRINSICS)
+            .filter_map(|j| {
+                let w = turns[c].column(j);
+                let value = sign * (ad[(row, 0)] * w[0] + ad[(row, 1)] * w[1] + ad[(row, 2)] * w[2]);
+                chart_at(c, j).map(|at| (at, value))
+            })
+            .collect()
+    };
+    let solver0 = SolverCamera::of(&model.cameras[0], &state.cameras[0])?;
+    let identity = SMatrix::<f64, 6, 6>::identity();
+    for c in 1..natural.cameras.len() {
+        let Some(first) = places.motions[c] else { continue };
+        let own = SolverCamera::of(&model.cameras[c], &state.cameras[c])?;
+        let turn = Motion::<Cam, Cam>::new(own.cam_from_solver, Vector3::zeros()).adjoint();
+        for r in 0..6 {
+            let mut terms: Vec<(usize, f64)> = (0..6).map(|k| (first + k, turn[(r, k)])).collect();
+            terms.extend(turn_terms(c, &identity, r, 1.0));
+            terms.extend(turn_terms(0, &natural.cam_from_rig[c].adjoint(), r, -1.0));
+            out.push(Row { name: format!("{}.cam_from_rig.{}", model.cameras[c].name, STEP_NAMES[r]), terms });
+        }
+    }
+    let turn0: Motion<Rig, Rig> = Motion::new(solver0.cam_from_solver, Vector3::zeros());
+    let plane_ad = state.first_from_plane.map(|p| (turn0 * p).adjoint());
+    if let (Some(ad), Some(first)) = (&plane_ad, places.plane) {
+        for r in 0..6 {
+            let mut terms: Vec<(usize, f64)> =
+                [0, 1, 5].iter().enumerate().map(|(n, &k)| (first + n, ad[(r, k)])).collect();
+            terms.extend(turn_terms(0, &identity, r, 1.0));
+            out.push(Row { name: format!("sheet.rig_from_sheet.{}", STEP_NAMES[r]), terms });
+        }
+    }
+    let shape_names = shape_names(model);
+    for k in 0..3 {
+        if let Some(at) = places.shape[k] {
+            out.push(Row { name: format!("target.{}", shape_names[k]), terms: vec![(at, 1.0)] });
+        }
+    }
+    let mut at = places.global;
+    for v in 0..model.views.len() {
+        for r in 0..6 {
+            let mut terms: Vec<(usize, f64)> = match (&plane_ad, places.plane, &state.views[v].plane_from_target) {
+                (Some(ad), Some(first), Some(_)) => {
+                    let plane = [0, 1, 5].iter().enumerate().map(|(n, &k)| (first + n, ad[(r, k)]));
+                    plane.chain([2, 3, 4].iter().enumerate().map(|(n, &k)| (at + n, ad[(r, k)]))).collect()
+                }
+                _ => (0..6).map(|k| (at + k, turn0.adjoint()[(r, k)])).collect(),
+            };
+            terms.extend(turn_terms(0, &identity, r, 1.0));
+            out.push(Row { name: format!("view{v}.rig_from_target.{}", STEP_NAMES[r]), terms });
+        }
+        for k in 0..3 {
+            if let Some(inside) = places.view_shape[k] {
+                let terms = vec![(at + places.pose_sizes[v] + inside, 1.0)];
+                out.push(Row { name: format!("view{v}.{}", shape_names[k]), terms });
+            }
+        }
+        at += places.layout().blocks[v];
+    }
+    Some(out)
+}
+
+fn shape_names(model: &Model) -> [&'static str; 3] {
+    match model.target.shape {
+        TargetShape::Pair { .. } => ["spacing_mm", "radius0_mm", "radius1_mm"],
+        TargetShape::Lattice(_) => ["spacing_mm", "radius_mm", "step_mm"],
+    }
+}
+
+/// A row is undetermined where it moves along a null direction by more than a ten-thousandth of what the direction moves
+/// the unknowns it is made of.
+fn determined(post: &Posterior, places: &Places, rows: &[Row], e: &crate::solve::NormalEquations) -> Vec<bool> {
+    let n = places.global;
+    let scale = |i: usize| if e.h_gg[(i, i)] > 0.0 { e.h_gg[(i, i)].sqrt().recip() } else { 1.0 };
+    let moved: Vec<DVector<f64>> = (0..post.nullity)
+        .map(|k| {
+            let global = DVector::from_fn(n, |i, _| post.null_directions[(i, k)] * scale(i));
+            let mut all: Vec<f64> = global.iter().copied().collect();
+            for b in &post.blocks {
+                all.extend((b.coupling() * &global).iter().map(|x| -x));
+            }
+            DVector::from_vec(all)
+        })
+        .collect();
+    let still = |row: &Row| {
+        moved.iter().all(|m| {
+            let sum: f64 = row.terms.iter().map(|(i, c)| c * m[*i]).sum();
+            let size: f64 = row.terms.iter().map(|(i, c)| (c * m[*i]).abs()).sum();
+            sum.abs() <= 1e-4 * size || size <= 1e-9
+        })
+    };
+    rows.iter().map(still).collect()
+}
+
+fn knowledge(model: &Model, covariance: &NamedCovariance, c: usize) -> [ParameterKnowledge; INTRINSICS] {
+    std::array::from_fn(|k| {
+        let name = format!("{}.{}", model.cameras[c].name, INTRINSIC_NAMES[k]);
+        match (covariance.index(&name), covariance.sigma(&name)) {
+            (None, _) => ParameterKnowledge::Fixed,
+            (Some(_), None) => ParameterKnowledge::Undetermined,
+            (Some(_), Some(s)) => {
+                let prior = model.facts.iter().find_map(|f| match *f {
+                    Fact::Intrinsic { camera, parameter, sigma, .. } if camera == c && parameter == k => Some(sigma),
+                    _ => None,
+                });
+                ParameterKnowledge::Estimated { prior_share: prior.map_or(0.0, |p| (s / p).powi(2).min(1.0)) }
+            }
+        }
+    })
+}
+
+/// Posterior variance over prior variance from which a parameter counts as known from its prior only.
+const PRIOR_DOMINATED: f64 = 0.5;
+
+fn words(model: &Model, covariance: &NamedCovariance) -> Vec<String> {
+    let mut out = vec![];
+    for (c, camera) in model.cameras.iter().enumerate() {
+        for (k, know) in covariance.intrinsics[c].iter().enumerate() {
+            let what = intrinsic_words(k);
+            match know {
+                ParameterKnowledge::Undetermined => out
+                    .push(format!("{what} of camera {} is not determined by the images or by any prior", camera.name)),
+                ParameterKnowledge::Estimated { prior_share } if *prior_share > PRIOR_DOMINATED => {
+                    out.push(format!("{what} of camera {} is known only from its prior", camera.name));
+                }
+                _ => {}
+            }
+        }
+    }
+    let other = covariance.names.iter().zip(&covariance.determined).filter(|(n, d)| {
+        !**d && !model.cameras.iter().any(|c| INTRINSIC_NAMES.iter().any(|i| **n == format!("{}.{i}", c.name)))
+    });
+    out.extend(other.map(|(n, _)| format!("{n} is not determined")));
+    out
+}
+
+fn intrinsic_words(k: usize) -> &'static str {
+    [
+        "focal length f",
+        "pixel aspect",
+        "axis point cx",
+        "axis point cy",
+        "tilt alpha",
+        "tilt beta",
+        "distortion k1",
+        "distortion k2",
+        "distortion k3",
+        "pupil ratio",
+    ][k]
+}

@@ -1,0 +1,92 @@
+//! Residuals after (or before) an adjustment: per edge point, and per disc.
+//!
+//! Per disc the distances are explained by a shift (du, dv) of the whole contour and a growth dr:
+//! `distance_i = n_i . (du, dv) + dr`, weighted least squares. (du, dv) is the reprojection error of the disc in the usual
+//! sense (observed minus predicted position), and the three numbers' chi-square tells departures of whole discs from
+//! scatter along the contour.
+
+use super::assemble::SeenImage;
+use super::model::{ImageObservations, Model};
+use super::state::State;
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+/// Residuals of the edge points of one disc, structure of arrays.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct EdgeResidual {
+    /// Signed orthogonal distance of the edge point from the predicted contour, px; positive outside.
+    pub distance_px: Vec<f64>,
+    /// Outward unit normal of the predicted contour.
+    pub normal_u: Vec<f64>,
+    /// Outward unit normal of the predicted contour.
+    pub normal_v: Vec<f64>,
+}
+
+/// Residuals of one disc.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DiscResidual {
+    /// Disc of the target.
+    pub disc: usize,
+    /// Predicted image of the disc's centre, px.
+    pub center_px: Vector2<f64>,
+    /// Observed minus predicted position, px.
+    pub shift_px: Vector2<f64>,
+    /// Observed minus predicted size, px.
+    pub growth_px: f64,
+    /// Chi-square of shift and growth (3 numbers), with scaled sigmas.
+    pub chi2: f64,
+    /// Chi-square of all edge points, with scaled sigmas.
+    pub edge_chi2: f64,
+    /// The edge points.
+    pub edges: EdgeResidual,
+}
+
+impl DiscResidual {
+    /// Length of the shift, px.
+    pub fn distance_px(&self) -> f64 {
+        self.shift_px.norm()
+    }
+}
+
+/// Residuals of one image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImageResiduals {
+    /// Its discs, in the order of the observations.
+    pub discs: Vec<DiscResidual>,
+}
+
+/// Residuals of one image; `None` where a circle has no image in this state.
+pub fn residuals(model: &Model, state: &State, observations: &ImageObservations) -> Option<ImageResiduals> {
+    let image = SeenImage::of(model, state, observations)?;
+    let discs: Option<Vec<DiscResidual>> =
+        observations.discs.iter().map(|seen| disc_residual(&image, seen, observations.sigma_scale)).collect();
+    Some(ImageResiduals { discs: discs? })
+}
+
+fn disc_residual(image: &SeenImage, seen: &super::DiscObservation, scale: f64) -> Option<DiscResidual> {
+    let circle = image.circle(seen.disc);
+    let start = circle.start()?;
+    let mut edges = EdgeResidual::default();
+    let (mut n, mut b, mut edge_chi2) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
+    for i in 0..seen.edge.u_px.len() {
+        let foot = circle.foot(&start, &Vector2::new(seen.edge.u_px[i], seen.edge.v_px[i]))?;
+        let w = 1.0 / (seen.edge.sigma_px[i] * scale);
+        let row = Vector3::new(foot.normal.x, foot.normal.y, 1.0) * w;
+        let r = foot.distance_px * w;
+        n += row * row.transpose();
+        b += row * r;
+        edge_chi2 += r * r;
+        edges.distance_px.push(foot.distance_px);
+        edges.normal_u.push(foot.normal.x);
+        edges.normal_v.push(foot.normal.y);
+    }
+    let x = n.cholesky().map_or_else(Vector3::zeros, |c| c.solve(&b));
+    Some(DiscResidual {
+        disc: seen.disc,
+        center_px: start.center_px(),
+        shift_px: Vector2::new(x.x, x.y),
+        growth_px: x.z,
+        chi2: x.dot(&b),
+        edge_chi2,
+        edges,
+    })
+}

@@ -1,0 +1,36 @@
+//! A point in the space of unknowns.
+
+use crate::camera::Intrinsics;
+use crate::frames::{Cam, Rig, Sheet, Target};
+use crate::rigid::Motion;
+
+/// One view.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ViewState {
+    /// Where the target is, seen from the solver frame of the first camera.
+    pub first_from_target: Motion<Rig, Target>,
+    /// Where it lies in the common plane, for views that do.
+    pub plane_from_target: Option<Motion<Sheet, Target>>,
+    /// Shape of its own (drifting bubbles), mm; ignored otherwise.
+    pub shape_mm: [f64; 3],
+}
+
+/// All unknowns.
+///
+/// Here `Cam` and `Rig` mean the solver frames of the second and first camera: the pinhole along the sensor normal in the
+/// pinhole chart, the lens frame in the lens chart.
+#[derive(Debug, Clone, PartialEq)]
+pub struct State {
+    /// Intrinsics of each camera.
+    pub cameras: Vec<Intrinsics>,
+    /// Motion of each camera against the first (the first: identity).
+    pub camera_from_first: Vec<Motion<Cam, Rig>>,
+    /// Common plane of all views in the sheet or along a traverse.
+    pub first_from_plane: Option<Motion<Rig, Sheet>>,
+    /// The views.
+    pub views: Vec<ViewState>,
+    /// Shape of the target, mm (see [`super::TargetShape`]).
+    pub shape_mm: [f64; 3],
+    /// Offsets `(dx, dy, dz, dr)` of each disc, mm; empty where discs are not estimated.
+    pub offsets_mm: Vec<[f64; 4]>,
+}

@@ -1,0 +1,108 @@
+//! Commands and options.
+
+use crate::target::Polarity;
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+
+/// Stereo PIV calibration directly in the laser sheet.
+#[derive(Debug, Parser)]
+#[command(name = "spivcal", version, about, after_help = EXIT_CODES, arg_required_else_help = true)]
+pub(super) struct Arguments {
+    #[command(subcommand)]
+    pub(super) command: Command,
+    /// Print nothing but errors and warnings
+    #[arg(long, short, global = true)]
+    pub(super) quiet: bool,
+    /// Print a summary for programs (JSON) instead of one for people
+    #[arg(long, global = true)]
+    pub(super) json: bool,
+    /// Threads to use; results do not depend on it [default: all processors]
+    #[arg(long, value_name = "N", global = true)]
+    pub(super) threads: Option<NonZeroUsize>,
+}
+
+const EXIT_CODES: &str = "Exit codes: 0 done; 1 done, but flagged (see the warnings); 2 bad input; \
+                          3 not enough or degenerate data; 4 internal error";
+
+#[derive(Debug, Subcommand)]
+pub(super) enum Command {
+    /// The main job: images to calibration, report and overlays
+    Calibrate(Calibrate),
+    /// Find discs in images: contours, ellipses and features as CSV and JSON, overlay PNG
+    Detect(Detect),
+    /// Render synthetic images with their truth, and a rig file ready to calibrate
+    Simulate(Simulate),
+    /// Say a calibration in words
+    Show(Show),
+}
+
+impl Command {
+    /// Commands whose whole purpose is what they print are not silenced by `--quiet`.
+    pub(super) fn answers_on_stdout(&self) -> bool {
+        matches!(self, Command::Show(_))
+    }
+}
+
+#[derive(Debug, Args)]
+pub(super) struct Calibrate {
+    /// Rig file: cameras, target, scale and views
+    #[arg(value_name = "RIG.toml")]
+    pub(super) rig: PathBuf,
+    /// Folder for the results, made where it is missing
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) output: PathBuf,
+    /// Folder of the images [default: that of the rig file]
+    #[arg(long, value_name = "DIR")]
+    pub(super) images: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct Detect {
+    /// Images (PNG, TIFF, BMP, PGM, JPEG)
+    #[arg(required = true, value_name = "IMAGE")]
+    pub(super) images: Vec<PathBuf>,
+    /// Folder for the results, made where it is missing
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) output: PathBuf,
+    /// Whether the discs are brighter or darker than what is around them
+    #[arg(long, value_enum, default_value_t = PolarityWord::Auto)]
+    pub(super) polarity: PolarityWord,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(super) enum PolarityWord {
+    Auto,
+    Bright,
+    Dark,
+}
+
+impl From<PolarityWord> for Polarity {
+    fn from(word: PolarityWord) -> Self {
+        match word {
+            PolarityWord::Auto => Polarity::Auto,
+            PolarityWord::Bright => Polarity::Bright,
+            PolarityWord::Dark => Polarity::Dark,
+        }
+    }
+}
+
+#[derive(Debug, Args)]
+pub(super) struct Simulate {
+    /// Scene file
+    #[arg(value_name = "SCENE.toml", required_unless_present = "preset", conflicts_with = "preset")]
+    pub(super) scene: Option<PathBuf>,
+    /// A scene that comes with the program; its scene.toml is written beside the images
+    #[arg(long, value_name = "NAME", value_parser = clap::builder::PossibleValuesParser::new(crate::simulate::PRESETS.map(|(n, _)| n)))]
+    pub(super) preset: Option<String>,
+    /// Folder for the images, made where it is missing
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) output: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct Show {
+    /// A calibration.json
+    #[arg(value_name = "C.json")]
+    pub(super) calibration: PathBuf,
+}

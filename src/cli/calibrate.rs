@@ -1,0 +1,105 @@
+//! `calibrate`: the main job.
+
+use super::Done;
+use super::arguments::Calibrate;
+use super::files::{Output, read_text};
+use super::progress::Bar;
+use super::threads;
+use crate::error::Result;
+use crate::pipeline::{CalibrateOptions, CalibrationOutput, Progress, calibrate, load_image};
+use crate::record::Record;
+use crate::report::{Level, OverlayInput, overlay_png, residuals_csv, text, verdict, write_html};
+use crate::rig_file::{RigDescription, image_path};
+use rayon::prelude::*;
+use serde_json::json;
+use std::fmt::Write;
+use std::num::NonZeroUsize;
+
+pub(super) fn run(command: &Calibrate, threads: Option<NonZeroUsize>, progress: &Bar) -> Result<Done> {
+    let rig_text = read_text(&command.rig, "a rig file (TOML)")?;
+    let job = RigDescription::parse(&rig_text, &command.rig.display().to_string())?;
+    let load = |view: usize, camera: usize| {
+        // The library asks only for images that the rig file names.
+        let name = job.views[view].images[camera].as_deref().unwrap_or_default();
+        load_image(&image_path(&command.rig, command.images.as_deref(), name))
+    };
+    let options = CalibrateOptions { threads: threads.map_or(0, NonZeroUsize::get), ..CalibrateOptions::default() };
+    let found = calibrate(&job, &load, &options, &mut |p| {
+        tell(progress, &p);
+        true
+    })?;
+    progress.say("writing the report".to_string());
+    let output = files(&job, &found, threads)?;
+    let folder = command.output.display();
+    let json = summary(&found.record, &folder.to_string(), &output.names());
+    let mut words = text(&found.record);
+    let _ = writeln!(words, "\nWritten to {folder}: {}", listed(&output.names()));
+    output.commit(&command.output)?;
+    Ok(Done { text: words, json, flags: flags(&found.record) })
+}
+
+fn tell(bar: &Bar, progress: &Progress<'_>) {
+    match *progress {
+        Progress::Image { done, total, .. } => {
+            if done == 1 {
+                bar.stage("finding discs", total);
+            }
+            bar.step();
+        }
+        Progress::Iteration { number, cost, decrement } => {
+            bar.say(format!("adjusting: iteration {number}, cost {cost:.6e}, Newton decrement {decrement:.1e}"));
+        }
+    }
+}
+
+/// Everything that is written, by the name under which it is written.
+fn files(job: &RigDescription, found: &CalibrationOutput, threads: Option<NonZeroUsize>) -> Result<Output> {
+    let inputs: Vec<OverlayInput<'_>> = found
+        .images
+        .iter()
+        .zip(&found.overlays)
+        .map(|(i, shapes)| OverlayInput { view: i.view, camera: i.camera, image: i.image.view(), shapes })
+        .collect();
+    let overlays: Vec<Result<Vec<u8>>> =
+        threads::pool(threads)?.install(|| inputs.par_iter().map(|i| overlay_png(&i.image, i.shapes)).collect());
+    let mut out = Output::default();
+    out.add("calibration.json", found.record.to_json()?);
+    out.add("residuals.csv", residuals_csv(&found.record, &found.residuals));
+    out.add("report.html", write_html(&found.record, &inputs, &found.residuals)?);
+    for (input, png) in inputs.iter().zip(overlays) {
+        out.add(format!("overlay_{:02}_{}.png", input.view, job.cameras[input.camera].name), png?);
+    }
+    Ok(out)
+}
+
+/// All names, overlays counted.
+fn listed(names: &[&str]) -> String {
+    let (overlays, others): (Vec<&str>, Vec<&str>) = names.iter().partition(|n| n.starts_with("overlay_"));
+    format!("{}, {} overlay(s)", others.join(", "), overlays.len())
+}
+
+fn summary(record: &Record, folder: &str, files: &[&str]) -> serde_json::Value {
+    let v = verdict(record);
+    let level = match v.level {
+        Level::Good => "good",
+        Level::Care => "care",
+        Level::Bad => "bad",
+    };
+    let cameras: Vec<_> = record.cameras.iter().map(|c| json!({ "name": c.name, "rms_px": c.rms_px })).collect();
+    json!({
+        "output": folder, "files": files, "verdict": level, "headline": v.headline, "cameras": cameras,
+        "sheet": record.sheet, "fit": record.fit,
+    })
+}
+
+/// What must be looked at before the result is used.
+fn flags(record: &Record) -> Vec<String> {
+    let v = verdict(record);
+    if v.level == Level::Good {
+        return Vec::new();
+    }
+    let mut flags = vec![v.headline];
+    flags.extend(record.fit.undetermined.iter().map(|u| format!("not determined: {u}")));
+    flags.extend(record.fit.flags.iter().cloned());
+    flags
+}

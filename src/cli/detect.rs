@@ -1,0 +1,124 @@
+//! `detect`: discs in images.
+
+use super::Done;
+use super::arguments::Detect;
+use super::files::{Output, fault};
+use super::progress::Bar;
+use super::threads;
+use crate::detect::{DetectOptions, Detection, find_discs};
+use crate::error::{Insufficient, Invalid, Result};
+use crate::image::GrayImage;
+use crate::pipeline::load_image;
+use crate::report::{
+    contours_csv, detection_json, detection_shapes, discs_csv, features_csv, overlay_png, reason_kind,
+};
+use rayon::prelude::*;
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+
+/// What was found in one image, and the files that say it.
+struct Found {
+    discs: usize,
+    rejected: BTreeMap<String, usize>,
+    files: Vec<(String, Vec<u8>)>,
+}
+
+pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Bar) -> Result<Done> {
+    let stems = stems(&command.images)?;
+    let options = DetectOptions { polarity: command.polarity.into(), ..DetectOptions::default() };
+    progress.stage("finding discs", command.images.len());
+    let one = |(path, stem): (&PathBuf, &String)| -> Result<Found> {
+        let image = load_image(path)?;
+        let found = describe(path, stem, &image, &find_discs(&image.view(), &options)?);
+        progress.step();
+        found
+    };
+    let pool = threads::pool(threads)?;
+    // Collected first, so that the error that is told is that of the first image, whatever the threads did.
+    let found: Vec<Result<Found>> = pool.install(|| command.images.par_iter().zip(&stems).map(one).collect());
+    let found = found.into_iter().collect::<Result<Vec<Found>>>()?;
+    let flags = empty_images(&command.images, &found)?;
+    let mut out = Output::default();
+    let mut text = String::new();
+    let mut images = Vec::new();
+    for (path, f) in command.images.iter().zip(found) {
+        let _ = writeln!(text, "{}: {} disc(s){}", path.display(), f.discs, rejected_words(&f.rejected));
+        let files: Vec<&String> = f.files.iter().map(|(n, _)| n).collect();
+        images.push(
+            json!({ "image": path.display().to_string(), "discs": f.discs, "rejected": f.rejected, "files": files }),
+        );
+        f.files.into_iter().for_each(|(name, bytes)| out.add(name, bytes));
+    }
+    out.commit(&command.output)?;
+    let json = json!({ "output": command.output.display().to_string(), "images": images });
+    Ok(Done { text, json, flags })
+}
+
+/// What result files of each image are called after; two images must not write the same files.
+fn stems(images: &[PathBuf]) -> Result<Vec<String>> {
+    let mut stems: Vec<String> = Vec::with_capacity(images.len());
+    for (i, path) in images.iter().enumerate() {
+        let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned());
+        let stem = stem.ok_or_else(|| fault(path, "this names no file; expected an image"))?;
+        if let Some(other) = stems.iter().position(|s| s.to_lowercase() == stem.to_lowercase()) {
+            let words = format!(
+                "{} and {} would both write \"{stem}_discs.csv\"; detect them into different folders (-o)",
+                images[other].display(),
+                images[i].display()
+            );
+            return Err(Invalid::Contradiction(words).into());
+        }
+        stems.push(stem);
+    }
+    Ok(stems)
+}
+
+fn describe(path: &Path, stem: &str, image: &GrayImage, detection: &Detection) -> Result<Found> {
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let mut files = vec![
+        (format!("{stem}_discs.csv"), discs_csv(detection).into_bytes()),
+        (format!("{stem}_contours.csv"), contours_csv(detection).into_bytes()),
+        (format!("{stem}.json"), detection_json(&name, [image.width(), image.height()], detection).into_bytes()),
+        (format!("{stem}_overlay.png"), overlay_png(&image.view(), &detection_shapes(detection))?),
+    ];
+    if let Some(csv) = features_csv(detection) {
+        files.push((format!("{stem}_features.csv"), csv.into_bytes()));
+    }
+    let mut rejected = BTreeMap::new();
+    for r in &detection.rejections {
+        *rejected.entry(reason_kind(r.reason).to_string()).or_insert(0) += 1;
+    }
+    Ok(Found { discs: detection.discs.len(), rejected, files })
+}
+
+/// Images without discs are named; where no image has any, there is nothing to write.
+fn empty_images(images: &[PathBuf], found: &[Found]) -> Result<Vec<String>> {
+    let hint = |f: &Found| {
+        match rejected_words(&f.rejected) {
+        words if words.is_empty() => {
+            "nothing round stands out from its surroundings; check exposure, focus and that the target is in the picture"
+                .to_string()
+        }
+        words => format!("candidates were turned down{words}"),
+    }
+    };
+    if let ([first, ..], [path, ..]) = (found, images)
+        && found.iter().all(|f| f.discs == 0)
+    {
+        let image = path.display().to_string();
+        return Err(Insufficient::TooFewDiscs { image, found: 0, needed: 1, hint: hint(first) }.into());
+    }
+    let empty = images.iter().zip(found).filter(|(_, f)| f.discs == 0);
+    Ok(empty.map(|(path, f)| format!("{}: no disc was found; {}", path.display(), hint(f))).collect())
+}
+
+fn rejected_words(rejected: &BTreeMap<String, usize>) -> String {
+    if rejected.is_empty() {
+        return String::new();
+    }
+    let words: Vec<String> = rejected.iter().map(|(why, n)| format!("{n} {why}")).collect();
+    format!(" (turned down: {})", words.join(", "))
+}

@@ -1,0 +1,45 @@
+//! The order of things: from files and rig descriptions to results.
+
+mod calibrate;
+mod images;
+mod load;
+mod model;
+mod outcome;
+mod png;
+mod residual_rows;
+mod sheet_part;
+
+pub use calibrate::{CalibrateOptions, CalibrationOutput, calibrate};
+pub use images::SeenImage;
+pub use load::load_image;
+pub use model::{AXIS_POINT_SIGMA, LOSS_SIGMAS, POINT_SIGMA};
+pub use png::png_bytes;
+
+use crate::error::Result;
+use crate::image::GrayImage;
+
+/// Gives the image of a view and camera of the rig file; called from several threads.
+pub type Source<'a> = dyn Fn(usize, usize) -> Result<GrayImage> + Sync + 'a;
+
+/// What long work tells about itself.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Progress<'a> {
+    /// An image has been searched.
+    Image {
+        /// Images done.
+        done: usize,
+        /// Images in all.
+        total: usize,
+        /// Name of the image.
+        name: &'a str,
+    },
+    /// A step of the adjustment.
+    Iteration {
+        /// Linearisations so far in this solve.
+        number: usize,
+        /// Cost.
+        cost: f64,
+        /// Newton decrement, in sigmas.
+        decrement: f64,
+    },
+}

@@ -1,0 +1,97 @@
+//! Images to labelled discs, in parallel, each image by itself.
+
+use super::{Progress, Source};
+use crate::detect::pattern::{Labelling, label_discs};
+use crate::detect::{DetectOptions, Detection, LabelledDisc, find_discs};
+use crate::error::{Insufficient, Invalid, Result};
+use crate::image::GrayImage;
+use crate::rig_file::RigDescription;
+use rayon::prelude::*;
+use std::sync::Mutex;
+
+/// One image with what was found in it.
+#[derive(Debug, Clone)]
+pub struct SeenImage {
+    /// View of the rig file.
+    pub view: usize,
+    /// Camera of the rig file.
+    pub camera: usize,
+    /// Name as in the rig file.
+    pub name: String,
+    /// The image itself.
+    pub image: GrayImage,
+    /// Everything found.
+    pub detection: Detection,
+    /// Discs of the target.
+    pub discs: Vec<LabelledDisc>,
+    /// What the labelling assumed, in words.
+    pub warnings: Vec<String>,
+}
+
+/// Loads, searches and labels all images of a job; order: views, then cameras.
+pub(super) fn see_all(
+    job: &RigDescription,
+    source: &Source,
+    progress: &Mutex<&mut (dyn FnMut(Progress) -> bool + Send)>,
+) -> Result<Vec<SeenImage>> {
+    let mut wanted = vec![];
+    for (view, v) in job.views.iter().enumerate() {
+        for (camera, name) in v.images.iter().enumerate() {
+            wanted.extend(name.as_ref().map(|n| (view, camera, n.clone())));
+        }
+    }
+    let total = wanted.len();
+    let done = Mutex::new(0usize);
+    // Every image is looked at even after one failed: the error told is the first in the order of the file.
+    let all: Vec<Result<SeenImage>> = wanted
+        .into_par_iter()
+        .map(|(view, camera, name)| {
+            let seen = see(job, source, view, camera, &name);
+            if let (Ok(mut n), Ok(mut tell)) = (done.lock(), progress.lock()) {
+                *n += 1;
+                tell(Progress::Image { done: *n, total, name: &name });
+            }
+            seen
+        })
+        .collect();
+    let images: Vec<SeenImage> = all.into_iter().collect::<Result<_>>()?;
+    check_sizes(job, &images)?;
+    Ok(images)
+}
+
+fn see(job: &RigDescription, source: &Source, view: usize, camera: usize, name: &str) -> Result<SeenImage> {
+    let image = source(view, camera)?;
+    let options = DetectOptions { polarity: job.target.polarity, ..DetectOptions::default() };
+    let detection = find_discs(&image.view(), &options)?;
+    let labelling: Labelling = label_discs(name, &detection, &job.target.target)?;
+    if labelling.discs.is_empty() {
+        return Err(
+            Insufficient::Pattern { image: name.into(), message: "no disc of the target was found".into() }.into()
+        );
+    }
+    let Labelling { discs, warnings, .. } = labelling;
+    Ok(SeenImage { view, camera, name: name.into(), image, detection, discs, warnings })
+}
+
+fn check_sizes(job: &RigDescription, images: &[SeenImage]) -> Result<()> {
+    for c in 0..job.cameras.len() {
+        let mut own = images.iter().filter(|i| i.camera == c);
+        let Some(first) = own.next() else {
+            return Err(Insufficient::TooFewViews { camera: job.cameras[c].name.clone(), found: 0, needed: 2 }.into());
+        };
+        for i in own {
+            if (i.image.width(), i.image.height()) != (first.image.width(), first.image.height()) {
+                return Err(Invalid::ImageSize {
+                    path: i.name.clone(),
+                    camera: job.cameras[c].name.clone(),
+                    width: i.image.width(),
+                    height: i.image.height(),
+                    expected_width: first.image.width(),
+                    expected_height: first.image.height(),
+                }
+                .into());
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,289 @@
+//! Files to grey images: PNG, TIFF, BMP, PGM, JPEG.
+
+use crate::error::{Error, Invalid, Result};
+use crate::image::{GrayImage, Pixels};
+use image::{DynamicImage, ImageError, ImageFormat};
+use std::io::Cursor;
+use std::path::Path;
+
+const FORMATS: &str = "PNG, TIFF, BMP, PGM or JPEG";
+
+/// Reads an image file as grey levels: PNG, TIFF (8, 16 bit, 32-bit float; uncompressed, LZW, deflate, PackBits), BMP,
+/// PGM, JPEG.
+///
+/// Samples keep their depth and their values: 8 bit, 16 bit (also 10 or 12 bit in 16), or float. Colours become their
+/// luma (a grey picture stored as colour keeps its grey levels); transparency is ignored.
+///
+/// # Errors
+/// [`Invalid::File`] where the file is missing, empty, cut short, no image, of a kind that is not read, or holds
+/// samples that are not finite.
+pub fn load_image(path: &Path) -> Result<GrayImage> {
+    let bytes = std::fs::read(path).map_err(|e| fault(path, cannot_read(path, &e)))?;
+    if bytes.is_empty() {
+        return Err(fault(path, "the file is empty (0 bytes); copy it again from where it was recorded"));
+    }
+    let format = image::guess_format(&bytes)
+        .map_err(|_| fault(path, format!("this is not an image that can be read; expected {FORMATS}")))?;
+    if format == ImageFormat::Jpeg && !jpeg_is_whole(&bytes) {
+        return Err(fault(path, truncated("the end of the JPEG data is missing")));
+    }
+    if format == ImageFormat::Tiff
+        && let Some(image) = float_tiff(path, &bytes)?
+    {
+        return Ok(image);
+    }
+    let decoded = image::load_from_memory_with_format(&bytes, format).map_err(|e| fault(path, explain(&e)))?;
+    grey(path, decoded)
+}
+
+fn fault(path: &Path, message: impl Into<String>) -> Error {
+    Invalid::File { path: path.display().to_string(), message: message.into() }.into()
+}
+
+fn cannot_read(path: &Path, error: &std::io::Error) -> String {
+    match error.kind() {
+        std::io::ErrorKind::NotFound => {
+            "there is no such file; check the name (capital and small letters differ) and the folder given by --images"
+                .to_string()
+        }
+        std::io::ErrorKind::PermissionDenied => "no permission to read the file".to_string(),
+        _ if path.is_dir() => "this is a folder; expected an image file".to_string(),
+        _ => format!("cannot be read: {error}"),
+    }
+}
+
+fn truncated(detail: &str) -> String {
+    format!("the image is cut short or damaged ({detail}); copy it again from where it was recorded")
+}
+
+fn explain(error: &ImageError) -> String {
+    match error {
+        ImageError::Unsupported(e) => {
+            format!("this kind of image is not read ({e}); save it as grey {FORMATS} with 8 or 16 bit")
+        }
+        ImageError::Limits(e) => format!("the image is too large to be read ({e})"),
+        ImageError::Decoding(_) | ImageError::IoError(_) => truncated(&error.to_string()),
+        other => format!("cannot be read: {other}"),
+    }
+}
+
+fn grey(path: &Path, decoded: DynamicImage) -> Result<GrayImage> {
+    let (width, height) = (decoded.width() as usize, decoded.height() as usize);
+    let pixels = match decoded {
+        DynamicImage::ImageLuma8(i) => Pixels::U8(i.into_raw()),
+        DynamicImage::ImageLuma16(i) => Pixels::U16(i.into_raw()),
+        d @ (DynamicImage::ImageLumaA8(_) | DynamicImage::ImageRgb8(_) | DynamicImage::ImageRgba8(_)) => {
+            Pixels::U8(d.into_luma8().into_raw())
+        }
+        d @ (DynamicImage::ImageLumaA16(_) | DynamicImage::ImageRgb16(_) | DynamicImage::ImageRgba16(_)) => {
+            Pixels::U16(d.into_luma16().into_raw())
+        }
+        d => Pixels::F32(finite(path, d.to_luma32f().into_raw())?),
+    };
+    GrayImage::new(pixels, width, height).map_err(|_| fault(path, "the image has no pixels"))
+}
+
+fn finite(path: &Path, samples: Vec<f32>) -> Result<Vec<f32>> {
+    match samples.iter().position(|x| !x.is_finite()) {
+        None => Ok(samples),
+        Some(i) => Err(fault(
+            path,
+            format!("sample {i} is {}; a floating-point image must hold finite numbers only", samples[i]),
+        )),
+    }
+}
+
+/// Grey TIFF of 32 or 64 bit floating-point samples, which the general decoder does not know; `None` for any other TIFF.
+fn float_tiff(path: &Path, bytes: &[u8]) -> Result<Option<GrayImage>> {
+    use tiff::decoder::{Decoder, DecodingResult};
+    let explain = |e: tiff::TiffError| fault(path, truncated(&e.to_string()));
+    let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(explain)?;
+    if !matches!(decoder.colortype(), Ok(tiff::ColorType::Gray(32 | 64))) {
+        return Ok(None);
+    }
+    let (width, height) = decoder.dimensions().map_err(explain)?;
+    let samples = match decoder.read_image().map_err(explain)? {
+        DecodingResult::F32(p) => p,
+        DecodingResult::F64(p) => p.into_iter().map(|x| x as f32).collect(),
+        _ => {
+            let message =
+                format!("grey levels of 32 bit or more are read as floating point only; save as 16 bit {FORMATS}");
+            return Err(fault(path, message));
+        }
+    };
+    let pixels = Pixels::F32(finite(path, samples)?);
+    GrayImage::new(pixels, width as usize, height as usize)
+        .map(Some)
+        .map_err(|_| fault(path, truncated("fewer samples than pixels")))
+}
+
+/// Whether the end of the image is there: decoders fill what is missing with grey and do not complain.
+///
+/// Walks the segments up to the first scan (a preview inside a segment has an end of its own); after it the two bytes
+/// FF D9 can only be the end, since the compressed data never hold them.
+fn jpeg_is_whole(bytes: &[u8]) -> bool {
+    let mut at = 2;
+    loop {
+        let Some(&[0xff, marker]) = bytes.get(at..at + 2) else { return false };
+        let Some(&[high, low]) = bytes.get(at + 2..at + 4) else { return false };
+        match marker {
+            0xff => at += 1,
+            // Start of scan.
+            0xda => return bytes[at..].windows(2).any(|w| w == [0xff, 0xd9]),
+            _ => at += 2 + usize::from(u16::from_be_bytes([high, low])),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::ImageEncoder;
+    use std::path::PathBuf;
+
+    struct Scratch(tempfile::TempDir);
+
+    impl Scratch {
+        fn new() -> Self {
+            Self(tempfile::tempdir().unwrap())
+        }
+        fn file(&self, name: &str, bytes: &[u8]) -> PathBuf {
+            let path = self.0.path().join(name);
+            std::fs::write(&path, bytes).unwrap();
+            path
+        }
+    }
+
+    fn levels8() -> Vec<u8> {
+        (0..48 * 32).map(|i| (i * 7 % 251) as u8).collect()
+    }
+
+    fn levels16() -> Vec<u16> {
+        (0..48 * 32).map(|i| (i * 37 % 4096) as u16).collect()
+    }
+
+    fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
+        let mut out = Cursor::new(Vec::new());
+        image.write_to(&mut out, format).unwrap();
+        out.into_inner()
+    }
+
+    fn luma8() -> DynamicImage {
+        image::GrayImage::from_raw(48, 32, levels8()).unwrap().into()
+    }
+
+    fn luma16() -> DynamicImage {
+        DynamicImage::ImageLuma16(image::ImageBuffer::from_raw(48, 32, levels16()).unwrap())
+    }
+
+    fn message(path: &Path) -> String {
+        match load_image(path) {
+            Err(Error::Invalid(Invalid::File { path: named, message })) => {
+                assert_eq!(named, path.display().to_string());
+                message
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn grey_levels_survive_every_lossless_format() {
+        let s = Scratch::new();
+        let rgb = DynamicImage::ImageRgb8(luma8().to_rgb8());
+        for (format, name) in [
+            (ImageFormat::Png, "a.png"),
+            (ImageFormat::Tiff, "a.tif"),
+            (ImageFormat::Bmp, "a.bmp"),
+            (ImageFormat::Pnm, "a.pgm"),
+        ] {
+            for image in [luma8(), rgb.clone()] {
+                let read = load_image(&s.file(name, &encoded(&image, format))).unwrap();
+                assert_eq!((read.width(), read.height()), (48, 32));
+                assert_eq!(read.pixels(), &Pixels::U8(levels8()), "{name}");
+            }
+            if format != ImageFormat::Bmp {
+                let read = load_image(&s.file(name, &encoded(&luma16(), format))).unwrap();
+                assert_eq!(read.pixels(), &Pixels::U16(levels16()), "{name}");
+            }
+        }
+    }
+
+    #[test]
+    fn png_bytes_are_read_back() {
+        let s = Scratch::new();
+        for pixels in [Pixels::U8(levels8()), Pixels::U16(levels16())] {
+            let image = GrayImage::new(pixels, 48, 32).unwrap();
+            let path = s.file("a.png", &crate::pipeline::png_bytes(&image).unwrap());
+            assert_eq!(load_image(&path).unwrap(), image);
+        }
+        let float = GrayImage::new(Pixels::F32(vec![0.5]), 1, 1).unwrap();
+        assert!(crate::pipeline::png_bytes(&float).is_err());
+    }
+
+    fn tiff_of<C: tiff::encoder::colortype::ColorType>(
+        samples: &[C::Inner],
+        compression: tiff::encoder::Compression,
+    ) -> Vec<u8>
+    where
+        [C::Inner]: tiff::encoder::TiffValue,
+    {
+        let mut out = Cursor::new(Vec::new());
+        let mut encoder = tiff::encoder::TiffEncoder::new(&mut out).unwrap().with_compression(compression);
+        encoder.write_image::<C>(48, 32, samples).unwrap();
+        out.into_inner()
+    }
+
+    #[test]
+    fn tiff_of_all_compressions_and_floats_is_read() {
+        use tiff::encoder::{Compression, colortype};
+        let s = Scratch::new();
+        for c in [Compression::Uncompressed, Compression::Lzw, Compression::Packbits] {
+            let path = s.file("a.tif", &tiff_of::<colortype::Gray16>(&levels16(), c));
+            assert_eq!(load_image(&path).unwrap().pixels(), &Pixels::U16(levels16()));
+            let path = s.file("a.tif", &tiff_of::<colortype::Gray8>(&levels8(), c));
+            assert_eq!(load_image(&path).unwrap().pixels(), &Pixels::U8(levels8()));
+        }
+        let mut float: Vec<f32> = levels16().iter().map(|x| f32::from(*x) * 0.25 - 7.0).collect();
+        let path = s.file("f.tif", &tiff_of::<colortype::Gray32Float>(&float, Compression::Uncompressed));
+        assert_eq!(load_image(&path).unwrap().pixels(), &Pixels::F32(float.clone()));
+        float[5] = f32::NAN;
+        let path = s.file("f.tif", &tiff_of::<colortype::Gray32Float>(&float, Compression::Uncompressed));
+        assert!(message(&path).contains("sample 5 is NaN"));
+    }
+
+    #[test]
+    fn files_that_are_no_image_say_so() {
+        let s = Scratch::new();
+        assert!(message(&s.0.path().join("none.png")).contains("no such file"));
+        assert!(message(s.0.path()).contains("folder"));
+        assert!(message(&s.file("a.png", b"")).contains("empty"));
+        assert!(message(&s.file("a.png", b"view,u,v\n0,1,2\n")).contains("not an image"));
+    }
+
+    #[test]
+    fn truncated_images_are_refused() {
+        let s = Scratch::new();
+        let jpeg = {
+            let mut out = Vec::new();
+            image::codecs::jpeg::JpegEncoder::new(&mut out)
+                .write_image(&levels8(), 48, 32, image::ExtendedColorType::L8)
+                .unwrap();
+            out
+        };
+        assert!(load_image(&s.file("a.jpg", &jpeg)).is_ok());
+        let files = [
+            ("a.jpg", jpeg),
+            ("a.png", encoded(&luma16(), ImageFormat::Png)),
+            ("a.tif", encoded(&luma16(), ImageFormat::Tiff)),
+            ("a.bmp", encoded(&luma8(), ImageFormat::Bmp)),
+            ("a.pgm", encoded(&luma8(), ImageFormat::Pnm)),
+        ];
+        for (name, bytes) in files {
+            for part in [0.3, 0.5, 0.9] {
+                let cut = (bytes.len() as f64 * part) as usize;
+                let text = message(&s.file(name, &bytes[..cut]));
+                assert!(text.contains("cut short"), "{name} at {part}: {text}");
+            }
+        }
+    }
+}

@@ -1,0 +1,360 @@
+//! The adjustment as a record.
+
+use super::calibrate::Solved;
+use super::residual_rows::ImageFit;
+use crate::bundle::{Fact, Observed, ParameterKnowledge, TargetShape, Termination};
+use crate::camera::{Camera, INTRINSIC_NAMES};
+use crate::error::{Error, Result};
+use crate::record::{
+    self, CameraSigma, Covariance, Effective, Fit, ImageFile, Known, Parameter, Pose, PoseSigma, Provenance, Record,
+    Rig, RigSigma, Scale, Sheet, Target, TargetPoint, TargetSigma, View, ViewTarget,
+};
+use crate::rig_file::{Adjust, Length, Loss, Observations, Scale as ScaleFact};
+use crate::target::Target as Kind;
+use std::collections::BTreeMap;
+
+/// Part of all discs that may be outliers before the result is flagged.
+const OUTLIER_LIMIT: f64 = 0.05;
+
+/// Everything but the sheet, and the sheet.
+pub(super) fn record(s: &Solved, fits: &[ImageFit], sheet: Option<Sheet>) -> Result<Record> {
+    let cameras: Vec<record::Camera> = (0..s.job.cameras.len())
+        .map(|c| camera(s, fits, c))
+        .collect::<Option<_>>()
+        .ok_or_else(|| Error::Bug("a camera has no image".into()))?;
+    Ok(Record {
+        format: record::FORMAT.into(),
+        version: record::VERSION,
+        rig: rig(s),
+        cameras,
+        sheet,
+        target: target(s),
+        scale: Some(scale(s)),
+        views: (0..s.job.views.len()).map(|v| view(s, fits, v)).collect(),
+        fit: fit(s, fits),
+        provenance: provenance(s),
+        covariance: Covariance {
+            names: s.covariance.names.clone(),
+            matrix: s.covariance.matrix.row_iter().map(|r| r.iter().copied().collect()).collect(),
+        },
+    })
+}
+
+/// Sigma of a named parameter; 0 where held, `NaN` where undetermined.
+fn sigma(s: &Solved, name: &str) -> f64 {
+    s.covariance.sigma(name).unwrap_or(f64::NAN)
+}
+
+fn total<'a>(fits: impl Iterator<Item = &'a ImageFit>) -> ImageFit {
+    fits.fold(ImageFit::default(), |a, b| a.plus(b))
+}
+
+fn camera(s: &Solved, fits: &[ImageFit], c: usize) -> Option<record::Camera> {
+    let description = &s.job.cameras[c];
+    let first = s.images.iter().find(|i| i.camera == c)?;
+    let own = total(s.images.iter().zip(fits).filter(|(i, _)| i.camera == c).map(|(_, f)| f));
+    let camera = &s.covariance.natural.cameras[c];
+    let i = camera.intrinsics();
+    let e = camera.effective_pinhole();
+    let of = |k: usize| sigma(s, &format!("{}.{}", description.name, INTRINSIC_NAMES[k]));
+    Some(record::Camera {
+        name: description.name.clone(),
+        image_size_px: [first.image.width(), first.image.height()],
+        f_px: i.f_px,
+        aspect: i.aspect,
+        cx_px: i.cx_px,
+        cy_px: i.cy_px,
+        alpha_rad: i.alpha_rad,
+        beta_rad: i.beta_rad,
+        k1: i.k[0],
+        k2: i.k[1],
+        k3: i.k[2],
+        radial: record::Radial::IdealToDistorted,
+        pupil_ratio: i.pupil_ratio,
+        pixel_pitch_mm: description.pixel_pitch_mm,
+        effective: Effective { f_px: e.f_px, cx_px: e.cx_px, cy_px: e.cy_px },
+        sigma: CameraSigma {
+            f_px: of(0),
+            aspect: of(1),
+            cx_px: of(2),
+            cy_px: of(3),
+            alpha_rad: of(4),
+            beta_rad: of(5),
+            k1: of(6),
+            k2: of(7),
+            k3: of(8),
+            pupil_ratio: of(9),
+            effective: effective_sigma(s, &description.name, camera),
+            cam_from_rig: if c == 0 { still() } else { pose_sigma(s, &format!("{}.cam_from_rig", description.name)) },
+        },
+        cam_from_rig: Pose::from(&s.covariance.natural.cam_from_rig[c]),
+        rms_px: own.rms_px(),
+        edge_rms_px: Some(own.edge_rms_px()),
+        observations: own.edges,
+    })
+}
+
+fn still() -> PoseSigma {
+    PoseSigma { rotation_rad: [0.0; 3], translation_mm: [0.0; 3] }
+}
+
+fn pose_sigma(s: &Solved, name: &str) -> PoseSigma {
+    let of = |step: &str| sigma(s, &format!("{name}.{step}"));
+    PoseSigma {
+        rotation_rad: ["rx_rad", "ry_rad", "rz_rad"].map(of),
+        translation_mm: ["tx_mm", "ty_mm", "tz_mm"].map(of),
+    }
+}
+
+/// Sigmas of the effective pinhole: `f_e = f ca cb`, `cx_e = cx - f sb`, `cy_e = cy - aspect f sa cb`.
+fn effective_sigma(s: &Solved, name: &str, camera: &Camera) -> Effective {
+    let i = camera.intrinsics();
+    let ((sa, ca), (sb, cb)) = (i.alpha_rad.sin_cos(), i.beta_rad.sin_cos());
+    let f = i.f_px;
+    let rows = [
+        vec![("f_px", ca * cb), ("alpha_rad", -f * sa * cb), ("beta_rad", -f * ca * sb)],
+        vec![("cx_px", 1.0), ("f_px", -sb), ("beta_rad", -f * cb)],
+        vec![
+            ("cy_px", 1.0),
+            ("f_px", -i.aspect * sa * cb),
+            ("alpha_rad", -i.aspect * f * ca * cb),
+            ("beta_rad", i.aspect * f * sa * sb),
+            ("aspect", -f * sa * cb),
+        ],
+    ];
+    let named: Vec<Vec<(String, f64)>> =
+        rows.into_iter().map(|r| r.into_iter().map(|(n, v)| (format!("{name}.{n}"), v)).collect()).collect();
+    let c = s.covariance.propagate(&named);
+    let root = |k: usize| c[(k, k)].max(0.0).sqrt();
+    Effective { f_px: root(0), cx_px: root(1), cy_px: root(2) }
+}
+
+fn rig(s: &Solved) -> Option<Rig> {
+    let motion = s.covariance.natural.cam_from_rig.get(1)?;
+    let name = &s.job.cameras[1].name;
+    let t = motion.translation_mm;
+    let b = t.normalize();
+    // Axes: (0, 0, 1) in each camera; the angle between them, cos = R33.
+    let cosine = motion.rotation.m33;
+    // A left turn w moves R's third row by w x z, so d cos = (w x axis) . z with axis the rig's z in the camera.
+    let axis = motion.rotation.column(2);
+    let sine = (1.0 - cosine * cosine).sqrt().max(1e-12);
+    let step = |k: &str| format!("{name}.cam_from_rig.{k}");
+    let rows = [
+        vec![(step("tx_mm"), b.x), (step("ty_mm"), b.y), (step("tz_mm"), b.z)],
+        vec![(step("rx_rad"), -axis.y / sine), (step("ry_rad"), axis.x / sine)],
+    ];
+    let c = s.covariance.propagate(&rows);
+    Some(Rig {
+        baseline_mm: t.norm(),
+        axes_angle_deg: cosine.clamp(-1.0, 1.0).acos().to_degrees(),
+        sigma: RigSigma {
+            baseline_mm: c[(0, 0)].max(0.0).sqrt(),
+            axes_angle_deg: c[(1, 1)].max(0.0).sqrt().to_degrees(),
+        },
+    })
+}
+
+fn target(s: &Solved) -> Target {
+    let model = &s.adjustment.model.target;
+    let state = &s.adjustment.state;
+    let shape = state.shape_mm;
+    let per_view = model.per_view();
+    let pair = matches!(model.shape, TargetShape::Pair { .. });
+    let kind = match s.job.target.target {
+        Kind::TwoDiscs(_) => "two-discs",
+        Kind::Bubbles(_) => "bubbles",
+        Kind::DotGrid(_) => "dot-grid",
+        Kind::TwoLevelPlate(_) => "two-level-plate",
+    };
+    let (radii_mm, radii_sigma) = match (per_view, pair) {
+        (true, _) => (vec![], vec![]),
+        (false, true) => (vec![shape[1], shape[2]], vec![sigma(s, "target.radius0_mm"), sigma(s, "target.radius1_mm")]),
+        (false, false) => (vec![shape[1]], vec![sigma(s, "target.radius_mm")]),
+    };
+    let plate = matches!(s.job.target.target, Kind::TwoLevelPlate(_));
+    let discs: Vec<_> = (0..model.disc_count()).map(|j| (j, model.nominal_disc(j, &shape).0)).collect();
+    let mut extent = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
+    for (_, p) in &discs {
+        extent = [extent[0].min(p.x), extent[1].min(p.y), extent[2].max(p.x), extent[3].max(p.y)];
+    }
+    let moved = |j: usize| state.offsets_mm.get(j).copied();
+    let points: Vec<TargetPoint> = discs
+        .iter()
+        .filter_map(|(j, p)| {
+            let (o, sig) = (moved(*j)?, s.covariance.offset_sigmas_mm.get(*j)?);
+            let xyz_mm = [p.x + o[0], p.y + o[1], p.z + o[2]];
+            Some(TargetPoint { label: s.built.labels[*j], xyz_mm, sigma_mm: [sig[0], sig[1], sig[2]] })
+        })
+        .collect();
+    let shift: f64 = state.offsets_mm.iter().map(|o| o[0] * o[0] + o[1] * o[1] + o[2] * o[2]).sum();
+    Target {
+        kind: kind.into(),
+        radii_mm,
+        spacing_mm: if per_view { f64::NAN } else { shape[0] },
+        sigma: TargetSigma {
+            radii_mm: radii_sigma,
+            spacing_mm: if per_view { f64::NAN } else { sigma(s, "target.spacing_mm") },
+            step_mm: plate.then(|| sigma(s, "target.step_mm")),
+        },
+        adjust: match s.job.target.adjust {
+            Adjust::None => "none",
+            Adjust::Shape => "shape",
+            Adjust::Points => "points",
+        }
+        .into(),
+        step_mm: plate.then_some(shape[2]),
+        extent_mm: (!per_view).then_some(extent),
+        shift_rms_mm: (!points.is_empty()).then(|| (shift / points.len() as f64).sqrt()),
+        points,
+    }
+}
+
+fn scale(s: &Solved) -> Scale {
+    let of =
+        |fact: &str, l: Length| Scale { fact: fact.into(), value_mm: l.value_mm, sigma_mm: l.sigma_mm.unwrap_or(0.0) };
+    match s.job.scale {
+        ScaleFact::TargetSpacing(l) | ScaleFact::ViewSpacing { spacing: l, .. } => of("spacing", l),
+        ScaleFact::TargetRadius { radius: l, .. } | ScaleFact::ViewRadius { radius: l, .. } => of("radius", l),
+        ScaleFact::Baseline(l) => of("baseline", l),
+        ScaleFact::Traverse { sigma_mm } => {
+            let z: Vec<f64> = s.job.views.iter().filter_map(|v| v.plane_z_mm).collect();
+            let range =
+                z.iter().copied().fold(f64::NEG_INFINITY, f64::max) - z.iter().copied().fold(f64::INFINITY, f64::min);
+            of("traverse", Length { value_mm: range, sigma_mm })
+        }
+    }
+}
+
+fn view(s: &Solved, fits: &[ImageFit], v: usize) -> View {
+    let description = &s.job.views[v];
+    let mut out = View {
+        index: v,
+        in_sheet: description.sheet,
+        rig_from_target: Some(Pose::from(&s.covariance.natural.rig_from_target[v])),
+        rms_px: BTreeMap::new(),
+        used: true,
+        why_unused: String::new(),
+        observations: BTreeMap::new(),
+        outliers: BTreeMap::new(),
+        images: BTreeMap::new(),
+        sigma: pose_sigma(s, &format!("view{v}.rig_from_target")),
+        planarity_mm: None,
+        target: None,
+    };
+    for (image, fit) in s.images.iter().zip(fits).filter(|(i, _)| i.view == v) {
+        let name = s.job.cameras[image.camera].name.clone();
+        out.rms_px.insert(name.clone(), fit.rms_px());
+        out.observations.insert(name.clone(), fit.edges);
+        out.outliers.insert(name.clone(), fit.outliers);
+        out.images.insert(name, image.name.clone());
+    }
+    if s.adjustment.model.target.per_view() {
+        let [spacing_mm, r0, r1] = s.adjustment.state.views[v].shape_mm;
+        let of = |what: &str| sigma(s, &format!("view{v}.{what}"));
+        out.target = Some(ViewTarget {
+            radii_mm: vec![r0, r1],
+            spacing_mm,
+            sigma: TargetSigma {
+                radii_mm: vec![of("radius0_mm"), of("radius1_mm")],
+                spacing_mm: of("spacing_mm"),
+                step_mm: None,
+            },
+        });
+    }
+    out
+}
+
+fn fit(s: &Solved, fits: &[ImageFit]) -> Fit {
+    let Observed { observations, facts, unknowns } = s.adjustment.model.counts();
+    let all = total(fits.iter());
+    let degrees_of_freedom = (observations + facts).saturating_sub(unknowns);
+    let adjustment = s.adjustment;
+    let mut flags = vec![];
+    if s.covariance.nullity > 0 {
+        flags.push(format!(
+            "{} direction(s) of the calibration are determined by nothing; see what is not determined",
+            s.covariance.nullity
+        ));
+    }
+    let outliers = adjustment.outliers.len();
+    if outliers as f64 > OUTLIER_LIMIT * (all.discs + outliers) as f64 {
+        flags.push(format!("{outliers} of {} discs lie off the target; look at the overlays", all.discs + outliers));
+    }
+    if adjustment.termination != Termination::Converged {
+        flags.push(format!(
+            "the adjustment ended early ({}) at a Newton decrement of {:.1e}",
+            adjustment.termination.word(),
+            adjustment.decrement
+        ));
+    }
+    flags.extend(s.images.iter().flat_map(|i| i.warnings.iter().map(|w| format!("{}: {w}", i.name))));
+    let scales = adjustment.model.images.iter().map(|i| i.sigma_scale);
+    Fit {
+        rms_px: all.rms_px(),
+        chi2: 2.0 * adjustment.cost,
+        degrees_of_freedom,
+        redundancy: degrees_of_freedom as f64 / observations.max(1) as f64,
+        observations,
+        iterations: adjustment.iterations,
+        newton_decrement: adjustment.decrement,
+        termination: adjustment.termination.word().into(),
+        nullity: s.covariance.nullity,
+        undetermined: s.covariance.undetermined.clone(),
+        outliers,
+        converged: adjustment.termination == Termination::Converged,
+        flags,
+        observation_model: match s.job.solve.observations {
+            Observations::Contour => "contour",
+            Observations::Bitangent => "bitangent",
+        }
+        .into(),
+        loss: match s.job.solve.loss {
+            Loss::None => "none",
+            Loss::Huber => "huber",
+            Loss::Cauchy => "cauchy",
+        }
+        .into(),
+        sigma_scale: scales.fold(1.0, f64::max),
+        parameters: parameters(s),
+        near_null: vec![],
+    }
+}
+
+fn parameters(s: &Solved) -> Vec<Parameter> {
+    let mut out = vec![];
+    for (c, camera) in s.job.cameras.iter().enumerate() {
+        for (k, knowledge) in s.covariance.intrinsics[c].iter().enumerate() {
+            let has_prior = s
+                .adjustment
+                .model
+                .facts
+                .iter()
+                .any(|f| matches!(f, Fact::Intrinsic { camera, parameter, .. } if *camera == c && *parameter == k));
+            let (known, prior_share) = match knowledge {
+                ParameterKnowledge::Fixed => (Known::Fixed, 0.0),
+                ParameterKnowledge::Undetermined => (Known::Free, f64::NAN),
+                ParameterKnowledge::Estimated { prior_share } => {
+                    (if has_prior { Known::Prior } else { Known::Free }, *prior_share)
+                }
+            };
+            out.push(Parameter { name: format!("{}.{}", camera.name, INTRINSIC_NAMES[k]), known, prior_share });
+        }
+    }
+    out
+}
+
+fn provenance(s: &Solved) -> Provenance {
+    let image = |i: &super::SeenImage| ImageFile {
+        path: i.name.clone(),
+        view: i.view,
+        camera: s.job.cameras[i.camera].name.clone(),
+        sha256: None,
+    };
+    Provenance {
+        program: format!("spivcal {}", env!("CARGO_PKG_VERSION")),
+        rig_file: s.job.file.clone(),
+        options: BTreeMap::new(),
+        images: s.images.iter().map(image).collect(),
+    }
+}

@@ -1,0 +1,298 @@
+//! Values that no calibration can have, found after the types are right.
+
+use super::schema::{Camera, Covariance, FORMAT, Pose, Record, Sheet, VERSION, View};
+use std::collections::BTreeSet;
+use std::f64::consts::FRAC_PI_2;
+
+/// How far a rotation matrix may be from orthonormal; files written with 8 digits pass.
+const ROTATION_TOLERANCE: f64 = 1e-6;
+
+/// What is impossible, and where.
+pub(super) struct Fault {
+    /// Path in the file: `cameras[0].sigma.f_px`.
+    pub(super) path: String,
+    /// What was found and what was expected.
+    pub(super) message: String,
+}
+
+type Check = std::result::Result<(), Fault>;
+
+fn fault(path: impl Into<String>, message: impl Into<String>) -> Check {
+    Err(Fault { path: path.into(), message: message.into() })
+}
+
+/// The first impossible value of a record.
+pub(super) fn first_fault(record: &Record) -> Option<Fault> {
+    check_record(record).err()
+}
+
+fn check_record(r: &Record) -> Check {
+    if r.format != FORMAT || r.version != VERSION {
+        return fault("format", format!("{} {}: expected {FORMAT} {VERSION}", r.format, r.version));
+    }
+    let mut names = BTreeSet::new();
+    if r.cameras.is_empty() {
+        return fault("cameras", "no camera: expected at least one");
+    }
+    for (i, c) in r.cameras.iter().enumerate() {
+        check_camera(c, &format!("cameras[{i}]"))?;
+        if !names.insert(c.name.as_str()) {
+            return fault(
+                format!("cameras[{i}].name"),
+                format!("\"{}\" occurs twice: expected different names", c.name),
+            );
+        }
+    }
+    check_first_pose(&r.cameras[0].cam_from_rig)?;
+    if let Some(sheet) = &r.sheet {
+        check_sheet(sheet)?;
+    }
+    for (i, v) in r.views.iter().enumerate() {
+        check_view(v, &names, &format!("views[{i}]"))?;
+    }
+    for (path, x) in [("fit.rms_px", r.fit.rms_px), ("fit.chi2", r.fit.chi2)] {
+        not_negative(path, x)?;
+    }
+    check_covariance(&r.covariance)
+}
+
+fn positive(path: String, x: f64) -> Check {
+    if x > 0.0 && x.is_finite() {
+        Ok(())
+    } else {
+        fault(path, format!("{x} is not possible: expected a number above 0"))
+    }
+}
+
+fn finite(path: String, x: f64) -> Check {
+    if x.is_finite() { Ok(()) } else { fault(path, format!("{x} is not possible: expected a finite number")) }
+}
+
+/// Unknown (`NaN`) is allowed: whoever reads a sigma must be ready for it.
+fn not_negative(path: impl Into<String>, x: f64) -> Check {
+    if x < 0.0 { fault(path, format!("{x} is not possible: expected 0 or more")) } else { Ok(()) }
+}
+
+fn check_camera(c: &Camera, at: &str) -> Check {
+    if c.name.is_empty() {
+        return fault(format!("{at}.name"), "empty: expected the camera's name");
+    }
+    if c.image_size_px.contains(&0) {
+        return fault(format!("{at}.image_size_px"), "a size of 0: expected width and height in px");
+    }
+    positive(format!("{at}.f_px"), c.f_px)?;
+    positive(format!("{at}.aspect"), c.aspect)?;
+    positive(format!("{at}.pupil_ratio"), c.pupil_ratio)?;
+    for (key, x) in [("alpha_rad", c.alpha_rad), ("beta_rad", c.beta_rad)] {
+        if x.is_nan() || x.abs() >= FRAC_PI_2 {
+            let message = format!("{x} is not possible: expected a tilt between -pi/2 and pi/2 rad (not degrees)");
+            return fault(format!("{at}.{key}"), message);
+        }
+    }
+    for (key, x) in [("cx_px", c.cx_px), ("cy_px", c.cy_px), ("k1", c.k1), ("k2", c.k2), ("k3", c.k3)] {
+        finite(format!("{at}.{key}"), x)?;
+    }
+    if let Err(error) = crate::camera::Camera::new(c.intrinsics()) {
+        return fault(at, error.to_string());
+    }
+    let s = &c.sigma;
+    let sigmas = [
+        ("f_px", s.f_px),
+        ("aspect", s.aspect),
+        ("cx_px", s.cx_px),
+        ("cy_px", s.cy_px),
+        ("alpha_rad", s.alpha_rad),
+        ("beta_rad", s.beta_rad),
+        ("k1", s.k1),
+        ("k2", s.k2),
+        ("k3", s.k3),
+    ];
+    for (key, x) in sigmas {
+        not_negative(format!("{at}.sigma.{key}"), x)?;
+    }
+    not_negative(format!("{at}.rms_px"), c.rms_px)?;
+    check_pose(&c.cam_from_rig, &format!("{at}.cam_from_rig"))
+}
+
+fn check_pose(pose: &Pose, at: &str) -> Check {
+    let m = pose.motion::<(), ()>();
+    let gap = (m.rotation * m.rotation.transpose() - nalgebra::Matrix3::identity()).abs().max();
+    let determinant = m.rotation.determinant();
+    let finite = determinant.is_finite() && pose.translation_mm.iter().all(|x| x.is_finite());
+    if !finite || gap > ROTATION_TOLERANCE || determinant < 0.0 {
+        let message = format!(
+            "not a rotation (largest entry of R R^T - 1 is {gap:.1e}, determinant {determinant:.3}): expected an orthonormal matrix with determinant 1"
+        );
+        return fault(format!("{at}.rotation"), message);
+    }
+    Ok(())
+}
+
+fn check_first_pose(pose: &Pose) -> Check {
+    let identity = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    if pose.rotation != identity || pose.translation_mm != [0.0; 3] {
+        return fault("cameras[0].cam_from_rig", "the first camera is the rig frame: expected the identity");
+    }
+    Ok(())
+}
+
+fn check_sheet(s: &Sheet) -> Check {
+    positive("sheet.distance_mm".into(), s.distance_mm)?;
+    for (i, &x) in s.abc_per_mm.iter().enumerate() {
+        finite(format!("sheet.abc_per_mm[{i}]"), x)?;
+    }
+    let n = s.normal_in_rig;
+    let norm = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
+    if norm.is_nan() || (norm - 1.0).abs() > ROTATION_TOLERANCE {
+        return fault("sheet.normal_in_rig", format!("its length is {norm}: expected a unit vector"));
+    }
+    let gap = (0..3).map(|i| (s.abc_per_mm[i] * s.distance_mm - n[i]).abs()).fold(0.0, f64::max);
+    if gap > ROTATION_TOLERANCE {
+        let message =
+            format!("differs from normal_in_rig / distance_mm by {gap:.1e} of the normal: expected the same plane");
+        return fault("sheet.abc_per_mm", message);
+    }
+    check_pose(&s.rig_from_sheet, "sheet.rig_from_sheet")?;
+    let (r, t) = (&s.rig_from_sheet.rotation, &s.rig_from_sheet.translation_mm);
+    let turned = (0..3).map(|i| (r[i][2] + n[i]).abs()).fold(0.0, f64::max);
+    let off_mm = (0..3).map(|i| n[i] * t[i]).sum::<f64>() - s.distance_mm;
+    if turned > ROTATION_TOLERANCE || off_mm.abs() > ROTATION_TOLERANCE * s.distance_mm {
+        let message = format!(
+            "its z axis differs from -normal_in_rig by {turned:.1e}, its origin lies {off_mm:.1e} mm off the plane: expected the same plane"
+        );
+        return fault("sheet.rig_from_sheet", message);
+    }
+    Ok(())
+}
+
+fn check_view(v: &View, cameras: &BTreeSet<&str>, at: &str) -> Check {
+    let keys = v.rms_px.keys().chain(v.observations.keys()).chain(v.images.keys());
+    for name in keys {
+        if !cameras.contains(name.as_str()) {
+            let expected: Vec<_> = cameras.iter().copied().collect();
+            let message = format!("no camera is called \"{name}\": expected one of {}", expected.join(", "));
+            return fault(at, message);
+        }
+    }
+    match &v.rig_from_target {
+        Some(pose) => check_pose(pose, &format!("{at}.rig_from_target")),
+        None if v.used => fault(format!("{at}.rig_from_target"), "null in a view that was used: expected a pose"),
+        None => Ok(()),
+    }
+}
+
+fn check_covariance(c: &Covariance) -> Check {
+    let n = c.names.len();
+    let distinct: BTreeSet<_> = c.names.iter().collect();
+    if distinct.len() != n {
+        return fault("covariance.names", "a name occurs twice: expected different names");
+    }
+    if c.matrix.len() != n {
+        return fault("covariance.matrix", format!("{} rows for {n} names: expected {n} rows", c.matrix.len()));
+    }
+    for (i, row) in c.matrix.iter().enumerate() {
+        let path = || format!("covariance.matrix[{i}]");
+        if row.len() != n {
+            return fault(path(), format!("{} numbers: expected {n}", row.len()));
+        }
+        if row[i] < 0.0 {
+            return fault(path(), format!("variance of {} is {}: expected 0 or more", c.names[i], row[i]));
+        }
+        let skew = (0..i).find(|&j| (row[j] - c.matrix[j][i]).abs() > 1e-9 * (row[i] * c.matrix[j][j]).abs().sqrt());
+        if let Some(j) = skew {
+            return fault(path(), format!("entry {j} differs from its mirror image: expected a symmetric matrix"));
+        }
+    }
+    Ok(())
+}
+
+/// Line (from 1) on which the value at `path` starts in valid JSON text; the deepest part of the path that is found.
+pub(super) fn line_of(text: &str, path: &str) -> usize {
+    let wanted: Vec<&str> = path.split(['.', '[']).map(|p| p.trim_end_matches(']')).filter(|p| !p.is_empty()).collect();
+    let mut scan = Scan { bytes: text.as_bytes(), at: 0, line: 1 };
+    scan.value(&wanted).unwrap_or(1)
+}
+
+/// A walk over JSON text that is already known to be valid.
+struct Scan<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    line: usize,
+}
+
+impl Scan<'_> {
+    fn peek(&mut self) -> Option<u8> {
+        while let Some(&b) = self.bytes.get(self.at) {
+            match b {
+                b'\n' => self.line += 1,
+                b' ' | b'\t' | b'\r' | b',' | b':' => {}
+                _ => return Some(b),
+            }
+            self.at += 1;
+        }
+        None
+    }
+    /// The raw text between the quotes of the string that starts here.
+    fn string(&mut self) -> &[u8] {
+        let start = self.at + 1;
+        self.at = start;
+        while let Some(&b) = self.bytes.get(self.at) {
+            match b {
+                b'"' => break,
+                b'\\' => self.at += 2,
+                _ => self.at += 1,
+            }
+        }
+        let end = self.at.min(self.bytes.len());
+        self.at += 1;
+        &self.bytes[start.min(end)..end]
+    }
+    /// Skips one value; gives the line of the part of `wanted` that was found in it.
+    fn value(&mut self, wanted: &[&str]) -> Option<usize> {
+        let open = self.peek()?;
+        let here = self.line;
+        match open {
+            b'"' => {
+                self.string();
+            }
+            b'{' | b'[' => {
+                if let Some(line) = self.members(open == b'{', wanted) {
+                    return Some(line);
+                }
+            }
+            _ => {
+                while self.bytes.get(self.at).is_some_and(|b| !b",]} \t\r\n".contains(b)) {
+                    self.at += 1;
+                }
+            }
+        }
+        Some(here)
+    }
+    fn members(&mut self, object: bool, wanted: &[&str]) -> Option<usize> {
+        self.at += 1;
+        let mut index = 0usize;
+        loop {
+            match self.peek() {
+                None => return None,
+                Some(b'}' | b']') => {
+                    self.at += 1;
+                    return None;
+                }
+                Some(_) => {}
+            }
+            let hit = match wanted.first() {
+                None => false,
+                Some(key) if object => self.string() == key.as_bytes(),
+                Some(key) => key.parse() == Ok(index),
+            };
+            if wanted.is_empty() && object {
+                self.string();
+            }
+            let line = self.value(if hit { &wanted[1..] } else { &[] });
+            if hit {
+                return line;
+            }
+            index += 1;
+        }
+    }
+}

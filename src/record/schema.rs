@@ -1,0 +1,535 @@
+//! The structs of `calibration.json`, in the order of its keys.
+
+use super::number::{label, maybe, maybe_array, maybe_list, maybe_map, maybe_rows};
+use super::sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, TargetSigma};
+use crate::camera::{self, Intrinsics};
+use crate::rigid::Motion;
+use crate::target::DotId;
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Value of the key `format`.
+pub const FORMAT: &str = "spivcal-calibration";
+/// Value of the key `version`.
+pub const VERSION: u32 = 1;
+
+/// What [`Sheet::angles_deg`] means; written beside the numbers.
+pub const ANGLES_CONVENTION: &str = "rig_from_sheet = Rx(angle 1) Ry(angle 2) Rz(angle 3), rotations about the rig's \
+                                     x, y, z axes, up to the half turn about x that makes the sheet's z axis face \
+                                     the first camera";
+
+fn angles_convention() -> String {
+    ANGLES_CONVENTION.into()
+}
+
+/// A whole calibration: the content of `calibration.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// Always [`FORMAT`].
+    pub format: String,
+    /// Always [`VERSION`].
+    pub version: u32,
+    /// The cameras; the first is the rig frame.
+    pub cameras: Vec<Camera>,
+    /// Baseline and angle between the lens axes; none with a single camera.
+    #[serde(default)]
+    pub rig: Option<Rig>,
+    /// The laser sheet; `null` where no view was recorded in it.
+    #[serde(deserialize_with = "required_option")]
+    pub sheet: Option<Sheet>,
+    /// The target as it was adjusted.
+    pub target: Target,
+    /// The one metric fact that sets the scale.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<Scale>,
+    /// Every view of the rig file, also the unused ones.
+    pub views: Vec<View>,
+    /// How well it fits and what is not determined.
+    pub fit: Fit,
+    /// Where it comes from.
+    #[serde(default)]
+    pub provenance: Provenance,
+    /// Covariance of all estimated numbers, by name.
+    pub covariance: Covariance,
+}
+
+/// `null` is an answer, a missing key is not.
+fn required_option<'de, D, T>(d: D) -> Result<Option<T>, D::Error>
+where
+    D: serde::Deserializer<'de>,
+    T: Deserialize<'de>,
+{
+    Option::<T>::deserialize(d)
+}
+
+/// Direction of the radial polynomial.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Radial {
+    /// Brown: from the ideal to the distorted point, on the untilted plane.
+    #[default]
+    IdealToDistorted,
+    /// Photogrammetric: from the distorted to the ideal point.
+    DistortedToIdeal,
+}
+
+impl From<Radial> for camera::Radial {
+    fn from(radial: Radial) -> Self {
+        match radial {
+            Radial::IdealToDistorted => camera::Radial::IdealToDistorted,
+            Radial::DistortedToIdeal => camera::Radial::DistortedToIdeal,
+        }
+    }
+}
+
+impl From<camera::Radial> for Radial {
+    fn from(radial: camera::Radial) -> Self {
+        match radial {
+            camera::Radial::IdealToDistorted => Radial::IdealToDistorted,
+            camera::Radial::DistortedToIdeal => Radial::DistortedToIdeal,
+        }
+    }
+}
+
+/// One Scheimpflug camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Camera {
+    /// Name in the rig file.
+    pub name: String,
+    /// Width and height, px.
+    pub image_size_px: [usize; 2],
+    /// Image distance over pixel pitch, px.
+    pub f_px: f64,
+    /// Pixel pitch in u over pixel pitch in v: `v = cy + aspect f ty`.
+    pub aspect: f64,
+    /// Where the lens axis meets the sensor, px.
+    pub cx_px: f64,
+    /// Where the lens axis meets the sensor, px.
+    pub cy_px: f64,
+    /// Tilt of the sensor about its u axis, rad (see [`crate::camera`]).
+    pub alpha_rad: f64,
+    /// Tilt of the sensor about its v axis, rad (see [`crate::camera`]).
+    pub beta_rad: f64,
+    /// Radial distortion, r^2 term.
+    pub k1: f64,
+    /// Radial distortion, r^4 term.
+    pub k2: f64,
+    /// Radial distortion, r^6 term.
+    pub k3: f64,
+    /// Direction of the radial polynomial.
+    #[serde(default)]
+    pub radial: Radial,
+    /// Pupil ratio of the lens, 1 where it is not modelled.
+    #[serde(default = "one")]
+    pub pupil_ratio: f64,
+    /// Size of a pixel, mm, where the rig file gives it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pixel_pitch_mm: Option<f64>,
+    /// The untilted pinhole that gives the same image without distortion.
+    pub effective: Effective,
+    /// Standard deviations.
+    pub sigma: CameraSigma,
+    /// Pose: camera coordinates from rig coordinates.
+    pub cam_from_rig: Pose,
+    /// Root mean square residual of this camera, px per coordinate for points, normal to the contour for edges.
+    pub rms_px: f64,
+    /// Root mean square distance of edge points from the projected contour, px, where contours were used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub edge_rms_px: Option<f64>,
+    /// Scalar observations of this camera that were used.
+    #[serde(default)]
+    pub observations: usize,
+}
+
+impl Camera {
+    /// The parameters of the camera model.
+    pub fn intrinsics(&self) -> Intrinsics {
+        Intrinsics {
+            f_px: self.f_px,
+            aspect: self.aspect,
+            cx_px: self.cx_px,
+            cy_px: self.cy_px,
+            alpha_rad: self.alpha_rad,
+            beta_rad: self.beta_rad,
+            k: [self.k1, self.k2, self.k3],
+            pupil_ratio: self.pupil_ratio,
+            radial: self.radial.into(),
+        }
+    }
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+/// The untilted pinhole along the sensor normal, px.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Effective {
+    /// Distance of the projection centre from the sensor plane, px.
+    #[serde(with = "maybe")]
+    pub f_px: f64,
+    /// Foot of the perpendicular from the projection centre, px.
+    #[serde(with = "maybe")]
+    pub cx_px: f64,
+    /// Foot of the perpendicular from the projection centre, px.
+    #[serde(with = "maybe")]
+    pub cy_px: f64,
+}
+
+impl Default for Effective {
+    /// Everything unknown.
+    fn default() -> Self {
+        Self { f_px: f64::NAN, cx_px: f64::NAN, cy_px: f64::NAN }
+    }
+}
+
+/// A rigid motion as the file holds it; `p_to = rotation p_from + translation_mm`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    /// Rows of the rotation matrix.
+    pub rotation: [[f64; 3]; 3],
+    /// Origin of the source frame in the goal frame, mm.
+    pub translation_mm: [f64; 3],
+}
+
+impl<To, From> std::convert::From<&Motion<To, From>> for Pose {
+    fn from(m: &Motion<To, From>) -> Self {
+        let r = &m.rotation;
+        Pose {
+            rotation: [0, 1, 2].map(|i| [0, 1, 2].map(|j| r[(i, j)])),
+            translation_mm: [m.translation_mm.x, m.translation_mm.y, m.translation_mm.z],
+        }
+    }
+}
+
+impl Pose {
+    /// The motion; the caller names the frames, the bits are those of the file.
+    pub fn motion<To, From>(&self) -> Motion<To, From> {
+        let r = &self.rotation;
+        Motion::new(Matrix3::from_fn(|i, j| r[i][j]), Vector3::from(self.translation_mm))
+    }
+}
+
+/// What two cameras make together.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Rig {
+    /// Distance of the projection centres, mm.
+    pub baseline_mm: f64,
+    /// Angle between the lens axes, degrees.
+    pub axes_angle_deg: f64,
+    /// Standard deviations.
+    pub sigma: RigSigma,
+}
+
+/// The laser sheet: the plane `normal . p = distance` in the rig frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Sheet {
+    /// Unit normal, away from the first camera.
+    pub normal_in_rig: [f64; 3],
+    /// Distance from the first projection centre along the normal, mm.
+    pub distance_mm: f64,
+    /// `normal / distance`, per mm.
+    pub abc_per_mm: [f64; 3],
+    /// The paper's theta 1 to 3, degrees; see `angles_convention`.
+    pub angles_deg: [f64; 3],
+    /// What `angles_deg` means, in words.
+    #[serde(default = "angles_convention")]
+    pub angles_convention: String,
+    /// Angle between the sheet and the line through the projection centres, degrees.
+    #[serde(with = "maybe")]
+    pub angle_to_baseline_deg: f64,
+    /// Standard deviations.
+    pub sigma: SheetSigma,
+    /// Pose of the sheet frame: rig coordinates from sheet coordinates.
+    pub rig_from_sheet: Pose,
+    /// How it was found: `joint` or `homography`.
+    #[serde(default)]
+    pub method: String,
+    /// Views recorded in the sheet that were used.
+    #[serde(default)]
+    pub views: Vec<usize>,
+    /// Root mean square disparity of the sheet's views dewarped through both cameras, px.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub disparity_rms_px: Option<f64>,
+    /// The paper's method beside it, where `method` is `joint`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub homography: Option<Homography>,
+}
+
+/// The sheet by the paper's homography, cameras held.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Homography {
+    /// `normal / distance`, per mm.
+    pub abc_per_mm: [f64; 3],
+    /// Distance from the first projection centre, mm.
+    pub distance_mm: f64,
+    /// As [`Sheet::angles_deg`], degrees.
+    pub angles_deg: [f64; 3],
+    /// Angle between the sheet and the baseline, degrees.
+    #[serde(with = "maybe")]
+    pub angle_to_baseline_deg: f64,
+    /// Standard deviations, the cameras' covariance included.
+    pub sigma: SheetSigma,
+    /// Root mean square transfer error from one camera to the other, px.
+    #[serde(with = "maybe")]
+    pub transfer_rms_px: f64,
+}
+
+/// The target as it was adjusted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Target {
+    /// `two-discs`, `bubbles`, `dot-grid` or `two-level-plate`.
+    pub kind: String,
+    /// Radii, mm; one for a grid, two for a pair; empty where only centres were used.
+    #[serde(with = "maybe_list")]
+    pub radii_mm: Vec<f64>,
+    /// Distance of the centres of a pair, pitch of a grid, mm; unknown where each view has its own.
+    #[serde(with = "maybe")]
+    pub spacing_mm: f64,
+    /// Standard deviations.
+    pub sigma: TargetSigma,
+    /// `none`, `shape` or `points`.
+    #[serde(default)]
+    pub adjust: String,
+    /// Distance of the two levels of a plate, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub step_mm: Option<f64>,
+    /// What the target covers in its own plane: least x, least y, largest x, largest y, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub extent_mm: Option<[f64; 4]>,
+    /// Root mean square shift of the points from the nominal target, mm, where the points were adjusted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shift_rms_mm: Option<f64>,
+    /// Every point of the target, where the points were adjusted.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub points: Vec<TargetPoint>,
+}
+
+/// One adjusted point of the target.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TargetPoint {
+    /// Lattice label: column, row, level.
+    #[serde(with = "label")]
+    pub label: DotId,
+    /// Position in the target frame, mm.
+    pub xyz_mm: [f64; 3],
+    /// Standard deviations, mm.
+    #[serde(with = "maybe_array")]
+    pub sigma_mm: [f64; 3],
+}
+
+/// The metric fact that sets the scale.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Scale {
+    /// `spacing`, `radius`, `baseline` or `traverse`.
+    pub fact: String,
+    /// Its value, mm.
+    pub value_mm: f64,
+    /// Its standard deviation, mm; 0 where the rig file gives none.
+    #[serde(with = "maybe")]
+    pub sigma_mm: f64,
+}
+
+/// One view of the target.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct View {
+    /// Position in the rig file, from 0.
+    pub index: usize,
+    /// Whether it was recorded in the laser sheet.
+    pub in_sheet: bool,
+    /// Pose: rig coordinates from target coordinates; `null` where the view was not used.
+    #[serde(deserialize_with = "required_option")]
+    pub rig_from_target: Option<Pose>,
+    /// Root mean square residual per camera, px; cameras that do not see it are absent.
+    #[serde(with = "maybe_map")]
+    pub rms_px: BTreeMap<String, f64>,
+    /// Whether it took part in the adjustment.
+    #[serde(default = "yes")]
+    pub used: bool,
+    /// Why it did not.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub why_unused: String,
+    /// Scalar observations used, per camera.
+    #[serde(default)]
+    pub observations: BTreeMap<String, usize>,
+    /// Outliers left out, per camera.
+    #[serde(default)]
+    pub outliers: BTreeMap<String, usize>,
+    /// Image file per camera, as the rig file names it.
+    #[serde(default)]
+    pub images: BTreeMap<String, String>,
+    /// Standard deviations of the pose.
+    #[serde(default)]
+    pub sigma: PoseSigma,
+    /// Root mean square distance of the view's own points from one plane, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub planarity_mm: Option<f64>,
+    /// Shape of this view's own target (bubbles).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub target: Option<ViewTarget>,
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// Two bubbles of one view.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ViewTarget {
+    /// Radii, mm.
+    #[serde(with = "maybe_list")]
+    pub radii_mm: Vec<f64>,
+    /// Distance of the centres, mm.
+    #[serde(with = "maybe")]
+    pub spacing_mm: f64,
+    /// Standard deviations.
+    pub sigma: TargetSigma,
+}
+
+/// How a parameter is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Known {
+    /// Estimated from the images alone.
+    Free,
+    /// Held at a given value.
+    Fixed,
+    /// Estimated with a prior.
+    Prior,
+}
+
+/// How one parameter is known.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Parameter {
+    /// Name as in [`Covariance::names`].
+    pub name: String,
+    /// Free, fixed, or held by a prior.
+    pub known: Known,
+    /// Part of the information that comes from the prior, 0 to 1.
+    #[serde(with = "maybe", default)]
+    pub prior_share: f64,
+}
+
+/// A direction in the space of parameters that the data hardly determine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NearNull {
+    /// What it is, in words.
+    pub words: String,
+    /// Names of the parameters with the largest parts, as in [`Covariance::names`].
+    #[serde(default)]
+    pub names: Vec<String>,
+    /// Their parts, each in units of the parameter's typical size.
+    #[serde(default)]
+    pub components: Vec<f64>,
+    /// How far the direction may move, in the same units; unknown where nothing holds it.
+    #[serde(with = "maybe", default = "maybe::unknown")]
+    pub sigma: f64,
+}
+
+/// How well the adjustment fits.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Fit {
+    /// Root mean square residual over all cameras, px.
+    pub rms_px: f64,
+    /// Weighted sum of squares.
+    pub chi2: f64,
+    /// Observations and priors less unknowns.
+    pub degrees_of_freedom: usize,
+    /// Mean redundancy: degrees of freedom per observation.
+    #[serde(with = "maybe")]
+    pub redundancy: f64,
+    /// Scalar observations used.
+    pub observations: usize,
+    /// Iterations of the adjustment.
+    pub iterations: usize,
+    /// Newton decrement where it stopped, in sigmas.
+    #[serde(with = "maybe")]
+    pub newton_decrement: f64,
+    /// Why it stopped.
+    pub termination: String,
+    /// Directions that nothing determines.
+    pub nullity: usize,
+    /// The directions that the images do not determine, in words.
+    pub undetermined: Vec<String>,
+    /// Outliers left out.
+    pub outliers: usize,
+    /// Whether it reached its minimum.
+    #[serde(default = "yes")]
+    pub converged: bool,
+    /// What the user must look at before using the result, in words; empty: nothing.
+    #[serde(default)]
+    pub flags: Vec<String>,
+    /// `contour` or `bitangent`.
+    #[serde(default)]
+    pub observation_model: String,
+    /// `none`, `huber` or `cauchy`.
+    #[serde(default)]
+    pub loss: String,
+    /// Factor by which all sigmas were enlarged because the residuals are larger than the noise (1: none).
+    #[serde(default = "one")]
+    pub sigma_scale: f64,
+    /// How each parameter is known, in the order of the adjustment.
+    #[serde(default)]
+    pub parameters: Vec<Parameter>,
+    /// Directions that the images hardly determine.
+    #[serde(default)]
+    pub near_null: Vec<NearNull>,
+}
+
+/// An image that took part.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ImageFile {
+    /// Name as in the rig file.
+    pub path: String,
+    /// View, from 0.
+    pub view: usize,
+    /// Camera name.
+    pub camera: String,
+    /// SHA-256 of the file, hexadecimal, where it was taken.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sha256: Option<String>,
+}
+
+/// Where a calibration comes from.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Program and version that wrote it.
+    #[serde(default)]
+    pub program: String,
+    /// Rig file as the user named it.
+    #[serde(default)]
+    pub rig_file: String,
+    /// Options of the run, name to value.
+    #[serde(default)]
+    pub options: BTreeMap<String, String>,
+    /// Images that took part.
+    #[serde(default)]
+    pub images: Vec<ImageFile>,
+}
+
+/// Covariance of every estimated number.
+///
+/// Names are `owner.quantity_unit`: `left.f_px`, `right.cam_from_rig.rx_rad`, `sheet.a_per_mm`,
+/// `view0.rig_from_target.tx_mm`, `target.spacing_mm`. Pose steps are those of [`PoseSigma`].
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Covariance {
+    /// Names of rows and columns.
+    pub names: Vec<String>,
+    /// Symmetric matrix, rows in the order of the names; unit: product of the two names' units.
+    #[serde(with = "maybe_rows")]
+    pub matrix: Vec<Vec<f64>>,
+}
+
+impl Covariance {
+    /// Index of a name.
+    pub fn index(&self, name: &str) -> Option<usize> {
+        self.names.iter().position(|n| n == name)
+    }
+    /// Standard deviation of a name; `None` where the name is unknown or the number does not exist.
+    pub fn sigma(&self, name: &str) -> Option<f64> {
+        let i = self.index(name)?;
+        let s = self.matrix.get(i)?.get(i)?.sqrt();
+        s.is_finite().then_some(s)
+    }
+}

@@ -1,0 +1,94 @@
+//! The little of XML that the report writes: escaped text, numbers, elements.
+
+use std::fmt::Write;
+
+/// Text or attribute value: the five special characters escaped, characters that XML forbids replaced.
+pub(super) fn escape(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
+            '\t' | '\n' => out.push(c),
+            c if c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}') => out.push('\u{fffd}'),
+            c => out.push(c),
+        }
+    }
+    out
+}
+
+/// A coordinate with two decimals at most; what is not finite is 0 (callers leave such marks out).
+pub(super) fn num(x: f64) -> String {
+    if !x.is_finite() {
+        return "0".into();
+    }
+    let text = format!("{x:.2}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" { "0".into() } else { text.into() }
+}
+
+/// Path data of a chain of points; points that are not finite are left out.
+pub(super) fn path_data(points: impl IntoIterator<Item = [f64; 2]>, closed: bool) -> String {
+    let mut out = String::new();
+    for [x, y] in points {
+        if x.is_finite() && y.is_finite() {
+            let _ = write!(out, "{}{} {}", if out.is_empty() { 'M' } else { 'L' }, num(x), num(y));
+        }
+    }
+    if closed && !out.is_empty() {
+        out.push('Z');
+    }
+    out
+}
+
+/// `<path class d>`, or nothing for an empty path.
+pub(super) fn path(out: &mut String, class: &str, data: &str) {
+    if !data.is_empty() {
+        let _ = write!(out, "<path class=\"{class}\" d=\"{data}\"/>");
+    }
+}
+
+/// A text element; `anchor` is `start`, `middle` or `end`.
+pub(super) fn label(out: &mut String, class: &str, at: [f64; 2], anchor: &str, text: &str) {
+    let _ = write!(
+        out,
+        "<text class=\"{class}\" x=\"{}\" y=\"{}\" text-anchor=\"{anchor}\">{}</text>",
+        num(at[0]),
+        num(at[1]),
+        escape(text)
+    );
+}
+
+/// A straight line.
+pub(super) fn line(out: &mut String, class: &str, from: [f64; 2], to: [f64; 2]) {
+    path(out, class, &path_data([from, to], false));
+}
+
+/// Opening tag of a picture with the view box `(0, 0, width, height)` and a spoken title.
+pub(super) fn open(width: f64, height: f64, title: &str) -> String {
+    format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {} {}\" role=\"img\"><title>{}</title>",
+        num(width),
+        num(height),
+        escape(title)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_escapes() {
+        assert_eq!(escape("a<b>&\"'\u{0}\u{1b}é"), "a&lt;b&gt;&amp;&quot;&#39;\u{fffd}\u{fffd}é");
+    }
+
+    #[test]
+    fn coordinates_are_short_and_finite() {
+        assert_eq!([num(1.0), num(-0.001), num(2.345678), num(f64::NAN)], ["1", "0", "2.35", "0"]);
+        assert_eq!(path_data([[0.0, 1.0], [f64::NAN, 2.0], [3.0, 4.5]], true), "M0 1L3 4.5Z");
+    }
+}

@@ -1,0 +1,288 @@
+//! Rows of numbers with their standard deviations, for the text and for the HTML alike.
+
+use super::number::{plain, with_unit};
+use crate::record::{Camera, Known, Record, Sheet, SheetSigma};
+
+/// A number as it is shown, and how it is known.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct Cell {
+    /// Value, sigma, unit.
+    pub(super) text: String,
+    /// `held`, `prior 97 %`, or empty.
+    pub(super) note: String,
+    /// Whether the note is one to stop at: the prior says more than the images.
+    pub(super) strong: bool,
+}
+
+/// One line of a table.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Row {
+    /// What it is.
+    pub(super) name: String,
+    /// One cell per column.
+    pub(super) cells: Vec<Cell>,
+}
+
+/// A table with column heads; the first column has none.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct Table {
+    pub(super) heads: Vec<String>,
+    pub(super) rows: Vec<Row>,
+}
+
+impl Table {
+    fn row(&mut self, name: &str, cells: Vec<Cell>) {
+        self.rows.push(Row { name: name.into(), cells });
+    }
+    fn words(&mut self, name: &str, text: impl Into<String>) {
+        self.row(name, vec![cell(text)]);
+    }
+}
+
+fn cell(text: impl Into<String>) -> Cell {
+    Cell { text: text.into(), ..Cell::default() }
+}
+
+/// Share of the prior; 0 where there is none.
+fn prior_share(record: &Record, name: &str) -> f64 {
+    let parameter = record.fit.parameters.iter().find(|p| p.name == name && p.known == Known::Prior);
+    parameter.map_or(0.0, |p| p.prior_share)
+}
+
+/// How a camera's parameter is known; empty where it is free.
+fn note(record: &Record, name: &str) -> String {
+    match record.fit.parameters.iter().find(|p| p.name == name) {
+        Some(p) if p.known == Known::Fixed => "held".into(),
+        Some(p) if p.known == Known::Prior && p.prior_share.is_finite() => {
+            format!("prior {:.0} %", 100.0 * p.prior_share)
+        }
+        Some(p) if p.known == Known::Prior => "prior".into(),
+        _ => String::new(),
+    }
+}
+
+/// Value and standard deviation of a camera's number.
+type Get = fn(&Camera) -> (f64, f64);
+
+/// `(name, key, unit, factor to the unit shown, how to get it)` of a camera's parameters.
+type Quantity = (&'static str, &'static str, &'static str, f64, Get);
+
+const QUANTITIES: [Quantity; 10] = [
+    ("focal length f", "f_px", "px", 1.0, |c| (c.f_px, c.sigma.f_px)),
+    ("axis point cx", "cx_px", "px", 1.0, |c| (c.cx_px, c.sigma.cx_px)),
+    ("axis point cy", "cy_px", "px", 1.0, |c| (c.cy_px, c.sigma.cy_px)),
+    ("tilt alpha", "alpha_rad", "°", DEG, |c| (c.alpha_rad, c.sigma.alpha_rad)),
+    ("tilt beta", "beta_rad", "°", DEG, |c| (c.beta_rad, c.sigma.beta_rad)),
+    ("radial k1", "k1", "", 1.0, |c| (c.k1, c.sigma.k1)),
+    ("radial k2", "k2", "", 1.0, |c| (c.k2, c.sigma.k2)),
+    ("radial k3", "k3", "", 1.0, |c| (c.k3, c.sigma.k3)),
+    ("pixel aspect", "aspect", "", 1.0, |c| (c.aspect, c.sigma.aspect)),
+    ("pupil ratio", "pupil_ratio", "", 1.0, |c| (c.pupil_ratio, c.sigma.pupil_ratio)),
+];
+
+const DEG: f64 = 180.0 / std::f64::consts::PI;
+
+/// Interior of all cameras, one column each.
+pub(super) fn cameras(record: &Record) -> Table {
+    let mut table = Table { heads: record.cameras.iter().map(|c| c.name.clone()).collect(), rows: Vec::new() };
+    for (name, key, unit, factor, get) in QUANTITIES {
+        let cells = record.cameras.iter().map(|c| {
+            let ((value, sigma), note) = (get(c), note(record, &format!("{}.{key}", c.name)));
+            // A parameter that is held has no sigma, whatever was left in the field.
+            let sigma = if note == "held" { 0.0 } else { sigma * factor };
+            let strong = prior_share(record, &format!("{}.{key}", c.name)) > 0.5;
+            Cell { text: with_unit(value * factor, sigma, unit), note, strong }
+        });
+        table.row(name, cells.collect());
+    }
+    let effective: [(&str, Get); 3] = [
+        ("effective f", |c| (c.effective.f_px, c.sigma.effective.f_px)),
+        ("effective cx", |c| (c.effective.cx_px, c.sigma.effective.cx_px)),
+        ("effective cy", |c| (c.effective.cy_px, c.sigma.effective.cy_px)),
+    ];
+    for (name, get) in effective {
+        let cells = record.cameras.iter().map(get).map(|(value, sigma)| cell(with_unit(value, sigma, "px")));
+        table.row(name, cells.collect());
+    }
+    if record.cameras.iter().any(|c| c.pixel_pitch_mm.is_some()) {
+        let cells = record.cameras.iter().map(|c| match c.pixel_pitch_mm {
+            Some(pitch_mm) => cell(with_unit(c.f_px * pitch_mm, c.sigma.f_px * pitch_mm, "mm")),
+            None => cell("pixel pitch not given"),
+        });
+        table.row("image distance", cells.collect());
+    }
+    type Show = fn(&Camera) -> String;
+    let per_camera: [(&str, Show); 3] = [
+        ("image size", |c| format!("{} × {} px", c.image_size_px[0], c.image_size_px[1])),
+        ("observations", |c| c.observations.to_string()),
+        ("residual rms", |c| format!("{} px", plain(c.rms_px, 3))),
+    ];
+    for (name, show) in per_camera {
+        table.row(name, record.cameras.iter().map(|c| cell(show(c))).collect());
+    }
+    table
+}
+
+/// Position and attitude of the cameras in the rig, and what they make together.
+pub(super) fn rig(record: &Record) -> Table {
+    let mut table = Table::default();
+    if let Some(rig) = &record.rig {
+        table.words("baseline", with_unit(rig.baseline_mm, rig.sigma.baseline_mm, "mm"));
+        table.words("angle between the lens axes", with_unit(rig.axes_angle_deg, rig.sigma.axes_angle_deg, "°"));
+    }
+    for c in record.cameras.iter().skip(1) {
+        let motion = c.cam_from_rig.motion::<(), ()>();
+        let w = crate::rigid::rotation_log(&motion.rotation) * DEG;
+        let (s, t) = (&c.sigma.cam_from_rig, c.cam_from_rig.translation_mm);
+        let turn: Vec<_> = (0..3).map(|i| with_unit(w[i], s.rotation_rad[i] * DEG, "°")).collect();
+        let shift: Vec<_> = (0..3).map(|i| with_unit(t[i], s.translation_mm[i], "mm")).collect();
+        table.words(&format!("{}: rotation vector from rig", c.name), turn.join(", "));
+        table.words(&format!("{}: translation from rig", c.name), shift.join(", "));
+    }
+    table
+}
+
+struct Plane<'a> {
+    distance_mm: f64,
+    angle_deg: f64,
+    abc_per_mm: [f64; 3],
+    angles_deg: [f64; 3],
+    sigma: &'a SheetSigma,
+}
+
+/// The laser sheet, with the paper's method beside it where there is one.
+pub(super) fn sheet(sheet: &Sheet) -> Table {
+    let mut planes = vec![Plane {
+        distance_mm: sheet.distance_mm,
+        angle_deg: sheet.angle_to_baseline_deg,
+        abc_per_mm: sheet.abc_per_mm,
+        angles_deg: sheet.angles_deg,
+        sigma: &sheet.sigma,
+    }];
+    let first = match sheet.method.as_str() {
+        "joint" => "joint adjustment",
+        "homography" => "homography",
+        _ => "result",
+    };
+    let mut heads = vec![first.to_string()];
+    if let Some(h) = &sheet.homography {
+        heads.push("the paper's homography".into());
+        planes.push(Plane {
+            distance_mm: h.distance_mm,
+            angle_deg: h.angle_to_baseline_deg,
+            abc_per_mm: h.abc_per_mm,
+            angles_deg: h.angles_deg,
+            sigma: &h.sigma,
+        });
+    }
+    let mut table = Table { heads, rows: Vec::new() };
+    let mut add = |name: &str, show: &dyn Fn(&Plane<'_>) -> String| {
+        table.row(name, planes.iter().map(|p| cell(show(p))).collect());
+    };
+    add("distance from the first camera", &|p| with_unit(p.distance_mm, p.sigma.distance_mm, "mm"));
+    add("angle to the baseline", &|p| with_unit(p.angle_deg, p.sigma.angle_to_baseline_deg, "°"));
+    for i in 0..3 {
+        add(&format!("angle {}", i + 1), &|p| with_unit(p.angles_deg[i], p.sigma.angles_deg[i], "°"));
+    }
+    for (i, name) in ["a", "b", "c"].into_iter().enumerate() {
+        add(name, &|p| with_unit(p.abc_per_mm[i], p.sigma.abc_per_mm[i], "/mm"));
+    }
+    let sigma = &sheet.sigma.normal_rad;
+    let normal = sheet.normal_in_rig.map(|x| plain(x, 6)).join(", ");
+    let turn = sigma.map(|s| if s.is_finite() { format!("{}°", plain(s * DEG, 2)) } else { "unknown".into() });
+    let width = planes.len();
+    let pad = |first: String, second: Option<String>| {
+        let mut cells = vec![cell(first)];
+        cells.extend((1..width).map(|_| cell(second.clone().unwrap_or_default())));
+        cells
+    };
+    table.row("normal in the rig", pad(normal, None));
+    table.row("sigma of the normal about sheet x, y", pad(turn.join(", "), None));
+    let transfer = sheet.homography.as_ref().map(|h| format!("{} px", plain(h.transfer_rms_px, 3)));
+    let disparity = sheet.disparity_rms_px.map(|d| format!("{} px", plain(d, 3)));
+    if transfer.is_some() || disparity.is_some() {
+        table.row("disparity, transfer error (rms)", pad(disparity.unwrap_or_default(), transfer));
+    }
+    table
+}
+
+/// The target and the scale.
+pub(super) fn target(record: &Record) -> Table {
+    let t = &record.target;
+    let mut table = Table::default();
+    table.words("kind", t.kind.clone());
+    if !t.adjust.is_empty() {
+        table.words("adjusted", t.adjust.clone());
+    }
+    if t.spacing_mm.is_finite() {
+        table.words("spacing", with_unit(t.spacing_mm, t.sigma.spacing_mm, "mm"));
+    } else {
+        table.words("spacing", "each view has its own");
+    }
+    for (i, &radius_mm) in t.radii_mm.iter().enumerate() {
+        let sigma = t.sigma.radii_mm.get(i).copied().unwrap_or(f64::NAN);
+        table.words(&format!("radius {i}"), with_unit(radius_mm, sigma, "mm"));
+    }
+    if let Some(step_mm) = t.step_mm {
+        table.words("step between the levels", with_unit(step_mm, t.sigma.step_mm.unwrap_or(f64::NAN), "mm"));
+    }
+    if !t.points.is_empty() {
+        table.words("points adjusted", t.points.len().to_string());
+    }
+    if let Some(shift_mm) = t.shift_rms_mm {
+        table.words("points off the nominal target (rms)", format!("{} µm", plain(shift_mm * 1000.0, 3)));
+    }
+    if let Some(s) = &record.scale {
+        table.words("scale from", format!("{} = {}", s.fact, with_unit(s.value_mm, s.sigma_mm, "mm")));
+    }
+    table
+}
+
+/// How well it fits.
+pub(super) fn fit(record: &Record) -> Table {
+    let f = &record.fit;
+    let mut table = Table::default();
+    table.words("residual rms", format!("{} px", plain(f.rms_px, 3)));
+    table.words("chi-square over degrees of freedom", format!("{} / {}", plain(f.chi2, 6), f.degrees_of_freedom));
+    table.words("observations", f.observations.to_string());
+    table.words("redundancy", plain(f.redundancy, 4));
+    table.words("outliers left out", f.outliers.to_string());
+    table.words("undetermined directions", f.nullity.to_string());
+    let model: Vec<_> = [&f.observation_model, &f.loss].into_iter().filter(|s| !s.is_empty()).cloned().collect();
+    if !model.is_empty() {
+        table.words("observations and loss", model.join(", "));
+    }
+    if f.sigma_scale != 1.0 {
+        table.words("sigmas enlarged by", plain(f.sigma_scale, 3));
+    }
+    table.words("iterations", f.iterations.to_string());
+    table.words("stopped on", f.termination.clone());
+    table.words("Newton decrement", format!("{} sigma", plain(f.newton_decrement, 2)));
+    table
+}
+
+/// A pair of parameters that move together: names and coefficient.
+pub(super) struct Pair<'a> {
+    pub(super) first: &'a str,
+    pub(super) second: &'a str,
+    pub(super) coefficient: f64,
+}
+
+/// The strongest correlations, at least `least` in size, strongest first, `most` of them.
+pub(super) fn correlations(record: &Record, least: f64, most: usize) -> Vec<Pair<'_>> {
+    let c = &record.covariance;
+    let variance = |i: usize| c.matrix.get(i).and_then(|row| row.get(i)).copied().unwrap_or(f64::NAN);
+    let mut pairs = Vec::new();
+    for i in 0..c.names.len() {
+        for j in 0..i {
+            let scale = (variance(i) * variance(j)).sqrt();
+            let coefficient = c.matrix.get(i).and_then(|row| row.get(j)).copied().unwrap_or(f64::NAN) / scale;
+            if coefficient.is_finite() && coefficient.abs() >= least {
+                pairs.push(Pair { first: &c.names[j], second: &c.names[i], coefficient });
+            }
+        }
+    }
+    pairs.sort_by(|a, b| b.coefficient.abs().total_cmp(&a.coefficient.abs()));
+    pairs.truncate(most);
+    pairs
+}

@@ -1,0 +1,235 @@
+//! The record in plain words: what is determined, what is not, what to do next.
+
+use super::number::{count, plain, with_unit};
+use crate::record::{Known, Record, View};
+
+/// A parameter whose prior gives more than this share of what is known counts as known from its prior.
+const PRIOR_SHARE: f64 = 0.9;
+/// Residuals this many times the noise they were given say that the model or the noise is wrong.
+const MISFIT: f64 = 1.5;
+/// A view whose rms is this many times the median of its camera is worth a look.
+const VIEW_MISFIT: f64 = 2.0;
+/// Views in fewer positions than this leave the cameras weak.
+const FEW_VIEWS: usize = 4;
+/// Parameters named one by one in a sentence.
+const NAMED: usize = 6;
+
+/// How far a calibration is to be trusted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Level {
+    /// Nothing speaks against it.
+    Good,
+    /// Usable, after the points named were looked at.
+    Care,
+    /// Not to be used.
+    Bad,
+}
+
+/// What a calibration says about itself, in sentences.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Verdict {
+    /// How far it is to be trusted.
+    pub level: Level,
+    /// One sentence.
+    pub headline: String,
+    /// What is determined, with numbers.
+    pub determined: Vec<String>,
+    /// What is not.
+    pub open: Vec<String>,
+    /// What to do next.
+    pub next: Vec<String>,
+}
+
+/// Reads the verdict off a record.
+pub fn verdict(record: &Record) -> Verdict {
+    let level = level(record);
+    let mut open = open_points(record);
+    let next = next_steps(record);
+    let headline = headline(record, level);
+    if open.is_empty() {
+        open.push("Nothing: the images determine every number that was estimated.".into());
+    }
+    Verdict { level, headline, determined: determined(record), open, next }
+}
+
+fn level(r: &Record) -> Level {
+    let f = &r.fit;
+    if !f.converged || !f.rms_px.is_finite() {
+        Level::Bad
+    } else if f.nullity > 0 || !f.undetermined.is_empty() || !f.flags.is_empty() || misfit(r) > MISFIT {
+        Level::Care
+    } else {
+        Level::Good
+    }
+}
+
+fn headline(r: &Record, level: Level) -> String {
+    let f = &r.fit;
+    match level {
+        Level::Bad => format!(
+            "Do not use this calibration: the adjustment stopped before its minimum ({}).",
+            if f.termination.is_empty() { "no reason given" } else { &f.termination }
+        ),
+        Level::Care if f.nullity > 0 => format!(
+            "Usable only for what is determined: {} of the solution {} not fixed by the images.",
+            count(f.nullity, "direction"),
+            if f.nullity == 1 { "is" } else { "are" }
+        ),
+        Level::Care => "Usable, but first read what is not determined and what to look at.".into(),
+        Level::Good => "The calibration is complete and consistent.".into(),
+    }
+}
+
+/// Root mean square of the residuals in units of the noise that they were given; 1 where it cannot be told.
+fn misfit(r: &Record) -> f64 {
+    let dof = r.fit.degrees_of_freedom;
+    if dof == 0 || !r.fit.chi2.is_finite() { 1.0 } else { (r.fit.chi2 / dof as f64).sqrt() }
+}
+
+fn determined(r: &Record) -> Vec<String> {
+    let mut out = Vec::new();
+    let used = r.views.iter().filter(|v| v.used).count();
+    let per_camera: Vec<_> = r.cameras.iter().map(|c| format!("{} {}", c.name, plain(c.rms_px, 3))).collect();
+    out.push(format!(
+        "{} of {} and {} agree to {} px rms ({} px); that is {} times the noise expected.",
+        count(r.fit.observations, "observation"),
+        count(r.cameras.len(), "camera"),
+        count(used, "view"),
+        plain(r.fit.rms_px, 3),
+        per_camera.join(", "),
+        plain(misfit(r), 3)
+    ));
+    if let Some(rig) = &r.rig {
+        out.push(format!(
+            "The cameras stand {} apart; their lens axes make {}.",
+            with_unit(rig.baseline_mm, rig.sigma.baseline_mm, "mm"),
+            with_unit(rig.axes_angle_deg, rig.sigma.axes_angle_deg, "°")
+        ));
+    }
+    if let Some(s) = &r.sheet {
+        let disparity = s
+            .disparity_rms_px
+            .map_or(String::new(), |d| format!(" Both cameras see it coincide to {} px rms.", plain(d, 3)));
+        out.push(format!(
+            "The laser sheet lies {} from the first camera and makes {} with the baseline.{disparity}",
+            with_unit(s.distance_mm, s.sigma.distance_mm, "mm"),
+            with_unit(s.angle_to_baseline_deg, s.sigma.angle_to_baseline_deg, "°")
+        ));
+    }
+    if let Some(scale) = &r.scale {
+        let given = if scale.sigma_mm > 0.0 || scale.sigma_mm.is_nan() {
+            with_unit(scale.value_mm, scale.sigma_mm, "mm")
+        } else {
+            format!("{} mm, taken as exact", plain(scale.value_mm, 8))
+        };
+        out.push(format!("The scale comes from one given length: {} = {given}.", scale.fact));
+    }
+    out
+}
+
+/// The words with a capital first letter and a full stop.
+pub(super) fn sentence(words: &str) -> String {
+    let mut chars = words.trim().chars();
+    let Some(first) = chars.next() else { return String::new() };
+    let mut out: String = first.to_uppercase().chain(chars).collect();
+    if !out.ends_with(['.', '!', '?', ':']) {
+        out.push('.');
+    }
+    out
+}
+
+fn open_points(r: &Record) -> Vec<String> {
+    let mut out: Vec<String> = r.fit.undetermined.iter().map(|w| sentence(w)).collect();
+    let held: Vec<_> = r
+        .fit
+        .parameters
+        .iter()
+        .filter(|p| p.known == Known::Prior && p.prior_share > PRIOR_SHARE)
+        .map(|p| format!("{} ({} %)", p.name, (100.0 * p.prior_share).floor()))
+        .collect();
+    if !held.is_empty() {
+        let more = held.len().saturating_sub(NAMED);
+        let tail = if more > 0 { format!(" and {more} more") } else { String::new() };
+        let named = held[..held.len() - more].join(", ");
+        out.push(format!("Known mostly from priors, not from the images: {named}{tail}."));
+    }
+    out.extend(r.fit.near_null.iter().map(|n| format!("Weak: {}", sentence(&n.words))));
+    if r.sheet.is_none() {
+        out.push("The laser sheet: no view was recorded in it.".into());
+    }
+    let missing = r.views.iter().filter(|v| !v.used).map(|v| {
+        let why = if v.why_unused.is_empty() { "no reason given" } else { &v.why_unused };
+        format!("View {} was not used: {why}.", v.index)
+    });
+    out.extend(missing);
+    out
+}
+
+fn next_steps(r: &Record) -> Vec<String> {
+    let mut out: Vec<String> = r.fit.flags.iter().map(|w| sentence(w)).collect();
+    if !r.fit.converged {
+        out.push(
+            "Check that the right images stand beside the right cameras, and that the nominal values in the rig file are \
+             near the truth; then run again."
+                .into(),
+        );
+    }
+    let misfit = misfit(r);
+    if misfit > MISFIT {
+        let sigmas = if r.fit.sigma_scale > 1.0 {
+            format!("all sigmas were enlarged {} times", plain(r.fit.sigma_scale, 3))
+        } else {
+            "the sigmas below do not allow for it".into()
+        };
+        out.push(format!(
+            "The residuals are {} times the noise ({sigmas}). Look at the arrows: if they repeat from view to view, the \
+             target is not what the rig file says (adjust = \"points\") or the lens needs another term; if they are \
+             random, the images are noisier than they look.",
+            plain(misfit, 3)
+        ));
+    }
+    let said = r.fit.flags.iter().any(|f| f.contains("outlier"));
+    if r.fit.outliers > 0 && !said {
+        out.push(format!(
+            "{} left out: see the list of outliers and the red marks in the images.",
+            if r.fit.outliers == 1 { "1 outlier was".into() } else { format!("{} outliers were", r.fit.outliers) }
+        ));
+    }
+    out.extend(r.cameras.iter().flat_map(|c| bad_views(r, &c.name)));
+    let tilted = r.views.iter().filter(|v| v.used).count();
+    if r.fit.nullity > 0 || tilted < FEW_VIEWS {
+        out.push(
+            "Record a printed target, or the sheet itself, tilted by a few degrees in one or more further views; a parallel \
+             shift does not help. A known focal length or the focus relation ([focus] in the rig file) helps as well."
+                .into(),
+        );
+    }
+    if r.sheet.is_none() {
+        out.push("To get the sheet, record one view of the target in the light sheet and mark it sheet = true.".into());
+    }
+    if out.is_empty() {
+        out.push("Nothing has to be done. Check the sheet on particle images: spivcal check.".into());
+    }
+    out
+}
+
+fn bad_views(r: &Record, camera: &str) -> Vec<String> {
+    let rms = |v: &View| v.rms_px.get(camera).copied().filter(|x| v.used && x.is_finite());
+    let mut all: Vec<f64> = r.views.iter().filter_map(rms).collect();
+    all.sort_by(f64::total_cmp);
+    if all.len() < 3 {
+        return Vec::new();
+    }
+    let median = all[all.len() / 2];
+    r.views
+        .iter()
+        .filter_map(|v| rms(v).filter(|&x| x > VIEW_MISFIT * median).map(|x| (v.index, x)))
+        .map(|(view, x)| {
+            format!(
+                "Look at view {view}, camera {camera}: its residual of {} px is {} times the median of this camera.",
+                plain(x, 2),
+                plain(x / median, 2)
+            )
+        })
+        .collect()
+}

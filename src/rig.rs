@@ -1,0 +1,85 @@
+//! Two cameras and the motion between them: from labelled discs to the adjusted rig.
+//!
+//! 1. Each camera alone: candidates for its effective pinhole ([`crate::seed`]), axis point at the sensor's centre, poses in
+//!    closed form, a short adjustment of each candidate; the lowest cost wins.
+//! 2. The motion between the cameras: every common view gives one, `M_v = right_from_target left_from_target^-1`. They must agree. Where
+//!    two discs can be told apart by nothing but their size, both pairings are tried and the consensus decides.
+//! 3. One metric fact fixes the scale; drifting bubbles have a scale of their own in every view until the baseline is common.
+//! 4. Everything in one adjustment.
+//!
+//! A view, a pairing or a whole camera that contradicts the others is named: images of a view exchanged or of different
+//! moments, a mirrored camera.
+//!
+//! | symbol | identifier | unit | meaning |
+//! |---|---|---|---|
+//! | M_v | `motion` | rad, mm | second solver frame from first, by view v |
+//! | S | `SWAP` | - | exchanges the two discs: half a turn about the middle of the pair |
+//! | D | mirror | - | `diag(-1, 1, 1)`: a horizontally mirrored camera |
+
+mod joint;
+mod mono;
+
+pub use joint::calibrate_rig;
+
+use crate::bundle::{Adjustment, Model, State};
+use crate::camera::{INTRINSICS, Intrinsics};
+use crate::conic::Ellipse;
+use crate::frames::{Cam, Target};
+use crate::rigid::Motion;
+
+/// What is known of a camera before the start.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraStart {
+    /// Width and height, px.
+    pub size_px: [f64; 2],
+    /// f of the drawing, px, where known.
+    pub nominal_f_px: Option<f64>,
+    /// Values at which fixed intrinsics are held, in the order of [`crate::camera::INTRINSIC_NAMES`]; for free ones where to
+    /// start, if not in closed form.
+    pub values: [Option<f64>; INTRINSICS],
+}
+
+/// A rig to calibrate.
+#[derive(Debug, Clone)]
+pub struct RigProblem {
+    /// Observations, unknowns, facts. Disc labels of pairs may be exchanged in any image.
+    pub model: Model,
+    /// One ellipse per disc of each image, in the order of `model.images` and their discs.
+    pub ellipses: Vec<Vec<Ellipse>>,
+    /// The cameras.
+    pub starts: Vec<CameraStart>,
+    /// First guess of the target's shape, mm (see [`crate::bundle::TargetShape`]); entries that are adjusted and unknown are `None`.
+    pub shape_mm: [Option<f64>; 3],
+    /// Names of the images for messages, like `model.images`.
+    pub image_names: Vec<String>,
+}
+
+/// A calibrated rig.
+#[derive(Debug, Clone)]
+pub struct RigSolution {
+    /// The adjustment.
+    pub adjustment: Adjustment,
+    /// For each image, whether the labels of its two discs were exchanged.
+    pub swapped: Vec<bool>,
+}
+
+/// A camera calibrated alone.
+#[derive(Debug, Clone)]
+struct Mono {
+    intrinsics: Intrinsics,
+    /// Per view of the rig: pose in the camera's solver frame and shape; `None` where the camera has no image.
+    poses: Vec<Option<(Motion<Cam, Target>, [f64; 3])>>,
+    /// Root mean square contour distance, px.
+    rms_px: f64,
+}
+
+fn rms_of(model: &Model, state: &State) -> Option<f64> {
+    let (mut sum, mut n) = (0.0, 0.0);
+    for image in &model.images {
+        for disc in crate::bundle::residuals(model, state, image)?.discs {
+            sum += disc.edges.distance_px.iter().map(|d| d * d).sum::<f64>();
+            n += disc.edges.distance_px.len() as f64;
+        }
+    }
+    Some((sum / f64::max(n, 1.0)).sqrt())
+}

@@ -1,0 +1,243 @@
+//! One camera alone: candidates in closed form, each adjusted a little, the best adjusted to the end.
+
+use super::{CameraStart, Mono, RigProblem, rms_of};
+use crate::bundle::{
+    AdjustOptions, Adjustment, DiscObservation, Fact, ImageObservations, Loss, Model, SolveOptions, State, TargetShape,
+    ViewModel, ViewPlace, ViewState, adjust,
+};
+use crate::camera::{Camera, EffectivePinhole, Intrinsics, Radial};
+use crate::conic::Ellipse;
+use crate::detect::EdgePoints;
+use crate::error::{Insufficient, Result};
+use crate::frames::{Cam, Rig, Target};
+use crate::rigid::Motion;
+use crate::seed::{
+    CircularPoint, homography, lattice_circular_point, lattice_pose, pair_circular_point, pair_pose, pinholes,
+};
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+/// Edge points per disc and discs per image that a start looks at: enough to choose, few enough to be quick.
+const START_EDGES: usize = 24;
+const START_DISCS: usize = 48;
+
+/// What one view of the plane gives before the camera is known.
+enum ViewSeed {
+    Lattice { homography: Matrix3<f64> },
+    Pair { ellipses: [Ellipse; 2], line: Vector3<f64> },
+}
+
+struct SeededImage {
+    image: usize,
+    view: usize,
+    seed: ViewSeed,
+    circular: CircularPoint,
+}
+
+/// Calibrates camera `c` of the problem alone; scale as in the problem's first guess.
+///
+/// # Errors
+/// Too few views, discs that no circle pair or lattice explains, no start that converges.
+pub(super) fn calibrate_camera(problem: &RigProblem, c: usize) -> Result<Mono> {
+    let name = &problem.model.cameras[c].name;
+    let seeds = seeds(problem, c)?;
+    let known_f = !problem.model.cameras[c].free[0]
+        || problem
+            .model
+            .facts
+            .iter()
+            .any(|f| matches!(f, Fact::Intrinsic { camera, parameter: 0, .. } if *camera == c));
+    let needed = if known_f { 1 } else { 2 };
+    if seeds.len() < needed {
+        return Err(Insufficient::TooFewViews { camera: name.clone(), found: seeds.len(), needed }.into());
+    }
+    let points: Vec<CircularPoint> = seeds.iter().map(|s| s.circular).collect();
+    let start = &problem.starts[c];
+    let candidates = pinholes(&points, start.size_px, start.nominal_f_px);
+    let model = mono_model(problem, c, &seeds);
+    let quick =
+        AdjustOptions { solve: SolveOptions { decrement: 1.0, iterations: 25 }, rounds: 0, outlier_sigmas: 6.0 };
+    let mut best: Option<Adjustment> = None;
+    for pinhole in &candidates {
+        let Some(state) = mono_start(problem, c, &seeds, pinhole) else { continue };
+        let trial = adjust(&model, state, &quick, &mut |_| true);
+        if trial.cost.is_finite() && best.as_ref().is_none_or(|b| trial.cost < b.cost) {
+            best = Some(trial);
+        }
+        // A candidate that explains the contours to half a pixel needs no rival.
+        if best.as_ref().and_then(|b| rms_of(&model, &b.state)).is_some_and(|r| r < 0.5) {
+            break;
+        }
+    }
+    let best = best.ok_or_else(|| {
+        Insufficient::Degenerate(format!(
+            "camera \"{name}\": no start explains its images; record the target in clearly different tilts, or state focal_length_mm and pixel_pitch_mm"
+        ))
+    })?;
+    let fine =
+        AdjustOptions { solve: SolveOptions { decrement: 1e-2, iterations: 100 }, rounds: 0, outlier_sigmas: 6.0 };
+    let done = adjust(&model, best.state, &fine, &mut |_| true);
+    let mut poses = vec![None; problem.model.views.len()];
+    for (k, s) in seeds.iter().enumerate() {
+        let view = &done.state.views[k];
+        let pose: Motion<Cam, Target> =
+            Motion::new(view.first_from_target.rotation, view.first_from_target.translation_mm);
+        let shape = if model.target.per_view() { view.shape_mm } else { done.state.shape_mm };
+        poses[s.view] = Some((pose, shape));
+    }
+    let rms_px = rms_of(&model, &done.state).unwrap_or(f64::INFINITY);
+    Ok(Mono { intrinsics: done.state.cameras[0], poses, rms_px })
+}
+
+fn seeds(problem: &RigProblem, c: usize) -> Result<Vec<SeededImage>> {
+    let mut out = vec![];
+    for (k, image) in problem.model.images.iter().enumerate().filter(|(_, i)| i.camera == c) {
+        let seed = match &problem.model.target.shape {
+            TargetShape::Pair { .. } => pair_seed(image, &problem.ellipses[k]),
+            TargetShape::Lattice(_) => lattice_seed(problem, image, &problem.ellipses[k]),
+        };
+        let Some((seed, circular)) = seed else {
+            return Err(Insufficient::Pattern {
+                image: problem.image_names[k].clone(),
+                message:
+                    "the discs are not the image of circles in one plane; check that these are the target's discs, \
+                          not their reflections, and that the target is flat"
+                        .into(),
+            }
+            .into());
+        };
+        out.push(SeededImage { image: k, view: image.view, seed, circular });
+    }
+    Ok(out)
+}
+
+fn pair_seed(image: &ImageObservations, ellipses: &[Ellipse]) -> Option<(ViewSeed, CircularPoint)> {
+    let at = |disc: usize| image.discs.iter().position(|d| d.disc == disc).map(|i| ellipses[i]);
+    let pair = [at(0)?, at(1)?];
+    let (circular, line) = pair_circular_point([&pair[0], &pair[1]])?;
+    Some((ViewSeed::Pair { ellipses: pair, line }, circular))
+}
+
+fn lattice_seed(
+    problem: &RigProblem,
+    image: &ImageObservations,
+    ellipses: &[Ellipse],
+) -> Option<(ViewSeed, CircularPoint)> {
+    let shape = problem.shape_mm.map(|s| s.unwrap_or(1.0));
+    // One level only: a homography knows no depth. The level with more dots.
+    let level = |d: &DiscObservation| problem.model.target.nominal_disc(d.disc, &shape).0.z;
+    let front = image.discs.iter().filter(|d| level(d) == 0.0).count();
+    let on_front = 2 * front >= image.discs.len();
+    let (mut plane, mut seen) = (vec![], vec![]);
+    for (d, e) in image.discs.iter().zip(ellipses).filter(|(d, _)| (level(d) == 0.0) == on_front) {
+        plane.push(problem.model.target.nominal_disc(d.disc, &shape).0.xy());
+        seen.push(Vector2::new(e.center_px.u_px, e.center_px.v_px));
+    }
+    let h = homography(&plane, &seen)?;
+    Some((ViewSeed::Lattice { homography: h }, lattice_circular_point(&h)))
+}
+
+/// Subsampled copy of a contour.
+fn thinned(edge: &EdgePoints) -> EdgePoints {
+    let step = edge.u_px.len().div_ceil(START_EDGES).max(1);
+    let pick = |v: &[f64]| v.iter().step_by(step).copied().collect();
+    EdgePoints { u_px: pick(&edge.u_px), v_px: pick(&edge.v_px), sigma_px: pick(&edge.sigma_px) }
+}
+
+fn mono_model(problem: &RigProblem, c: usize, seeds: &[SeededImage]) -> Model {
+    let full = &problem.model;
+    let mut target = full.target.clone();
+    // Scale is a gauge of a single camera; printing errors wait for both.
+    target.free[0] = false;
+    target.offset_sigma_mm = None;
+    let image = |(k, s): (usize, &SeededImage)| {
+        let discs = &full.images[s.image].discs;
+        let step = discs.len().div_ceil(START_DISCS).max(1);
+        let thin = |d: &DiscObservation| DiscObservation { disc: d.disc, edge: thinned(&d.edge) };
+        ImageObservations {
+            view: k,
+            camera: 0,
+            discs: discs.iter().step_by(step).map(thin).collect(),
+            pairs: vec![],
+            sigma_scale: 1.0,
+        }
+    };
+    let facts = full.facts.iter().filter_map(|f| match f {
+        Fact::Intrinsic { camera, parameter, value, sigma } if *camera == c => {
+            Some(Fact::Intrinsic { camera: 0, parameter: *parameter, value: *value, sigma: *sigma })
+        }
+        _ => None,
+    });
+    Model {
+        cameras: vec![full.cameras[c].clone()],
+        target,
+        views: vec![ViewModel { place: ViewPlace::Free }; seeds.len()],
+        facts: facts.collect(),
+        images: seeds.iter().enumerate().map(image).collect(),
+        // Wide enough not to hide a wrong candidate, tight enough to survive a bad contour.
+        loss: Loss::Huber(50.0),
+    }
+}
+
+/// Intrinsics of an effective pinhole with the axis point at its known place or at the sensor's centre, fixed values held.
+fn start_intrinsics(start: &CameraStart, free: &[bool; 10], pinhole: &EffectivePinhole) -> Intrinsics {
+    let v = &start.values;
+    let cx = v[2].unwrap_or((start.size_px[0] - 1.0) / 2.0);
+    let cy = v[3].unwrap_or((start.size_px[1] - 1.0) / 2.0);
+    let mut p = pinhole.with_axis_point(cx, cy, v[1].unwrap_or(1.0)).to_array();
+    for k in 0..10 {
+        if !free[k] {
+            p[k] = v[k].unwrap_or(p[k]);
+        }
+    }
+    Intrinsics::from_array(&p, Radial::IdealToDistorted)
+}
+
+fn mono_start(problem: &RigProblem, c: usize, seeds: &[SeededImage], pinhole: &EffectivePinhole) -> Option<State> {
+    let camera = &problem.model.cameras[c];
+    let intrinsics = start_intrinsics(&problem.starts[c], &camera.free, pinhole);
+    // Poses belong to the pinhole that these intrinsics really have, which fixed values may have moved.
+    let actual = Camera::new(intrinsics).ok()?;
+    let pinhole = actual.effective_pinhole();
+    let spacing = problem.shape_mm[0].unwrap_or(1.0);
+    let mut views = vec![];
+    for s in seeds {
+        let (pose, radii) = match &s.seed {
+            ViewSeed::Lattice { homography } => (lattice_pose(homography, &pinhole)?, None),
+            ViewSeed::Pair { ellipses, line } => {
+                let p = pair_pose([&ellipses[0], &ellipses[1]], line, &pinhole)?;
+                let scaled = Motion::new(p.cam_from_target.rotation, p.cam_from_target.translation_mm * spacing);
+                (scaled, Some(p.radii.map(|r| r * spacing)))
+            }
+        };
+        let turn = if camera.uses_pinhole_frame() { Matrix3::identity() } else { actual.cam_from_pinhole() };
+        let shape = match radii {
+            Some([r0, r1]) => [spacing, r0, r1],
+            None => lattice_shape(problem, s, &pose, &actual),
+        };
+        let first_from_target: Motion<Rig, Target> = Motion::new(turn * pose.rotation, turn * pose.translation_mm);
+        views.push(ViewState { first_from_target, plane_from_target: None, shape_mm: shape });
+    }
+    let median = |k: usize| {
+        let mut all: Vec<f64> = views.iter().map(|v| v.shape_mm[k]).collect();
+        all.sort_by(f64::total_cmp);
+        problem.shape_mm[k].unwrap_or(all[all.len() / 2])
+    };
+    let shape_mm = [median(0), median(1), median(2)];
+    Some(State {
+        cameras: vec![intrinsics],
+        camera_from_first: vec![Motion::identity()],
+        first_from_plane: None,
+        views,
+        shape_mm,
+        offsets_mm: vec![],
+    })
+}
+
+/// Radius of a lattice's dots from their mean size in the image.
+fn lattice_shape(problem: &RigProblem, s: &SeededImage, pose: &Motion<Cam, Target>, camera: &Camera) -> [f64; 3] {
+    let shape = problem.shape_mm;
+    let size: f64 = problem.ellipses[s.image].iter().map(|e| e.semi_major_px).sum::<f64>();
+    let mean_px = size / problem.ellipses[s.image].len().max(1) as f64;
+    let mm_per_px = pose.translation_mm.norm() / camera.effective_pinhole().f_px;
+    [shape[0].unwrap_or(1.0), shape[1].unwrap_or(mean_px * mm_per_px), shape[2].unwrap_or(0.0)]
+}

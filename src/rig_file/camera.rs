@@ -1,0 +1,114 @@
+//! `[[camera]]` and `[camera.known]`.
+
+use super::reader::{FINITE, Item, Limits, POSITIVE, SIGMA, Section};
+use super::{CameraDescription, Knowledge, Parameter};
+use crate::error::Result;
+
+const PIXEL_PITCH_MM: Limits =
+    Limits::new(1e-4, 1.0, "a pixel pitch in mm between 0.0001 and 1 (6.25 micrometres are 0.00625)");
+const FOCAL_LENGTH_MM: Limits = Limits::new(0.1, 1e5, "a focal length in mm between 0.1 and 100000");
+const TILT_DEG: Limits = Limits::new(-89.0, 89.0, "an angle in degrees between -89 and 89");
+
+/// Keys of a view beside the camera names; no camera may be called like them.
+pub(super) const VIEW_KEYS: [&str; 2] = ["sheet", "plane_z_mm"];
+
+pub(super) fn read_all(root: &Section<'_>) -> Result<Vec<CameraDescription>> {
+    let list = root.find("camera").ok_or_else(|| {
+        root.source.refuse_line(1, "no [[camera]] is described; each camera needs [[camera]] and name = \"...\"")
+    })?;
+    let items = list.list("[[camera]] (in double brackets, once for each camera)")?;
+    if items.is_empty() {
+        return Err(list.refuse("no camera is described; each camera needs [[camera]] and name = \"...\""));
+    }
+    if let Some(third) = items.get(2) {
+        return Err(third.source.refuse(
+            third.offset,
+            format!("{} cameras are described; a rig has two (or one, calibrated alone without a sheet)", items.len()),
+        ));
+    }
+    let mut cameras: Vec<CameraDescription> = Vec::with_capacity(items.len());
+    for item in &items {
+        let section = item.section("a table of keys")?.named("[[camera]]");
+        let camera = read(&section)?;
+        // Output files carry the name, and some file systems do not tell "Left" from "left".
+        if cameras.iter().any(|c| c.name.to_lowercase() == camera.name.to_lowercase()) {
+            return Err(section.require("name", "")?.refuse(format!(
+                "both cameras are called \"{}\"; views need to tell them apart, give them different names",
+                camera.name
+            )));
+        }
+        cameras.push(camera);
+    }
+    Ok(cameras)
+}
+
+fn read(section: &Section<'_>) -> Result<CameraDescription> {
+    section.only(&["name", "pixel_pitch_mm", "focal_length_mm", "known"], |key| {
+        Parameter::ALL.iter().any(|p| p.key() == key).then(|| "belongs under [camera.known]".to_string())
+    })?;
+    Ok(CameraDescription {
+        name: name(&section.require("name", "give the camera a name, such as name = \"left\"")?)?,
+        pixel_pitch_mm: section.number("pixel_pitch_mm", PIXEL_PITCH_MM)?,
+        focal_length_mm: section.number("focal_length_mm", FOCAL_LENGTH_MM)?,
+        known: section.find("known").map_or(Ok(Vec::new()), |item| known(&item))?,
+    })
+}
+
+fn name(item: &Item<'_>) -> Result<String> {
+    let name = item.text("a name")?;
+    if VIEW_KEYS.contains(&name) {
+        return Err(item.refuse(format!("\"{name}\" is a key of [[view]] and cannot be the name of a camera")));
+    }
+    let allowed = |c: char| c.is_alphanumeric() || c == '-' || c == '_';
+    if name.is_empty() || name.len() > 64 || !name.chars().all(allowed) {
+        return Err(item.refuse(format!(
+            "\"{name}\" cannot be a name: expected 1 to 64 letters, digits, \"-\" or \"_\" (output files are called after it)"
+        )));
+    }
+    Ok(name.to_string())
+}
+
+fn known(item: &Item<'_>) -> Result<Vec<(Parameter, Knowledge)>> {
+    let section = item.section("a table of keys")?.named("[camera.known]");
+    let keys: Vec<&str> = Parameter::ALL.iter().map(|p| p.key()).collect();
+    section.only(&keys, |_| None)?;
+    let mut known = Vec::new();
+    for parameter in Parameter::ALL {
+        if let Some(item) = section.find(parameter.key()) {
+            known.push((parameter, knowledge(parameter, &item)?));
+        }
+    }
+    Ok(known)
+}
+
+fn knowledge(parameter: Parameter, item: &Item<'_>) -> Result<Knowledge> {
+    if !item.is_table() {
+        return Err(item.refuse(
+            "expected { value = ..., sigma = ... } for a value known with a standard deviation, or { fixed = ... }",
+        ));
+    }
+    let section = item.section("a table")?;
+    section.only(&["value", "sigma", "fixed"], |_| None)?;
+    let limits = limits(parameter);
+    let unit = if matches!(parameter, Parameter::Alpha | Parameter::Beta) { f64::to_radians(1.0) } else { 1.0 };
+    match (section.number("value", limits)?, section.number("sigma", SIGMA)?, section.number("fixed", limits)?) {
+        (Some(value), Some(sigma), None) => Ok(Knowledge::Prior { value: value * unit, sigma: sigma * unit }),
+        (None, None, Some(value)) => Ok(Knowledge::Fixed { value: value * unit }),
+        (_, _, Some(_)) => {
+            Err(item.refuse("cannot be fixed and have a prior at once; keep either { fixed } or { value, sigma }"))
+        }
+        (Some(_), None, None) => Err(item.refuse(
+            "a value without sigma says nothing; add sigma = ... (one standard deviation) or write { fixed = ... }",
+        )),
+        (None, Some(_), None) => Err(item.refuse("a sigma without a value; add value = ...")),
+        (None, None, None) => Err(item.refuse("expected { value = ..., sigma = ... } or { fixed = ... }")),
+    }
+}
+
+fn limits(parameter: Parameter) -> Limits {
+    match parameter {
+        Parameter::F | Parameter::Aspect | Parameter::PupilRatio => POSITIVE,
+        Parameter::Alpha | Parameter::Beta => TILT_DEG,
+        Parameter::Cx | Parameter::Cy | Parameter::K1 | Parameter::K2 | Parameter::K3 => FINITE,
+    }
+}

@@ -1,0 +1,76 @@
+//! `[[view]]`.
+
+use super::camera::VIEW_KEYS;
+use super::reader::{FINITE, Item, Section};
+use super::{CameraDescription, ViewDescription};
+use crate::error::Result;
+
+pub(super) fn read_all(root: &Section<'_>, cameras: &[CameraDescription]) -> Result<Vec<ViewDescription>> {
+    let missing = "no [[view]] is described; each position of the target needs [[view]] with an image per camera";
+    let list = root.find("view").ok_or_else(|| root.source.refuse_line(1, missing))?;
+    let items = list.list("[[view]] (in double brackets, once for each position of the target)")?;
+    if items.is_empty() {
+        return Err(list.refuse(missing));
+    }
+    let mut views: Vec<ViewDescription> = Vec::with_capacity(items.len());
+    for (index, item) in items.iter().enumerate() {
+        let section = item.section("a table of keys")?.named(format!("[[view]] {index}"));
+        let view = read(&section, item, cameras)?;
+        for image in view.images.iter().flatten() {
+            let earlier = views.iter().position(|v| v.images.iter().flatten().any(|i| i == image));
+            let twice = view.images.iter().flatten().filter(|i| *i == image).count() > 1;
+            if let Some(other) = earlier.or(twice.then_some(index)) {
+                return Err(section.refuse(format!(
+                    "image \"{image}\" is used already in view {other}; an image belongs to one camera and one view"
+                )));
+            }
+        }
+        views.push(view);
+    }
+    if cameras.len() == 2 && !views.iter().any(|v| v.images.iter().all(Option::is_some)) {
+        return Err(list.refuse(format!(
+            "no view has an image of both \"{}\" and \"{}\", so nothing ties the cameras together; \
+             expected at least one such view",
+            cameras[0].name, cameras[1].name
+        )));
+    }
+    Ok(views)
+}
+
+fn read(section: &Section<'_>, item: &Item<'_>, cameras: &[CameraDescription]) -> Result<ViewDescription> {
+    let names: Vec<&str> = cameras.iter().map(|c| c.name.as_str()).collect();
+    let keys: Vec<&str> = names.iter().copied().chain(VIEW_KEYS).collect();
+    section.only(&keys, |_| None).map_err(|e| unknown_camera(e, &names))?;
+    let image = |name: &&str| -> Result<Option<String>> {
+        let Some(item) = section.find(name) else { return Ok(None) };
+        let text = item.text("the path of an image")?;
+        if text.trim().is_empty() {
+            return Err(item.refuse("the path of the image is empty; leave the key out where the camera saw nothing"));
+        }
+        Ok(Some(text.to_string()))
+    };
+    let images = names.iter().map(image).collect::<Result<Vec<_>>>()?;
+    if images.iter().all(Option::is_none) {
+        return Err(section.refuse(format!("has no image; expected {} = \"FILE\"", names.join(" = \"FILE\" or "))));
+    }
+    let sheet = section.find("sheet").map_or(Ok(false), |i| i.boolean())?;
+    if sheet && cameras.len() < 2 {
+        return Err(section.require("sheet", "")?.refuse(
+            "the sheet is measured with two cameras, but one is described; add the other camera, or remove sheet = true",
+        ));
+    }
+    Ok(ViewDescription { images, sheet, plane_z_mm: section.number("plane_z_mm", FINITE)?, line: item.line() })
+}
+
+/// In a view an unknown key is most often a camera that is not described.
+fn unknown_camera(error: crate::Error, names: &[&str]) -> crate::Error {
+    match error {
+        crate::Error::Invalid(crate::error::Invalid::Syntax { file, line, message }) => crate::error::Invalid::Syntax {
+            file,
+            line,
+            message: format!("{message} (the cameras are called {})", super::reader::one_of(names)),
+        }
+        .into(),
+        other => other,
+    }
+}

@@ -1,0 +1,110 @@
+//! The laser sheet as a plane in the rig frame: from the joint adjustment, and by the paper's homography.
+//!
+//! ```text
+//! n . p = d,   n away from the first camera, d > 0,   (a, b, c) = n / d
+//! for a small turn w and shift v of the plane:   dn = w x n,   dd = n . v,   d(abc) = (w x n) / d - n (n . v) / d^2
+//! angle to the baseline = asin |n . b|,   b the unit vector between the projection centres
+//! rig_from_sheet = Rx(theta1) Ry(theta2) Rz(theta3) up to the half turn about x that makes z face the camera
+//! ```
+//! Sheet frame: z = -n, x the rig's x axis projected into the sheet, y = z cross x; origin where the first camera's axis
+//! meets the sheet. With this choice of x, theta3 is zero.
+//!
+//! | symbol | identifier | unit | frame | meaning |
+//! |---|---|---|---|---|
+//! | n, d | [`SheetEstimate::normal`], `distance_mm` | 1, mm | Rig | plane |
+//! | (a, b, c) | `abc_per_mm` | 1/mm | Rig | n / d; the paper's three unknowns |
+//! | theta | `angles_rad` | rad | Rig | the paper's theta 1-3 |
+//!
+//! Source: the paper's section 4. Its eq 16 needs `-R_h^T t_h`, a 4x3 plane matrix `[I; n^T/d]` and a 3x3 `K1^-1`, and it
+//! leaves the tilt out, worth 2.2 px of transfer error at the paper's geometry; here points go through both cameras whole.
+//! Not valid for a plane through a projection centre.
+
+mod homography;
+mod joint;
+
+pub use homography::{Homography, PairFeatures, fit_homography, transfer_residuals};
+pub use joint::joint_sheet;
+
+use crate::frames::{Rig, Sheet};
+use crate::rigid::Motion;
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+
+/// A plane with its standard deviations.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SheetEstimate {
+    /// Unit normal in the rig frame, away from the first camera.
+    pub normal: Vector3<f64>,
+    /// Distance from the first projection centre, mm.
+    pub distance_mm: f64,
+    /// `n / d`, 1/mm.
+    pub abc_per_mm: Vector3<f64>,
+    /// theta 1-3, rad.
+    pub angles_rad: [f64; 3],
+    /// Angle between the sheet and the baseline, rad; `NaN` for a single camera.
+    pub angle_to_baseline_rad: f64,
+    /// Pose of the sheet frame.
+    pub rig_from_sheet: Motion<Rig, Sheet>,
+    /// Standard deviations in the order of [`SheetEstimate::QUANTITIES`].
+    pub sigmas: SVector<f64, 10>,
+}
+
+impl SheetEstimate {
+    /// What [`SheetEstimate::sigmas`] holds: distance (mm), turn about the sheet's x and y (rad), a, b, c (1/mm), theta 1-3
+    /// (rad), angle to the baseline (rad).
+    pub const QUANTITIES: usize = 10;
+}
+
+/// Geometry of a plane and the derivatives of everything that is reported by a small turn w, a shift along n, and the second
+/// projection centre.
+struct PlaneGeometry {
+    estimate: SheetEstimate,
+    /// Rows: the ten quantities; columns: turn w (3), shift n . v (1), second centre (3).
+    derivative: SMatrix<f64, 10, 7>,
+}
+
+/// Frame and derived numbers of the plane `normal . p = distance`; `second_center_mm` in the rig frame.
+fn plane_geometry(normal: Vector3<f64>, distance_mm: f64, second_center_mm: Option<Vector3<f64>>) -> PlaneGeometry {
+    let (n, d) = if distance_mm < 0.0 { (-normal, -distance_mm) } else { (normal, distance_mm) };
+    let z = -n;
+    let x = (Vector3::x() - n * n.x).normalize();
+    let y = z.cross(&x);
+    let origin = Vector3::new(0.0, 0.0, d / n.z);
+    let angles_rad = [(-n.y).atan2(n.z), n.x.asin(), 0.0];
+    let mut derivative = SMatrix::<f64, 10, 7>::zeros();
+    // dn = w x n: derivative of n by w is -[n]x.
+    let dn = -crate::rigid::skew(&n);
+    derivative[(0, 3)] = 1.0;
+    derivative.fixed_view_mut::<1, 3>(1, 0).copy_from(&x.transpose());
+    derivative.fixed_view_mut::<1, 3>(2, 0).copy_from(&y.transpose());
+    derivative.fixed_view_mut::<3, 3>(3, 0).copy_from(&(dn / d));
+    derivative.fixed_view_mut::<3, 1>(3, 3).copy_from(&(-n / (d * d)));
+    let yz = n.y * n.y + n.z * n.z;
+    let theta1 = Vector3::new(0.0, -n.z / yz, n.y / yz);
+    derivative.fixed_view_mut::<1, 3>(6, 0).copy_from(&(theta1.transpose() * dn));
+    derivative.fixed_view_mut::<1, 3>(7, 0).copy_from(&(dn.row(0) / (1.0 - n.x * n.x).sqrt()));
+    let mut angle = f64::NAN;
+    if let Some(c) = second_center_mm {
+        let b = c.normalize();
+        let sine = n.dot(&b);
+        angle = sine.abs().asin();
+        let slope = sine.signum() / (1.0 - sine * sine).sqrt();
+        derivative.fixed_view_mut::<1, 3>(9, 0).copy_from(&(b.transpose() * dn * slope));
+        let db = (Matrix3::identity() - b * b.transpose()) / c.norm();
+        derivative.fixed_view_mut::<1, 3>(9, 4).copy_from(&(n.transpose() * db * slope));
+    }
+    let estimate = SheetEstimate {
+        normal: n,
+        distance_mm: d,
+        abc_per_mm: n / d,
+        angles_rad,
+        angle_to_baseline_rad: angle,
+        rig_from_sheet: Motion::new(Matrix3::from_columns(&[x, y, z]), origin),
+        sigmas: SVector::from_element(f64::NAN),
+    };
+    PlaneGeometry { estimate, derivative }
+}
+
+/// Square roots of a diagonal; `NaN` where the covariance is.
+fn sigmas(covariance: &SMatrix<f64, 10, 10>) -> SVector<f64, 10> {
+    covariance.diagonal().map(|v| v.max(0.0).sqrt())
+}

@@ -1,0 +1,284 @@
+//! The paper's step alone: cameras known, three unknowns (a, b, c) from the transfer of one camera's features to the other.
+//!
+//! A feature q1 of the first camera goes back along its ray r to the plane, `p = r / (abc . r)`, and on into the second camera; the
+//! residual is `q2 - image(p)`. Tilt and distortion stay in both cameras. Features are those of ellipses fitted in the undistorted
+//! image (the distorted one biases them by 0.04 to 0.55 px) and mapped back to real pixels.
+//!
+//! Sigmas: `C = N^-1 (J^T S J + G C_cameras G^T) N^-1` with `N = J^T J`, S the covariance of the features, and G the change of
+//! `J^T r` by the cameras' parameters. Without the second part they would be 5 to 1000 times too small.
+
+use super::{SheetEstimate, plane_geometry, sigmas};
+use crate::bitangent::bitangents;
+use crate::bundle::NamedCovariance;
+use crate::camera::{Camera, INTRINSIC_NAMES, Intrinsics};
+use crate::conic::fit_geometric;
+use crate::detect::EdgePoints;
+use crate::error::{Insufficient, Result};
+use crate::frames::{Cam, Rig};
+use crate::rigid::Motion;
+use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
+
+/// Features of the same pair of discs in both cameras, real (distorted) pixels.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PairFeatures {
+    /// In the first camera, px.
+    pub first_px: Vec<Vector2<f64>>,
+    /// In the second camera, px.
+    pub second_px: Vec<Vector2<f64>>,
+    /// Standard deviation of one coordinate of a transferred feature, px.
+    pub sigma_px: f64,
+}
+
+/// Result of [`fit_homography`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Homography {
+    /// The plane with its sigmas, those of the cameras included.
+    pub estimate: SheetEstimate,
+    /// Root mean square transfer error, px.
+    pub transfer_rms_px: f64,
+}
+
+impl PairFeatures {
+    /// Tangency points of two discs from their contours in both cameras; `None` where an image does not give two separated
+    /// ellipses.
+    pub fn of(cameras: [&Camera; 2], contours: [[&EdgePoints; 2]; 2]) -> Option<Self> {
+        let mut seen = [vec![], vec![]];
+        let mut variance = 0.0;
+        for c in 0..2 {
+            let (points, v) = tangency_points(cameras[c], contours[c])?;
+            seen[c] = points;
+            variance += v;
+        }
+        let [first_px, second_px] = seen;
+        Some(Self { first_px, second_px, sigma_px: variance.sqrt() })
+    }
+}
+
+/// The eight tangency points in real pixels and the mean variance of a coordinate.
+fn tangency_points(camera: &Camera, contours: [&EdgePoints; 2]) -> Option<(Vec<Vector2<f64>>, f64)> {
+    let e = camera.effective_pinhole();
+    let turn = camera.cam_from_pinhole();
+    let straight = |edge: &EdgePoints| {
+        let (mut u, mut v) = (vec![], vec![]);
+        for i in 0..edge.u_px.len() {
+            let xy = camera.ideal_of_pixel(&Vector2::new(edge.u_px[i], edge.v_px[i])).ok()?;
+            let p = turn.transpose() * xy.push(1.0);
+            u.push(e.cx_px + e.f_px * p.x / p.z);
+            v.push(e.cy_px + e.f_px * p.y / p.z);
+        }
+        fit_geometric(&u, &v, &edge.sigma_px).ok()
+    };
+    let fits = [straight(contours[0])?, straight(contours[1])?];
+    let b = bitangents(&fits[0].ellipse, &fits[1].ellipse).ok()?;
+    let covariance = b.covariance([&fits[0].covariance, &fits[1].covariance]);
+    let mut points = vec![];
+    for k in 0..8 {
+        let q = b.point(k)?;
+        let ray = turn * Vector3::new((q.x - e.cx_px) / e.f_px, (q.y - e.cy_px) / e.f_px, 1.0);
+        points.push(camera.project_xyz(&(ray * (100.0 / ray.z))).ok()?);
+    }
+    let variance = (0..16).map(|i| covariance[(i, i)]).sum::<f64>() / 16.0;
+    Some((points, variance))
+}
+
+/// Cameras as the transfer sees them.
+#[derive(Clone)]
+struct Pair {
+    cameras: [Camera; 2],
+    second_from_first: Motion<Cam, Rig>,
+}
+
+/// Residual and its derivative by (a, b, c); `None` where a feature does not transfer.
+fn transfer(
+    pair: &Pair,
+    abc: &Vector3<f64>,
+    q1: &Vector2<f64>,
+    q2: &Vector2<f64>,
+) -> Option<(Vector2<f64>, SMatrix<f64, 2, 3>)> {
+    let ray = pair.cameras[0].ideal_of_pixel(q1).ok()?.push(1.0);
+    let along = abc.dot(&ray);
+    if !(along > 0.0) {
+        return None;
+    }
+    let p = ray / along;
+    let (q, dq_dp) = pair.cameras[1].image_of_point(&pair.second_from_first.apply(&p)).ok()?;
+    // dp/dabc = -r r^T / (abc . r)^2
+    let dp = -(ray * ray.transpose()) / (along * along);
+    Some((q2 - q, -(dq_dp * pair.second_from_first.rotation * dp)))
+}
+
+/// `J^T J`, `J^T r`, sum of squares, count.
+fn normals(
+    pair: &Pair,
+    abc: &Vector3<f64>,
+    features: &[PairFeatures],
+) -> Option<(Matrix3<f64>, Vector3<f64>, f64, f64)> {
+    let (mut n, mut b, mut sum, mut count) = (Matrix3::zeros(), Vector3::zeros(), 0.0, 0.0);
+    for f in features {
+        for (q1, q2) in f.first_px.iter().zip(&f.second_px) {
+            let (r, j) = transfer(pair, abc, q1, q2)?;
+            n += j.tr_mul(&j);
+            b += j.tr_mul(&r);
+            sum += r.norm_squared();
+            count += 1.0;
+        }
+    }
+    Some((n, b, sum, count))
+}
+
+fn minimum(pair: &Pair, start: &Vector3<f64>, features: &[PairFeatures]) -> Option<Vector3<f64>> {
+    let mut abc = *start;
+    let mut cost = normals(pair, &abc, features)?.2;
+    for _ in 0..50 {
+        let (n, b, _, _) = normals(pair, &abc, features)?;
+        let mut step = -(n.cholesky()?.solve(&b));
+        let size = (step.dot(&(n * step))).sqrt();
+        // Halve until the transfer error falls.
+        let mut moved = false;
+        for _ in 0..30 {
+            if let Some((_, _, c, _)) = normals(pair, &(abc + step), features) {
+                if c <= cost {
+                    (abc, cost, moved) = (abc + step, c, true);
+                    break;
+                }
+            }
+            step /= 2.0;
+        }
+        if !moved || size < 1e-10 {
+            break;
+        }
+    }
+    Some(abc)
+}
+
+/// The plane from features of views recorded in the sheet, cameras held; `start` is any plane in front of both cameras.
+///
+/// # Errors
+/// [`Insufficient::Degenerate`] where there are no features or they do not fix a plane.
+pub fn fit_homography(
+    covariance: &NamedCovariance,
+    names: [&str; 2],
+    features: &[PairFeatures],
+    start: &Vector3<f64>,
+) -> Result<Homography> {
+    let degenerate = || {
+        Insufficient::Degenerate(
+            "the discs recorded in the sheet do not fix its plane; record the target at two or more places of the sheet, \
+             seen by both cameras"
+                .into(),
+        )
+    };
+    let pair = Pair {
+        cameras: [covariance.natural.cameras[0], covariance.natural.cameras[1]],
+        second_from_first: covariance.natural.cam_from_rig[1],
+    };
+    let abc = minimum(&pair, start, features).ok_or_else(degenerate)?;
+    let (n, _, sum, count) = normals(&pair, &abc, features).ok_or_else(degenerate)?;
+    let inverse = n.try_inverse().ok_or_else(degenerate)?;
+    let noise = inverse * feature_part(&pair, &abc, features) * inverse;
+    // Seven numbers (w, n . v, centre) by abc, and the cameras' share by finite change of the normal equations.
+    let steps = camera_steps(covariance, names);
+    let mut by_camera: Vec<(String, Vector3<f64>, Vector3<f64>)> = vec![];
+    for (name, size) in steps {
+        let change = |h: f64| stepped(&pair, names, &name, h);
+        let (plus, minus) = (change(size), change(-size));
+        let (p, m) = (plus.zip(minus)).ok_or_else(degenerate)?;
+        let g = |x: &Pair| normals(x, &abc, features).map(|v| v.1);
+        let (gp, gm) = g(&p).zip(g(&m)).ok_or_else(degenerate)?;
+        let dabc = -(inverse * (gp - gm) / (2.0 * size));
+        let center = |x: &Pair| x.second_from_first.inverse().translation_mm;
+        by_camera.push((name, dabc, (center(&p) - center(&m)) / (2.0 * size)));
+    }
+    let length = abc.norm();
+    let center = pair.second_from_first.inverse().translation_mm;
+    let geometry = plane_geometry(abc / length, 1.0 / length, Some(center));
+    let turn = seven_by_abc(&geometry.estimate.normal, geometry.estimate.distance_mm);
+    let rows: Vec<Vec<(String, f64)>> = (0..7)
+        .map(|k| {
+            let value = |(name, dabc, dc): &(String, Vector3<f64>, Vector3<f64>)| {
+                let v = if k < 4 { turn.row(k).transpose().dot(dabc) } else { dc[k - 4] };
+                (name.clone(), v)
+            };
+            by_camera.iter().map(value).collect()
+        })
+        .collect();
+    let cameras = covariance.propagate(&rows);
+    let mut seven = SMatrix::<f64, 7, 7>::from_fn(|i, j| cameras[(i, j)]);
+    let own = turn * noise * turn.transpose();
+    for i in 0..4 {
+        for j in 0..4 {
+            seven[(i, j)] += own[(i, j)];
+        }
+    }
+    let mut estimate = geometry.estimate;
+    estimate.sigmas = sigmas(&(geometry.derivative * seven * geometry.derivative.transpose()));
+    Ok(Homography { estimate, transfer_rms_px: (sum / count).sqrt() })
+}
+
+/// `J^T S J` with one variance per pair; the eight points of a pair hold ten independent numbers of their sixteen.
+fn feature_part(pair: &Pair, abc: &Vector3<f64>, features: &[PairFeatures]) -> Matrix3<f64> {
+    let mut out = Matrix3::zeros();
+    for f in features {
+        for (q1, q2) in f.first_px.iter().zip(&f.second_px) {
+            if let Some((_, j)) = transfer(pair, abc, q1, q2) {
+                out += j.tr_mul(&j) * (f.sigma_px * f.sigma_px * 1.6);
+            }
+        }
+    }
+    out
+}
+
+/// Turn w (perpendicular to n) and shift n . v by abc: `dn = d P dabc`, `w = n x dn`, `dd = -d^2 n . dabc`.
+fn seven_by_abc(n: &Vector3<f64>, d: f64) -> SMatrix<f64, 4, 3> {
+    let mut out = SMatrix::<f64, 4, 3>::zeros();
+    let project = Matrix3::identity() - n * n.transpose();
+    out.fixed_view_mut::<3, 3>(0, 0).copy_from(&(crate::rigid::skew(n) * project * d));
+    out.fixed_view_mut::<1, 3>(3, 0).copy_from(&(-(n.transpose()) * (d * d)));
+    out
+}
+
+/// Adjusted parameters of both cameras with a step for finite changes: a tenth of their sigma.
+fn camera_steps(covariance: &NamedCovariance, names: [&str; 2]) -> Vec<(String, f64)> {
+    let of_pair = |n: &&String| names.iter().any(|c| n.starts_with(&format!("{c}.")));
+    let sigma = |n: &String| covariance.sigma(n).filter(|s| *s > 0.0).map(|s| (n.clone(), 0.1 * s));
+    covariance.names.iter().filter(of_pair).filter_map(sigma).collect()
+}
+
+fn stepped(pair: &Pair, names: [&str; 2], name: &str, h: f64) -> Option<Pair> {
+    let mut out = pair.clone();
+    for c in 0..2 {
+        let Some(rest) = name.strip_prefix(&format!("{}.", names[c])) else { continue };
+        if let Some(k) = INTRINSIC_NAMES.iter().position(|n| *n == rest) {
+            let old = out.cameras[c].intrinsics();
+            let mut p = old.to_array();
+            p[k] += h;
+            out.cameras[c] = Camera::new(Intrinsics::from_array(&p, old.radial)).ok()?;
+        } else if let Some(step) = rest.strip_prefix("cam_from_rig.") {
+            let k = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"].iter().position(|n| *n == step)?;
+            let mut d = SVector::<f64, 6>::zeros();
+            d[k] = h;
+            out.second_from_first = out.second_from_first.retract(&d);
+        }
+    }
+    Some(out)
+}
+
+/// Transfer errors of features over a plane, px: what is left between the cameras in the sheet (disparity).
+pub fn transfer_residuals(
+    covariance: &NamedCovariance,
+    abc_per_mm: &Vector3<f64>,
+    features: &[PairFeatures],
+) -> Vec<Vector2<f64>> {
+    let pair = Pair {
+        cameras: [covariance.natural.cameras[0], covariance.natural.cameras[1]],
+        second_from_first: covariance.natural.cam_from_rig[1],
+    };
+    let each = |f: &PairFeatures| -> Vec<Vector2<f64>> {
+        f.first_px
+            .iter()
+            .zip(&f.second_px)
+            .filter_map(|(a, b)| transfer(&pair, abc_per_mm, a, b).map(|r| r.0))
+            .collect()
+    };
+    features.iter().flat_map(each).collect()
+}

@@ -1,0 +1,281 @@
+//! Bad input: each kind gets its own clear message and exit code; nothing is half written.
+//!
+//! The real program runs on changed copies of `examples/printed`.
+
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
+
+use spivcal::detect::{DetectOptions, Disc, find_discs};
+use spivcal::image::{GrayImage, Pixels};
+use spivcal::pipeline::{load_image, png_bytes};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// A copy of the example in a folder of its own.
+struct Job {
+    folder: tempfile::TempDir,
+}
+
+impl Job {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/printed");
+        for entry in std::fs::read_dir(example).unwrap() {
+            let path = entry.unwrap().path();
+            if path.extension().is_some_and(|e| e == "png" || e == "toml") {
+                std::fs::copy(&path, folder.path().join(path.file_name().unwrap())).unwrap();
+            }
+        }
+        Self { folder }
+    }
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+    fn out(&self) -> PathBuf {
+        self.path("out")
+    }
+    /// Changes the text of the rig file; `from` must be in it.
+    fn edit(&self, from: &str, to: &str) {
+        let text = std::fs::read_to_string(self.path("rig.toml")).unwrap();
+        assert!(text.contains(from), "{from:?} is not in the example's rig file");
+        std::fs::write(self.path("rig.toml"), text.replacen(from, to, 1)).unwrap();
+    }
+    /// Replaces an image by a function of it.
+    fn redraw(&self, name: &str, change: impl Fn(&GrayImage) -> GrayImage) {
+        let image = load_image(&self.path(name)).unwrap();
+        std::fs::write(self.path(name), png_bytes(&change(&image)).unwrap()).unwrap();
+    }
+    fn calibrate(&self) -> Output {
+        spivcal(&["calibrate", self.path("rig.toml").to_str().unwrap(), "-o", self.out().to_str().unwrap()])
+    }
+    /// Calibrates, and expects a refusal that writes nothing.
+    #[track_caller]
+    fn refused(&self, code: i32, words: &[&str]) {
+        refused(&self.calibrate(), code, words);
+        assert!(!self.out().exists(), "something was written");
+    }
+}
+
+fn spivcal(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_spivcal")).args(arguments).output().unwrap()
+}
+
+#[track_caller]
+fn refused(output: &Output, code: i32, words: &[&str]) {
+    let text = String::from_utf8_lossy(&output.stderr);
+    println!("{}", text.trim_end());
+    assert_eq!(output.status.code(), Some(code), "{text}");
+    assert!(output.stdout.is_empty(), "{}", String::from_utf8_lossy(&output.stdout));
+    assert_eq!(text.lines().filter(|l| l.starts_with("error: ")).count(), 1, "{text}");
+    for word in words {
+        assert!(text.contains(word), "{word:?} is not in: {text}");
+    }
+    for word in ["panicked", "RUST_BACKTRACE", "internal error", "unwrap"] {
+        assert!(!text.contains(word), "{text}");
+    }
+}
+
+fn samples(image: &GrayImage) -> &[u8] {
+    match image.pixels() {
+        Pixels::U8(p) => p,
+        _ => panic!("the example has 8 bit"),
+    }
+}
+
+fn mirrored(image: &GrayImage) -> GrayImage {
+    let rows = samples(image).chunks(image.width());
+    let pixels = rows.flat_map(|row| row.iter().rev().copied()).collect();
+    GrayImage::new(Pixels::U8(pixels), image.width(), image.height()).unwrap()
+}
+
+fn cropped(image: &GrayImage, width: usize, height: usize) -> GrayImage {
+    let rows = samples(image).chunks(image.width()).take(height);
+    GrayImage::new(Pixels::U8(rows.flat_map(|r| &r[..width]).copied().collect()), width, height).unwrap()
+}
+
+/// The image with one disc taken away: every row is bridged from left of it to right of it.
+fn without_first_disc(image: &GrayImage) -> GrayImage {
+    let discs: Vec<Disc> = find_discs(&image.view(), &DetectOptions::default()).unwrap().discs;
+    assert_eq!(discs.len(), 2);
+    let (width, mut pixels) = (image.width(), samples(image).to_vec());
+    let margin_px = 6.0;
+    let e = &discs[0].edge;
+    for (v, row) in pixels.chunks_mut(width).enumerate() {
+        let near = |i: &usize| (e.v_px[*i] - v as f64).abs() < margin_px;
+        let columns: Vec<f64> = (0..e.u_px.len()).filter(near).map(|i| e.u_px[i]).collect();
+        if columns.is_empty() {
+            continue;
+        }
+        let low = columns.iter().copied().fold(f64::INFINITY, f64::min) - margin_px;
+        let high = columns.iter().copied().fold(f64::NEG_INFINITY, f64::max) + margin_px;
+        let (a, b) = (low.max(0.0) as usize, (high as usize).min(width - 1));
+        let (first, last) = (f64::from(row[a]), f64::from(row[b]));
+        for u in a..=b {
+            row[u] = (first + (last - first) * (u - a) as f64 / (b - a) as f64).round() as u8;
+        }
+    }
+    GrayImage::new(Pixels::U8(pixels), width, image.height()).unwrap()
+}
+
+#[test]
+fn missing_image() {
+    let job = Job::new();
+    std::fs::remove_file(job.path("v03_right.png")).unwrap();
+    job.refused(2, &["v03_right.png", "no such file", "--images"]);
+}
+
+#[test]
+fn missing_rig_file() {
+    let job = Job::new();
+    std::fs::remove_file(job.path("rig.toml")).unwrap();
+    job.refused(2, &["rig.toml", "no such file", "rig file"]);
+}
+
+#[test]
+fn truncated_image() {
+    let job = Job::new();
+    let bytes = std::fs::read(job.path("v02_left.png")).unwrap();
+    std::fs::write(job.path("v02_left.png"), &bytes[..bytes.len() / 2]).unwrap();
+    job.refused(2, &["v02_left.png", "cut short"]);
+}
+
+#[test]
+fn file_without_content_and_file_that_is_no_image() {
+    let job = Job::new();
+    std::fs::write(job.path("v02_left.png"), b"").unwrap();
+    job.refused(2, &["v02_left.png", "empty (0 bytes)"]);
+    std::fs::write(job.path("v02_left.png"), b"u,v\n1,2\n").unwrap();
+    job.refused(2, &["v02_left.png", "not an image"]);
+}
+
+#[test]
+fn wrong_size() {
+    let job = Job::new();
+    job.redraw("v04_right.png", |i| cropped(i, 1000, 760));
+    job.refused(2, &["v04_right.png", "1000 x 760", "1024 x 768", "\"right\"", "one size"]);
+}
+
+#[test]
+fn image_of_one_grey() {
+    let job = Job::new();
+    job.redraw("v01_left.png", |i| {
+        GrayImage::new(Pixels::U8(vec![90; i.width() * i.height()]), i.width(), i.height()).unwrap()
+    });
+    job.refused(3, &["v01_left.png", "found 0 disc(s)", "needs 2"]);
+    let image = job.path("v01_left.png");
+    let found = spivcal(&["detect", image.to_str().unwrap(), "-o", job.out().to_str().unwrap()]);
+    refused(&found, 3, &["v01_left.png", "found 0 disc(s)", "exposure"]);
+    assert!(!job.out().exists());
+}
+
+#[test]
+fn one_disc_only() {
+    let job = Job::new();
+    job.redraw("v03_left.png", without_first_disc);
+    job.refused(3, &["v03_left.png", "found 1 disc(s)", "needs 2"]);
+}
+
+#[test]
+fn one_view_only() {
+    let job = Job::new();
+    let text = std::fs::read_to_string(job.path("rig.toml")).unwrap();
+    let second = text.match_indices("[[view]]").nth(1).unwrap().0;
+    std::fs::write(job.path("rig.toml"), &text[..second]).unwrap();
+    job.refused(3, &["1 usable view(s)", "record the target in more positions"]);
+}
+
+#[test]
+fn mirrored_camera() {
+    let job = Job::new();
+    for view in 1..=6 {
+        job.redraw(&format!("v{view:02}_right.png"), mirrored);
+    }
+    job.refused(3, &["mirror"]);
+}
+
+#[test]
+fn cameras_exchanged_in_one_view() {
+    let job = Job::new();
+    job.edit("left = \"v03_left.png\"", "left = \"v03_right.png\"");
+    job.edit("right = \"v03_right.png\"", "right = \"v03_left.png\"");
+    job.refused(3, &["view(s) 2 (counted from 0)", "5 of 6 views agree", "not exchanged"]);
+}
+
+#[test]
+fn nan_in_the_rig_file() {
+    let job = Job::new();
+    job.edit("pixel_pitch_mm = 0.00625", "pixel_pitch_mm = nan");
+    job.refused(2, &["rig.toml:3: ", "pixel_pitch_mm", "nan", "expected"]);
+}
+
+#[test]
+fn unknown_key() {
+    let job = Job::new();
+    job.edit("focal_length_mm", "focal_lenght_mm");
+    job.refused(2, &["rig.toml:4: ", "focal_lenght_mm", "did you mean \"focal_length_mm\"?"]);
+}
+
+#[test]
+fn contradictory_target() {
+    let job = Job::new();
+    job.edit("spacing_mm = 26.0", "spacing_mm = 26.0\nradii_mm = [16.0, 12.0]");
+    job.refused(2, &["rig.toml:15: ", "overlap"]);
+    job.edit("radii_mm = [16.0, 12.0]", "[scale]\nbaseline_mm = 707.0");
+    job.refused(2, &["rig.toml:16: ", "[target] spacing_mm", "already"]);
+}
+
+#[test]
+fn a_place_that_cannot_be_written_to() {
+    let job = Job::new();
+    std::fs::write(job.out(), "mine").unwrap();
+    let image = job.path("v01_left.png");
+    let found = spivcal(&["detect", image.to_str().unwrap(), "-o", job.out().to_str().unwrap()]);
+    refused(&found, 2, &["out", "cannot be made"]);
+    assert_eq!(std::fs::read_to_string(job.out()).unwrap(), "mine");
+}
+
+#[test]
+fn results_of_before_stay_when_a_later_run_fails() {
+    let job = Job::new();
+    let image = job.path("v01_left.png");
+    let out = job.out();
+    let arguments = ["detect", image.to_str().unwrap(), "-o", out.to_str().unwrap()];
+    assert_eq!(spivcal(&arguments).status.code(), Some(0));
+    let listing = |folder: &Path| {
+        let mut names: Vec<_> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name()).collect();
+        names.sort();
+        names
+    };
+    let (names, csv) = (listing(&job.out()), std::fs::read(job.out().join("v01_left_discs.csv")).unwrap());
+    assert!(names.len() >= 5, "{names:?}");
+    std::fs::write(&image, b"broken").unwrap();
+    refused(&spivcal(&arguments), 2, &["not an image"]);
+    assert_eq!(listing(&job.out()), names);
+    assert_eq!(std::fs::read(job.out().join("v01_left_discs.csv")).unwrap(), csv);
+}
+
+#[test]
+fn arguments_that_are_no_arguments() {
+    for (arguments, words) in [
+        (&["calibrte"][..], "calibrate"),
+        (&["calibrate", "rig.toml"][..], "--output"),
+        (&["detect", "-o", "x"][..], "IMAGE"),
+        (&["simulate", "--preset", "nonsense", "-o", "x"][..], "printed"),
+        (&["show", "--threads", "0", "x"][..], "--threads"),
+    ] {
+        let output = spivcal(arguments);
+        refused(&output, 2, &[words]);
+    }
+    assert_eq!(spivcal(&["--version"]).status.code(), Some(0));
+    assert_eq!(spivcal(&["--help"]).status.code(), Some(0));
+}
+
+#[test]
+fn a_calibration_that_is_none() {
+    let job = Job::new();
+    std::fs::write(job.path("c.json"), "{ \"format\": \"other\" }").unwrap();
+    refused(&spivcal(&["show", job.path("c.json").to_str().unwrap()]), 2, &["c.json:1: ", "spivcal-calibration"]);
+    std::fs::write(job.path("s.toml"), "[[camera]]\nname = nan\n").unwrap();
+    let found = spivcal(&["simulate", job.path("s.toml").to_str().unwrap(), "-o", job.out().to_str().unwrap()]);
+    refused(&found, 2, &["s.toml:"]);
+    assert!(!job.out().exists());
+}

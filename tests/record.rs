@@ -1,0 +1,286 @@
+//! `calibration.json`: the schema of version 1 key by key, round trip to the bit, refusals.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod scene;
+
+use serde_json::Value;
+use spivcal::error::{Error, Invalid};
+use spivcal::record::{Known, Record, TargetPoint};
+use spivcal::target::DotId;
+
+fn reread(record: &Record) -> Record {
+    Record::from_json(&record.to_json().unwrap(), "c.json").unwrap()
+}
+
+/// Changes the value at a JSON pointer of the scene's file and reads the result.
+fn read_with(pointer: &str, value: Value) -> Result<Record, Error> {
+    let mut json: Value = serde_json::from_str(&scene::record().to_json().unwrap()).unwrap();
+    *json.pointer_mut(pointer).unwrap_or_else(|| panic!("no {pointer}")) = value;
+    Record::from_json(&serde_json::to_string_pretty(&json).unwrap(), "c.json")
+}
+
+fn refusal(pointer: &str, value: Value) -> (usize, String) {
+    match read_with(pointer, value) {
+        Err(Error::Invalid(Invalid::Syntax { file, line, message })) => {
+            assert_eq!(file, "c.json");
+            (line, message)
+        }
+        other => panic!("{pointer}: not refused: {other:?}"),
+    }
+}
+
+#[test]
+fn every_key_of_the_schema_is_written_with_its_type() {
+    let wanted: Value = serde_json::from_str(include_str!("fixtures/calibration_schema_1.json")).unwrap();
+    let found: Value = serde_json::from_str(&scene::record().to_json().unwrap()).unwrap();
+    assert!(lacks(&wanted, &found, "").is_empty(), "{:?}", lacks(&wanted, &found, ""));
+    // The walk itself must be able to refuse.
+    let mut broken = found.clone();
+    broken["cameras"][0].as_object_mut().unwrap().remove("beta_rad");
+    broken["fit"]["nullity"] = Value::from("none");
+    assert_eq!(lacks(&wanted, &broken, ""), [".cameras[].beta_rad is missing", ".fit.nullity has another type"]);
+}
+
+/// Keys of `wanted` that `found` lacks or holds with another type; the first element of a list stands for all.
+fn lacks(wanted: &Value, found: &Value, path: &str) -> Vec<String> {
+    match (wanted, found) {
+        (Value::Object(w), Value::Object(f)) => w
+            .iter()
+            .filter(|(key, _)| *key != "...")
+            .flat_map(|(key, w)| match f.get(key) {
+                Some(f) => lacks(w, f, &format!("{path}.{key}")),
+                None => vec![format!("{path}.{key} is missing")],
+            })
+            .collect(),
+        (Value::Array(w), Value::Array(f)) => match w.first() {
+            Some(w) if f.is_empty() => vec![format!("{path} is empty, expected values like {w}")],
+            Some(w) => f.iter().flat_map(|f| lacks(w, f, &format!("{path}[]"))).collect(),
+            None => vec![],
+        },
+        _ if std::mem::discriminant(wanted) == std::mem::discriminant(found) => vec![],
+        _ => vec![format!("{path} has another type")],
+    }
+}
+
+#[test]
+fn a_record_read_is_the_record_written_to_the_bit() {
+    let mut record = scene::record();
+    // Numbers whose shortest decimal form needs 17 digits, is tiny, huge, subnormal, or a negative zero.
+    let ugly = [
+        0.1 + 0.2,
+        1.0 / 3.0,
+        f64::MIN_POSITIVE,
+        5e-324,
+        f64::MAX,
+        -0.0,
+        9007199254740993.0,
+        f64::MIN_POSITIVE * 0.999,
+    ];
+    for (i, x) in ugly.into_iter().enumerate() {
+        record.fit.near_null[0].components.push(x);
+        record.target.points.push(TargetPoint {
+            label: DotId { column: -3 + i as i32, row: 2, level: 1 },
+            xyz_mm: [x, -x, 1.0 + f64::EPSILON],
+            sigma_mm: [0.1, 0.2, 0.3],
+        });
+    }
+    let back = reread(&record);
+    assert_eq!(back, record);
+    // Equality of numbers does not tell the zeros apart.
+    assert!(back.target.points[5].xyz_mm[0].is_sign_negative());
+    assert_eq!(back.to_json().unwrap(), record.to_json().unwrap());
+}
+
+#[test]
+fn a_sigma_that_does_not_exist_is_null_and_said_so() {
+    let mut record = scene::record();
+    record.cameras[1].sigma.alpha_rad = f64::INFINITY;
+    record.sheet.as_mut().unwrap().sigma.normal_rad[1] = f64::NAN;
+    record.covariance.matrix[2][2] = f64::NAN;
+    let text = record.to_json().unwrap();
+    let json: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(
+        json["not_finite"],
+        serde_json::json!(["cameras[1].sigma.alpha_rad", "sheet.sigma.normal_rad[1]", "covariance.matrix[2][2]"])
+    );
+    let back = Record::from_json(&text, "c.json").unwrap();
+    assert!(back.cameras[1].sigma.alpha_rad.is_nan());
+    assert_eq!(back.covariance.sigma("left.cy_px"), None);
+    assert_eq!(back.to_json().unwrap(), text);
+}
+
+#[test]
+fn an_estimate_that_is_not_a_number_is_named_and_refused_on_reading() {
+    let mut record = scene::record();
+    record.cameras[0].f_px = f64::NAN;
+    let text = record.to_json().unwrap();
+    assert!(text.contains("\"cameras[0].f_px\""));
+    let error = Record::from_json(&text, "c.json").unwrap_err().to_string();
+    assert!(error.contains("null") && error.contains("expected a finite number") && error.contains("f_px"), "{error}");
+}
+
+#[test]
+fn no_sheet_is_null_and_not_an_error() {
+    let mut record = scene::record();
+    record.sheet = None;
+    record.views[2].used = false;
+    record.views[2].rig_from_target = None;
+    let text = record.to_json().unwrap();
+    assert!(text.contains("\"sheet\": null") && !text.contains("not_finite"));
+    assert_eq!(reread(&record), record);
+}
+
+#[test]
+fn keys_of_later_minor_versions_are_ignored() {
+    let mut json: Value = serde_json::from_str(&scene::record().to_json().unwrap()).unwrap();
+    json["cameras"][0]["colour"] = Value::from("red");
+    json["window"] = serde_json::json!({"thickness_mm": 3});
+    assert_eq!(Record::from_json(&json.to_string(), "c.json").unwrap(), scene::record());
+}
+
+#[test]
+fn a_file_with_only_the_keys_of_the_schema_is_enough() {
+    let wanted: Value = serde_json::from_str(include_str!("fixtures/calibration_schema_1.json")).unwrap();
+    let full: Value = serde_json::from_str(&scene::record().to_json().unwrap()).unwrap();
+    let lean = Record::from_json(&only(&wanted, &full).to_string(), "c.json").unwrap();
+    assert_eq!(lean.cameras[0].pupil_ratio, 1.0);
+    assert!(lean.cameras[0].sigma.beta_rad.is_nan(), "a sigma that is not there is unknown, not zero");
+    assert!(lean.fit.parameters.is_empty() && lean.views[0].used);
+}
+
+/// `full` without the keys that `wanted` does not show ("..." and empty objects keep all).
+fn only(wanted: &Value, full: &Value) -> Value {
+    match (wanted, full) {
+        (Value::Object(w), Value::Object(f)) if !w.is_empty() => f
+            .iter()
+            .filter_map(|(k, f)| w.get(k).map(|w| (k.clone(), only(w, f))))
+            .collect::<serde_json::Map<_, _>>()
+            .into(),
+        (Value::Array(w), Value::Array(f)) if !w.is_empty() => f.iter().map(|f| only(&w[0], f)).collect(),
+        _ => full.clone(),
+    }
+}
+
+#[test]
+fn a_record_can_be_checked_before_it_is_written() {
+    scene::record().check().unwrap();
+    let mut broken = scene::record();
+    broken.cameras[1].f_px = -1.0;
+    let error = broken.check().unwrap_err();
+    assert_eq!(error.exit_code(), 4);
+    assert!(error.to_string().contains("cameras[1].f_px: -1 is not possible"), "{error}");
+    let with_nan: [fn(&mut Record); 7] = [
+        |r| r.cameras[1].f_px = f64::NAN,
+        |r| r.cameras[0].beta_rad = f64::NAN,
+        |r| r.cameras[0].k2 = f64::INFINITY,
+        |r| r.views[2].rig_from_target.as_mut().unwrap().rotation[1][1] = f64::NAN,
+        |r| r.views[2].rig_from_target.as_mut().unwrap().translation_mm[0] = f64::NAN,
+        |r| r.sheet.as_mut().unwrap().normal_in_rig[0] = f64::NAN,
+        |r| r.sheet.as_mut().unwrap().abc_per_mm[2] = f64::NAN,
+    ];
+    for (i, break_it) in with_nan.into_iter().enumerate() {
+        let mut record = scene::record();
+        break_it(&mut record);
+        assert!(record.check().is_err(), "case {i}: no estimate may be NaN");
+    }
+}
+
+#[test]
+fn keys_keep_their_order() {
+    let text = scene::record().to_json().unwrap();
+    let order =
+        ["\"format\"", "\"cameras\"", "\"rig\":", "\"sheet\"", "\"target\"", "\"views\"", "\"fit\"", "\"covariance\""];
+    let places: Vec<_> = order.iter().map(|k| text.find(&format!("\n  {k}")).unwrap()).collect();
+    assert!(places.is_sorted(), "{places:?}");
+    let row = text.lines().find(|l| l.contains("472.1929")).expect("a row of the covariance is one line");
+    assert_eq!(row.matches(',').count(), 12);
+}
+
+#[test]
+fn impossible_values_are_refused_with_line_and_expectation() {
+    for (pointer, value, words) in [
+        ("/cameras/1/f_px", Value::from(-3.0), "expected a number above 0"),
+        ("/cameras/0/alpha_rad", Value::from(6.34), "not degrees"),
+        ("/cameras/0/sigma/k1", Value::from(-1e-3), "expected 0 or more"),
+        ("/cameras/1/name", Value::from("left"), "expected different names"),
+        ("/cameras/0/name", Value::from(""), "expected the camera's name"),
+        ("/cameras/0/image_size_px/1", Value::from(0), "expected width and height"),
+        ("/cameras/1/cam_from_rig/rotation/0/0", Value::from(0.5), "not a rotation"),
+        ("/cameras/0/cam_from_rig/translation_mm/0", Value::from(0.5), "the first camera is the rig frame"),
+        ("/sheet/distance_mm", Value::from(0.0), "expected a number above 0"),
+        ("/sheet/normal_in_rig/0", Value::from(0.9), "expected a unit vector"),
+        ("/sheet/abc_per_mm/0", Value::from(0.9), "expected the same plane"),
+        ("/sheet/rig_from_sheet/translation_mm/2", Value::from(501.0), "mm off the plane"),
+        ("/views/4/rms_px", serde_json::json!({"middle": 0.1}), "no camera is called \"middle\""),
+        ("/views/4/rig_from_target", Value::Null, "expected a pose"),
+        ("/covariance/names/0", Value::from("left.k1"), "occurs twice"),
+        ("/covariance/matrix/3/0", Value::from(1e9), "expected a symmetric matrix"),
+        ("/covariance/matrix/3/3", Value::from(-1.0), "variance of left.alpha_rad is -1"),
+    ] {
+        let (line, message) = refusal(pointer, value);
+        assert!(message.contains(words), "{pointer}: {message}");
+        assert!(line > 1, "{pointer}: line {line}");
+    }
+}
+
+#[test]
+fn the_line_of_a_refusal_is_the_line_of_the_value() {
+    let text = scene::record().to_json().unwrap();
+    let text = text.replacen("\"alpha_rad\": -0.0013", "\"alpha_rad\": -7.3", 1);
+    let line = 1 + text.lines().position(|l| l.contains("-7.3")).unwrap();
+    let Err(Error::Invalid(Invalid::Syntax { line: found, message, .. })) = Record::from_json(&text, "c.json") else {
+        panic!("not refused")
+    };
+    assert_eq!(found, line, "{message}");
+    assert!(message.starts_with("cameras[1].alpha_rad: -7.3"), "{message}");
+}
+
+#[test]
+fn wrong_types_and_missing_keys_are_refused_with_their_line() {
+    let (line, message) = refusal("/cameras/0/f_px", Value::from("8889"));
+    assert!(
+        line > 1 && message.contains("expected a finite number") && message.contains("\"f_px\": \"8889\""),
+        "{message}"
+    );
+    for (whole, words) in [
+        ("", "EOF"),
+        ("[1, 2]", "not a calibration"),
+        ("{}", "no key \"format\""),
+        (r#"{"format": "dice", "version": 1}"#, "expected \"spivcal-calibration\""),
+        (r#"{"format": "spivcal-calibration"}"#, "no key \"version\""),
+        (r#"{"format": "spivcal-calibration", "version": 2}"#, "this program reads version 1"),
+        (r#"{"format": "spivcal-calibration", "version": 1}"#, "missing field `cameras`"),
+        (r#"{"format": "spivcal-calibration", "version": 1, "cameras": [NaN]}"#, "expected value"),
+    ] {
+        let error = Record::from_json(whole, "c.json").unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+        assert!(error.to_string().contains(words), "{whole}: {error}");
+    }
+    let mut json: Value = serde_json::from_str(&scene::record().to_json().unwrap()).unwrap();
+    json.as_object_mut().unwrap().remove("sheet");
+    let error = Record::from_json(&json.to_string(), "c.json").unwrap_err().to_string();
+    assert!(error.contains("missing field `sheet`"), "{error}");
+}
+
+#[test]
+fn damaged_files_never_panic() {
+    let text = scene::record().to_json().unwrap();
+    for cut in (0..text.len()).step_by(97) {
+        let Some(head) = text.get(..cut) else { continue };
+        assert!(Record::from_json(head, "c.json").is_err());
+    }
+    // A digit changed anywhere gives a record or a refusal.
+    for at in (0..text.len()).step_by(53) {
+        let mut bytes = text.clone().into_bytes();
+        bytes[at] = b'9';
+        let _ = Record::from_json(&String::from_utf8(bytes).unwrap(), "c.json");
+    }
+}
+
+#[test]
+fn how_a_parameter_is_known_is_a_plain_word() {
+    let text = scene::record().to_json().unwrap();
+    assert!(text.contains(r#"{ "name": "left.cy_px", "known": "prior", "prior_share": 0.93 }"#), "{text}");
+    assert_eq!(reread(&scene::record()).fit.parameters[4].known, Known::Free);
+}

@@ -1,0 +1,269 @@
+//! The report: well-formed, complete, safe against hostile names; CSV; text. The page and an overlay of the made-up
+//! scene are left in Cargo's scratch directory to be looked at.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod scene;
+
+use roxmltree::{Document, ParsingOptions};
+use scene::pictures;
+use spivcal::image::GrayImage;
+use spivcal::record::{Known, Record, ResidualTable};
+use spivcal::report::{self, Level, OverlayInput, OverlayShapes};
+
+fn parse(html: &str) -> Document<'_> {
+    let options = ParsingOptions { allow_dtd: true, ..Default::default() };
+    Document::parse_with_options(html, options).unwrap_or_else(|e| panic!("not well-formed: {e}"))
+}
+
+/// All text of the page, blanks folded.
+fn words(document: &Document<'_>) -> String {
+    let texts = document.descendants().filter(|n| n.is_text() && !n.parent().unwrap().has_tag_name("style"));
+    let text: Vec<_> = texts.filter_map(|n| n.text()).collect();
+    text.join(" ").split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+struct Page {
+    images: Vec<(usize, usize, GrayImage, OverlayShapes)>,
+    table: ResidualTable,
+}
+
+impl Page {
+    fn new(views: std::ops::Range<usize>) -> Self {
+        let table = pictures::residuals();
+        let images = views
+            .flat_map(|v| [(v, 0), (v, 1)])
+            .map(|(v, c)| (v, c, pictures::image(c, v), pictures::shapes(c, v, &table)))
+            .collect();
+        Self { images, table }
+    }
+    fn html(&self, record: &Record) -> String {
+        let overlays: Vec<_> = self
+            .images
+            .iter()
+            .map(|(view, camera, image, shapes)| OverlayInput {
+                view: *view,
+                camera: *camera,
+                image: image.view(),
+                shapes,
+            })
+            .collect();
+        report::write_html(record, &overlays, &self.table).unwrap()
+    }
+}
+
+fn leave_to_look_at(name: &str, bytes: &[u8]) {
+    std::fs::write(std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join(name), bytes).unwrap();
+}
+
+#[test]
+fn the_page_is_well_formed_complete_and_loads_nothing() {
+    let page = Page::new(0..scene::VIEWS);
+    let html = page.html(&scene::record());
+    leave_to_look_at("report.html", html.as_bytes());
+    assert_eq!(html, page.html(&scene::record()), "equal inputs, equal bytes");
+    let document = parse(&html);
+    let text = words(&document);
+    for view in 0..scene::VIEWS {
+        assert!(text.contains(&format!("View {view}, camera left")), "view {view} is missing");
+        assert!(text.contains(&format!("v{}_right.png", view + 1)));
+    }
+    for expected in [
+        "Usable, but first read",
+        "Tilt alpha of the right camera is known only from its prior.",
+        "8889 ± 22",
+        "6.34° ± 0.11°",
+        "0.620° ± 0.031°",
+        "the paper's homography",
+        "rotations about the rig's x, y, z axes",
+        "residual above 5 sigmas",
+        "held",
+        "prior 97 %",
+        "left.cx_px left.beta_rad 0.9940",
+        "examples/bubbles/rig.toml",
+    ] {
+        assert!(text.contains(expected), "{expected:?} is missing");
+    }
+    for node in document.descendants().filter(|n| n.is_element()) {
+        assert!(!["script", "link", "iframe", "object"].contains(&node.tag_name().name()));
+        for a in node.attributes().filter(|a| ["src", "href"].contains(&a.name())) {
+            assert!(a.value().starts_with("data:image/jpeg;base64,") || a.value().starts_with('#'), "{}", a.value());
+        }
+    }
+    assert_eq!(document.descendants().filter(|n| n.has_tag_name(("http://www.w3.org/2000/svg", "image"))).count(), 12);
+    assert!(!html.contains("NaN") && !html.contains("inf "));
+}
+
+#[test]
+fn every_picture_has_ids_of_its_own() {
+    let page = Page::new(0..2);
+    let html = page.html(&scene::record());
+    let document = parse(&html);
+    let mut ids: Vec<_> = document.descendants().filter_map(|n| n.attribute("id")).collect();
+    let targets: Vec<_> =
+        document.descendants().filter_map(|n| n.attribute("href")).filter_map(|h| h.strip_prefix('#')).collect();
+    assert!(targets.iter().all(|t| ids.contains(t)), "a link leads nowhere");
+    let n = ids.len();
+    ids.sort_unstable();
+    ids.dedup();
+    assert_eq!(ids.len(), n);
+}
+
+#[test]
+fn hostile_names_are_only_text() {
+    let evil = "<script>alert('x')</script>\"&]]>\u{1b}[31m";
+    let mut record = scene::record();
+    record.cameras[0].name = evil.into();
+    record.provenance.rig_file = evil.into();
+    record.provenance.options.insert(evil.into(), evil.into());
+    record.provenance.images[0].path = evil.into();
+    record.views[0].why_unused = evil.into();
+    record.views[1].images.insert(evil.into(), evil.into());
+    record.fit.undetermined.push(evil.into());
+    record.fit.flags.push(evil.into());
+    record.fit.termination = evil.into();
+    record.fit.parameters[0].name = evil.into();
+    record.covariance.names[4] = evil.into();
+    record.target.kind = evil.into();
+    let mut page = Page::new(0..1);
+    page.images[0].3.labels[0].text = evil.into();
+    page.images[0].3.rejected[0].reason = evil.into();
+    let row = page.table.row(0).unwrap();
+    page.table.push(&row, Some(evil));
+    let html = page.html(&record);
+    let document = parse(&html);
+    assert!(document.descendants().all(|n| !n.has_tag_name("script")));
+    assert!(!html.contains('\u{1b}'));
+    assert!(words(&document).contains("<script>alert('x')</script>\"&]]>"));
+    assert!(!report::text(&record).contains('\u{1b}'));
+    let csv = report::residuals_csv(&record, &page.table);
+    assert!(csv.lines().nth(1).unwrap().starts_with("0,\"<script>alert('x')</script>\"\"&]]>"), "{csv:.300}");
+}
+
+#[test]
+fn a_poor_record_still_gives_a_page() {
+    let mut record = scene::record();
+    record.cameras.truncate(1);
+    record.rig = None;
+    record.sheet = None;
+    record.scale = None;
+    record.views.clear();
+    record.fit.rms_px = f64::NAN;
+    record.fit.newton_decrement = f64::INFINITY;
+    record.fit.converged = false;
+    record.fit.degrees_of_freedom = 0;
+    record.covariance.names.clear();
+    record.covariance.matrix.clear();
+    record.cameras[0].sigma.f_px = f64::INFINITY;
+    let html = report::write_html(&record, &[], &ResidualTable::default()).unwrap();
+    let document = parse(&html);
+    let text = words(&document);
+    for expected in ["Do not use.", "8889.31 (sigma not determined)", "sheet = true", "No images were given"] {
+        assert!(text.contains(expected), "{expected:?} is missing in {text}");
+    }
+    assert!(!html.contains("NaN"), "{}", &html[html.find("NaN").unwrap() - 80..][..160]);
+    assert!(report::text(&record).contains("DO NOT USE"));
+}
+
+#[test]
+fn the_verdict_follows_the_record() {
+    let mut good = scene::record();
+    good.fit.undetermined.clear();
+    good.fit.flags.clear();
+    good.fit.outliers = 0;
+    good.fit.near_null.clear();
+    good.fit.parameters.retain(|p| p.known != Known::Prior);
+    good.views[3].rms_px = good.views[2].rms_px.clone();
+    let v = report::verdict(&good);
+    assert_eq!(v.level, Level::Good);
+    assert_eq!(v.open, ["Nothing: the images determine every number that was estimated."]);
+    assert_eq!(v.next, ["Nothing has to be done. Check the sheet on particle images: spivcal check."]);
+
+    let v = report::verdict(&scene::record());
+    assert_eq!(v.level, Level::Care);
+    assert!(v.open.iter().any(|s| s.contains("left.cy_px (93 %), left.alpha_rad (97 %), right.cy_px")), "{:?}", v.open);
+    assert!(
+        v.next
+            .iter()
+            .any(|s| s
+                == "Look at view 3, camera right: its residual of 0.071 px is 2.7 times the median of this camera."),
+        "{:?}",
+        v.next
+    );
+
+    let mut noisy = good.clone();
+    noisy.fit.chi2 *= 9.0;
+    let v = report::verdict(&noisy);
+    assert_eq!(v.level, Level::Care);
+    assert!(v.next[0].contains("3.03 times the noise") && v.next[0].contains("do not allow for it"), "{:?}", v.next);
+
+    let mut loose = good.clone();
+    loose.fit.nullity = 2;
+    let v = report::verdict(&loose);
+    assert!(v.headline.contains("2 directions of the solution are not fixed"), "{}", v.headline);
+    assert!(v.next.iter().any(|s| s.contains("a parallel shift does not help")));
+}
+
+#[test]
+fn csv_has_its_columns_and_numbers_to_the_bit() {
+    let (record, table) = (scene::record(), pictures::residuals());
+    let csv = report::residuals_csv(&record, &table);
+    let mut lines = csv.lines();
+    let heads: Vec<_> = lines.next().unwrap().split(',').collect();
+    assert_eq!(
+        heads,
+        [
+            "view",
+            "camera",
+            "column",
+            "row",
+            "level",
+            "feature",
+            "u_px",
+            "v_px",
+            "du_px",
+            "dv_px",
+            "normal_px",
+            "sigma_px",
+            "weight",
+            "outlier",
+            "reason"
+        ]
+    );
+    assert_eq!(lines.clone().count(), table.len());
+    for (i, line) in lines.enumerate() {
+        let fields: Vec<_> = line.split(',').collect();
+        assert_eq!(fields.len(), heads.len(), "{line}");
+        assert_eq!(fields[1], record.cameras[table.camera[i] as usize].name);
+        assert_eq!(fields[6].parse::<f64>().unwrap().to_bits(), table.u_px[i].to_bits());
+        assert_eq!(fields[10].parse::<f64>().unwrap().to_bits(), table.normal_px[i].to_bits());
+        assert_eq!((fields[13], fields[14]), table.outlier(i).map_or(("0", ""), |r| ("1", r)));
+    }
+    assert_eq!(csv.matches(",1,residual above 5 sigmas").count(), 4);
+    let mut table = ResidualTable::default();
+    let row = pictures::residuals().row(0).unwrap();
+    table.push(&spivcal::record::Residual { normal_px: f64::NAN, ..row }, None);
+    assert!(report::residuals_csv(&record, &table).contains(",,0.025,1,0,\n"), "a number that does not exist is empty");
+}
+
+#[test]
+fn the_text_fits_a_terminal_and_says_the_main_things() {
+    let text = report::text(&scene::record());
+    leave_to_look_at("show.txt", text.as_bytes());
+    for expected in
+        ["CARE: ", "focal length f", "(8889 ± 22) px [prior 6 %]", "Laser sheet", "view 5, in the sheet", "4 left out"]
+    {
+        assert!(text.contains(expected), "{expected:?} is missing in\n{text}");
+    }
+    assert!(text.lines().all(|l| l.chars().count() <= 130 && l.trim_end() == l), "{text}");
+}
+
+#[test]
+fn the_overlay_keeps_the_size_of_the_image() {
+    let table = pictures::residuals();
+    let image = pictures::image(1, 3);
+    let png = report::overlay_png(&image.view(), &pictures::shapes(1, 3, &table)).unwrap();
+    leave_to_look_at("overlay.png", &png);
+    let picture = image::load_from_memory(&png).unwrap();
+    assert_eq!((picture.width(), picture.height()), (1024, 768));
+}

@@ -1,0 +1,258 @@
+//! A synthetic rig with exact contours of two discs: the paper's geometry (50 mm lens, 500 mm, 45 degrees, 6.25 um).
+
+#![allow(dead_code)]
+
+use nalgebra::{Vector2, Vector3};
+use spivcal::bundle::{
+    CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, State, TargetModel, TargetShape,
+    ViewModel, ViewPlace, ViewState,
+};
+use spivcal::camera::{Camera, Intrinsics};
+use spivcal::conic::fit_direct;
+use spivcal::detect::EdgePoints;
+use spivcal::frames::{Cam, Rig, Sheet, Target};
+use spivcal::rig::{CameraStart, RigProblem};
+use spivcal::rigid::{Motion, rotation_exp};
+
+/// Small seeded generator (splitmix64) with normal numbers.
+pub(crate) struct Noise(u64);
+
+impl Noise {
+    pub(crate) fn new(seed: u64) -> Self {
+        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x1234_5678_9abc_def0)
+    }
+    pub(crate) fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+    pub(crate) fn normal(&mut self) -> f64 {
+        let u = self.uniform().max(1e-300);
+        (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
+    }
+}
+
+#[derive(Clone)]
+pub(crate) struct Scene {
+    pub(crate) model: Model,
+    pub(crate) cameras: Vec<Camera>,
+    pub(crate) truth: State,
+}
+
+pub(crate) fn tilted_camera(tilt_beta: f64, tilt_alpha: f64) -> Camera {
+    let mut i = Intrinsics::pinhole(8889.0, 520.0, 380.0);
+    (i.beta_rad, i.alpha_rad, i.k[0]) = (tilt_beta, tilt_alpha, -0.3);
+    Camera::new(i).unwrap()
+}
+
+const SIGMA_PX: f64 = 0.02;
+
+impl Scene {
+    /// Six views, the last two in one sheet when `plane`; bubbles when `per_view`; a free 3 x 3 grid when `points`.
+    pub(crate) fn build(seed: u64, per_view: bool, plane: bool, points: bool) -> Self {
+        Self::with_cameras(
+            seed,
+            vec![tilted_camera(-0.1107, 0.01), tilted_camera(0.1107, -0.02)],
+            per_view,
+            plane,
+            points,
+        )
+    }
+
+    /// The same with other cameras at the same places.
+    pub(crate) fn with_cameras(seed: u64, cameras: Vec<Camera>, per_view: bool, plane: bool, points: bool) -> Self {
+        let mut noise = Noise::new(seed);
+        // The sheet 500 mm away, seen under 45 degrees from either side.
+        let rig_from_sheet: Motion<Rig, Sheet> = Motion::new(
+            rotation_exp(&Vector3::new(0.0, -45_f64.to_radians(), 0.0))
+                * rotation_exp(&Vector3::new(std::f64::consts::PI, 0.0, 0.0)),
+            Vector3::new(0.0, 0.0, 500.0),
+        );
+        let right_from_sheet: Motion<Cam, Sheet> = Motion::new(
+            rotation_exp(&Vector3::new(0.0, 45_f64.to_radians(), 0.0))
+                * rotation_exp(&Vector3::new(std::f64::consts::PI, 0.0, 0.0)),
+            Vector3::new(1.0, -2.0, 503.0),
+        );
+        let cam_from_rig = right_from_sheet * rig_from_sheet.inverse();
+        let shape_mm = if points { [8.0, 2.5, 0.0] } else { [13.0, 6.0, 4.7] };
+        let mut views = vec![];
+        let mut places = vec![];
+        for v in 0..6 {
+            let in_plane = plane && v >= 4;
+            let turn =
+                if in_plane { [0.0, 0.0] } else { [0.45 * (noise.uniform() - 0.5), 0.45 * (noise.uniform() - 0.5)] };
+            let spin = 3.0 * (noise.uniform() - 0.5);
+            let shift =
+                [-6.0 + 4.0 * noise.normal(), 2.0 * noise.normal(), if in_plane { 0.0 } else { 2.0 * noise.normal() }];
+            let rotation =
+                rotation_exp(&Vector3::new(turn[0], turn[1], 0.0)) * rotation_exp(&Vector3::new(0.0, 0.0, spin));
+            let sheet_from_target: Motion<Sheet, Target> =
+                Motion::new(rotation, Vector3::from(shift) + rotation * Vector3::new(0.0, 0.0, 0.0));
+            let own = [shape_mm[0] + noise.uniform(), shape_mm[1] - noise.uniform(), shape_mm[2] - noise.uniform()];
+            views.push(ViewState {
+                first_from_target: rig_from_sheet * sheet_from_target,
+                plane_from_target: in_plane.then_some(sheet_from_target),
+                shape_mm: if per_view { own } else { shape_mm },
+            });
+            places.push(ViewModel { place: if in_plane { ViewPlace::InPlane { z_mm: 0.0 } } else { ViewPlace::Free } });
+        }
+        let shape = if points {
+            let nodes = (0..9).map(|k| Node { x: f64::from(k % 3) - 1.0, y: f64::from(k / 3) - 1.0, level: 0.0 });
+            TargetShape::Lattice(nodes.collect())
+        } else {
+            TargetShape::Pair { per_view }
+        };
+        let offsets_mm = if points {
+            (0..9).map(|_| [0.01 * noise.normal(), 0.01 * noise.normal(), 0.0, 0.0]).collect()
+        } else {
+            vec![]
+        };
+        let mut free = [true; 10];
+        (free[1], free[7], free[8], free[9]) = (false, false, false, false);
+        let target = TargetModel {
+            shape,
+            free: [per_view, true, !points],
+            offset_sigma_mm: points.then_some([0.02, 0.02, 0.02, 0.01]),
+        };
+        let mut facts = vec![];
+        for camera in 0..2 {
+            for (parameter, value) in [(2, 520.0), (3, 380.0)] {
+                facts.push(Fact::Intrinsic { camera, parameter, value, sigma: 50.0 });
+            }
+        }
+        if per_view {
+            facts.push(Fact::Baseline { value_mm: cam_from_rig.translation_mm.norm(), sigma_mm: 0.01 });
+        }
+        // In the solver poses live in the frame of the pinhole along the sensor normal.
+        let e: Vec<Motion<Cam, Cam>> =
+            cameras.iter().map(|c| Motion::new(c.cam_from_pinhole(), Vector3::zeros())).collect();
+        let e0: Motion<Rig, Rig> = Motion::new(cameras[0].cam_from_pinhole(), Vector3::zeros());
+        let truth = State {
+            cameras: cameras.iter().map(|c| *c.intrinsics()).collect(),
+            camera_from_first: vec![Motion::identity(), e[1].inverse() * cam_from_rig * e0],
+            first_from_plane: plane.then(|| e0.inverse() * rig_from_sheet),
+            views: views
+                .iter()
+                .map(|v| ViewState { first_from_target: e0.inverse() * v.first_from_target, ..*v })
+                .collect(),
+            shape_mm,
+            offsets_mm,
+        };
+        let mut model = Model {
+            cameras: ["left", "right"].map(|n| CameraModel { name: n.into(), free }).into(),
+            target,
+            views: places,
+            facts,
+            images: vec![],
+            loss: Loss::None,
+        };
+        for (v, view) in views.iter().enumerate() {
+            for (c, camera) in cameras.iter().enumerate() {
+                let cam_from_target: Motion<Cam, Target> = match c {
+                    0 => Motion::new(view.first_from_target.rotation, view.first_from_target.translation_mm),
+                    _ => cam_from_rig * view.first_from_target,
+                };
+                let own = if per_view { view.shape_mm } else { shape_mm };
+                model.images.push(image(&model.target, camera, &cam_from_target, &own, &truth.offsets_mm, v, c));
+            }
+        }
+        Self { model, cameras, truth }
+    }
+
+    /// What a calibration from nothing but contours has to start from.
+    pub(crate) fn problem(&self) -> RigProblem {
+        let ellipse = |d: &DiscObservation| fit_direct(&d.edge.u_px, &d.edge.v_px).unwrap();
+        let mut values = [None; 10];
+        (values[1], values[7], values[8], values[9]) = (Some(1.0), Some(0.0), Some(0.0), Some(1.0));
+        let start = CameraStart { size_px: [1024.0, 768.0], nominal_f_px: None, values };
+        let lattice = matches!(self.model.target.shape, TargetShape::Lattice(_));
+        let spacing = (!self.model.target.per_view()).then_some(self.truth.shape_mm[0]);
+        RigProblem {
+            ellipses: self.model.images.iter().map(|i| i.discs.iter().map(ellipse).collect()).collect(),
+            starts: vec![start; 2],
+            shape_mm: [spacing, None, lattice.then_some(0.0)],
+            image_names: self.model.images.iter().map(|i| format!("view {} camera {}", i.view, i.camera)).collect(),
+            model: self.model.clone(),
+        }
+    }
+
+    /// The truth, moved by a start's worth of error.
+    pub(crate) fn perturbed(&self, seed: u64) -> State {
+        self.perturbed_by(seed, 1.0)
+    }
+
+    /// The truth, moved by `amount` of a start's worth of error.
+    pub(crate) fn perturbed_by(&self, seed: u64, amount: f64) -> State {
+        let mut noise = Noise::new(seed ^ 77);
+        let mut s = self.truth.clone();
+        for c in &mut s.cameras {
+            c.f_px *= 1.0 + amount * 0.01 * noise.normal();
+            c.k[0] += amount * 0.1;
+            c.cx_px += amount * 20.0 * noise.normal();
+        }
+        let mut small = |w: f64, t: f64| {
+            nalgebra::SVector::<f64, 6>::from_fn(|k, _| amount * noise.normal() * if k < 3 { w } else { t })
+        };
+        s.camera_from_first[1] = s.camera_from_first[1].retract(&small(0.001, 0.3));
+        if let Some(p) = &mut s.first_from_plane {
+            *p = p.retract(&small(0.001, 0.3));
+        }
+        for v in &mut s.views {
+            match (&v.plane_from_target, &s.first_from_plane) {
+                (Some(q), Some(p)) => v.first_from_target = *p * *q,
+                _ => v.first_from_target = v.first_from_target.retract(&small(0.001, 0.3)),
+            }
+        }
+        s
+    }
+
+    /// The same scene with noisy edge points.
+    pub(crate) fn with_noise(&self, seed: u64) -> Self {
+        let mut noise = Noise::new(seed ^ 0xabc);
+        let mut out = self.clone();
+        for edge in out.model.images.iter_mut().flat_map(|i| &mut i.discs).map(|d| &mut d.edge) {
+            for i in 0..edge.u_px.len() {
+                edge.u_px[i] += SIGMA_PX * noise.normal();
+                edge.v_px[i] += SIGMA_PX * noise.normal();
+            }
+        }
+        out
+    }
+}
+
+fn image(
+    target: &TargetModel,
+    camera: &Camera,
+    cam_from_target: &Motion<Cam, Target>,
+    shape: &[f64; 3],
+    offsets: &[[f64; 4]],
+    view: usize,
+    index: usize,
+) -> ImageObservations {
+    let disc = |j: usize| {
+        let (mut center, mut radius) = target.nominal_disc(j, shape);
+        if let Some(o) = offsets.get(j) {
+            center += Vector3::new(o[0], o[1], o[2]);
+            radius += o[3];
+        }
+        let mut edge = EdgePoints::default();
+        for k in 0..40 {
+            let (s, c) = (std::f64::consts::TAU * f64::from(k) / 40.0).sin_cos();
+            let q: Vector2<f64> =
+                camera.project_xyz(&cam_from_target.apply(&(center + Vector3::new(c, s, 0.0) * radius))).unwrap();
+            edge.u_px.push(q.x);
+            edge.v_px.push(q.y);
+            edge.sigma_px.push(SIGMA_PX);
+        }
+        DiscObservation { disc: j, edge }
+    };
+    ImageObservations {
+        view,
+        camera: index,
+        discs: (0..target.disc_count()).map(disc).collect(),
+        pairs: vec![],
+        sigma_scale: 1.0,
+    }
+}
