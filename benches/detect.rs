@@ -6,7 +6,7 @@ use spivcal::detect::{DetectOptions, find_discs};
 use spivcal::image::{GrayView, Samples};
 use std::hint::black_box;
 
-/// Dark ellipses `(u, v, a, b)` with a smooth edge about a pixel wide, uneven light and noise of 2 grey levels.
+/// Dark ellipses `(u, v, a, b)`, blurred by 1 px, under uneven light, with noise of 2 grey levels.
 fn picture(width: usize, height: usize, spots: impl Fn(f64, f64) -> (f64, f64, f64, f64)) -> Vec<u8> {
     let mut state = 1u64;
     let mut noise = move || {
@@ -18,8 +18,10 @@ fn picture(width: usize, height: usize, spots: impl Fn(f64, f64) -> (f64, f64, f
         for u in 0..width {
             let (x, y) = (u as f64, v as f64);
             let (cu, cv, a, b) = spots(x, y);
-            let q = ((x - cu) / a).hypot((y - cv) / b);
-            let inside = 0.5 - 0.5 * ((q - 1.0) * (a * b).sqrt() * 0.9).tanh();
+            let q = ((x - cu) / a).hypot((y - cv) / b).max(1e-6);
+            let d = (q - 1.0) * q / ((x - cu) / (a * a)).hypot((y - cv) / (b * b)).max(1e-6);
+            // The normal distribution to 1.4e-4.
+            let inside = 1.0 / (1.0 + (0.07056 * d.powi(3) + 1.5976 * d).exp());
             let light = 170.0 + 40.0 * x / width as f64;
             grey.push((light * (1.0 - 0.75 * inside) + noise()).round().clamp(0.0, 255.0) as u8);
         }

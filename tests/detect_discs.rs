@@ -1,5 +1,5 @@
 //! What is accepted, what is turned down and why, and symmetries that hold whatever the image.
-#![allow(missing_docs)]
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
 mod render;
 
@@ -213,7 +213,8 @@ fn uneven_light_and_glare() {
         }
     }
     let d = find_u8(&grey, 150, &DetectOptions::default());
-    let disc = near(&d, spot.u, spot.v).unwrap_or_else(|| panic!("{:?}", d.rejections));
+    let disc = near(&d, spot.u, spot.v)
+        .unwrap_or_else(|| panic!("{:?} {:?}", d.rejections, d.discs.iter().map(|x| x.ellipse).collect::<Vec<_>>()));
     let e = &disc.ellipse;
     for (found, truth, k) in [
         (e.center_px.u_px, spot.u, 0),

@@ -15,7 +15,7 @@
 //!
 //! Not valid for fewer than 6 points (5 leave no redundancy for a covariance that means something) or points on a line.
 
-use crate::conic::{Ellipse, covariance_from_regular, from_regular, to_regular};
+use crate::conic::{Ellipse, Frame, covariance_from_regular, from_regular, to_regular};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::frames::Pixel;
 use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen, Vector3};
@@ -122,7 +122,7 @@ pub(crate) fn fit_geometric_from(start: &Ellipse, u_px: &[f64], v_px: &[f64], si
                 ellipse = e;
                 (normal, gradient, chi2) = next;
                 damping = (damping * 0.1).max(1e-12);
-                if decrement.abs() < 1e-18 * (1.0 + chi2) {
+                if decrement.abs() < 1e-14 * (1.0 + chi2) {
                     break;
                 }
             }
@@ -152,32 +152,19 @@ fn normal_equations(
     sigma_px: &[f64],
 ) -> (SMatrix<f64, 5, 5>, SVector<f64, 5>, f64) {
     let (mut normal, mut gradient, mut chi2) = (SMatrix::<f64, 5, 5>::zeros(), SVector::<f64, 5>::zeros(), 0.0);
+    let frame = Frame::new(e);
     for i in 0..u_px.len() {
         let p = Pixel::new(u_px[i], v_px[i]);
-        let t = e.closest_angle_rad(p);
-        let row = distance_row(e, t) / sigma_px[i];
-        let foot = e.point(t);
-        let n = e.normal(t);
-        let distance = ((p.u_px - foot.u_px) * n[0] + (p.v_px - foot.v_px) * n[1]) / sigma_px[i];
+        // Far from the contour Newton steps may end on the wrong side; there the bracketed search sets the start.
+        let near = if e.implicit(p).abs() < 0.5 { None } else { Some(e.closest_angle_rad(p).sin_cos()) };
+        let foot = frame.foot(p.u_px, p.v_px, near.map(|(s, c)| (c, s)));
+        let row = SVector::<f64, 5>::from(foot.row) / sigma_px[i];
+        let distance = foot.distance / sigma_px[i];
         normal += row * row.transpose();
         gradient += row * distance;
         chi2 += distance * distance;
     }
     (normal, gradient, chi2)
-}
-
-/// Derivative of the orthogonal distance with respect to the regular coordinates, at eccentric angle `t_rad`.
-fn distance_row(e: &Ellipse, t_rad: f64) -> SVector<f64, 5> {
-    let (a, b) = (e.semi_major_px, e.semi_minor_px);
-    let (s, c) = t_rad.sin_cos();
-    let big_n = (b * c).hypot(a * s);
-    let (da, db) = (-b * c * c / big_n, -a * s * s / big_n);
-    let along = da - db;
-    // d(phi) carries 1 / (a - b), which cancels against (a^2 - b^2): regular for a circle.
-    let across = -(a + b) * c * s / big_n;
-    let (s2, c2) = (2.0 * e.angle_rad).sin_cos();
-    let n = e.normal(t_rad);
-    SVector::from([-n[0], -n[1], da + db, c2 * along - s2 * across, s2 * along + c2 * across])
 }
 
 fn check_points(u_px: &[f64], v_px: &[f64], needed: usize) -> Result<()> {

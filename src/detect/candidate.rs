@@ -98,10 +98,9 @@ pub(crate) fn judge(line: &Line, smooth: &Plane, strength: Strength, level: u32,
     let rms = rms_gap(&direct, &u, &v);
     let slim = direct.semi_minor_px < options.min_axis_ratio * direct.semi_major_px;
     let area = 0.5 * m.doubled_area.abs();
-    if rms > 0.25 + 0.015 * radius && radius >= 4.0 && !slim {
-        if let Some(kind) = polygon_kind(&u, &v, area) {
-            return Verdict::Mark(found(&rough, rms), kind);
-        }
+    let edgy = rms > 0.25 + 0.015 * radius && radius >= 4.0 && !slim;
+    if let Some(kind) = edgy.then(|| polygon_kind(&u, &v, area)).flatten() {
+        return Verdict::Mark(found(&rough, rms), kind);
     }
     if rms < limit && !slim {
         if direct.semi_minor_px * scale < 0.8 * options.min_semi_minor_px {

@@ -27,47 +27,20 @@
 //!
 //! Not valid where the radius of curvature is not well above the blur, or where another edge lies within the band.
 
-use crate::conic::{Ellipse, from_regular, to_regular};
-use crate::image::GrayView;
+use crate::conic::{Ellipse, Foot, Frame, from_regular, to_regular};
+use crate::detect::band::Band;
 use nalgebra::SVector;
 use std::f64::consts::{FRAC_2_SQRT_PI, TAU};
 
 /// Geometry, blur and slopes come first in the parameter vector, the levels after them.
 const FIXED: usize = 8;
 /// Most level coefficients on one side.
-const MOST_NODES: usize = 64;
+const MOST_NODES: usize = 32;
 
 /// Standard deviation of the prior of the blur, px.
 const PRIOR_BLUR_PX: f64 = 0.3;
 /// Standard deviation of the prior of the slopes, grey steps per minor semi-axis.
 const PRIOR_SLOPE: f64 = 0.15;
-
-/// Pixels of the band around one ellipse, structure of arrays, reused from disc to disc.
-#[derive(Debug, Default)]
-pub(crate) struct Band {
-    pub(crate) u: Vec<f64>,
-    pub(crate) v: Vec<f64>,
-    pub(crate) grey: Vec<f64>,
-    /// Eccentric angle of the foot point when collected, rad.
-    pub(crate) angle: Vec<f64>,
-    /// 0 for pixels that do not count.
-    pub(crate) keep: Vec<bool>,
-    /// Model minus data is never kept: residual = data - model, grey levels.
-    pub(crate) residual: Vec<f64>,
-    /// Signed distance from the ellipse, px.
-    pub(crate) distance: Vec<f64>,
-    /// P.
-    pub(crate) inside: Vec<f64>,
-    /// d(model)/d(outward shift of the edge), grey/px.
-    pub(crate) response: Vec<f64>,
-}
-
-/// How far the band reaches from the ellipse, px.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Reach {
-    pub(crate) inner_px: f64,
-    pub(crate) outer_px: f64,
-}
 
 /// How the levels vary around the disc.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -356,6 +329,27 @@ impl EdgeModel {
         Some(())
     }
 
+    /// Solves for the levels alone, geometry and blur held, and fills the residuals: after a change of the level model a common step
+    /// would move the geometry for the sake of levels that are not there yet.
+    pub(crate) fn fit_levels(&mut self, band: &mut Band, work: &mut Normal, stride: usize) {
+        self.evaluate(band, Some(work), stride);
+        let (n, levels) = (self.size(), self.coefficients.len());
+        work.trial.clear();
+        for i in 0..levels {
+            let row = (FIXED + i) * n + FIXED;
+            work.trial.extend_from_slice(&work.matrix[row..row + levels]);
+            work.trial[i * levels + i] *= 1.0 + 1e-9;
+        }
+        work.step.clear();
+        work.step.extend_from_slice(&work.gradient[FIXED..n]);
+        if solve_symmetric(&mut work.trial, &mut work.step, levels) {
+            for (c, s) in self.coefficients.iter_mut().zip(&work.step) {
+                *c += s;
+            }
+        }
+        self.evaluate(band, None, 1);
+    }
+
     fn stepped(&self, step: &[f64]) -> Option<Self> {
         let mut next = self.clone();
         for i in 0..5 {
@@ -388,11 +382,16 @@ impl EdgeModel {
         let inverse_blur = 1.0 / self.blur_px;
         let mut block = Block::default();
         for i in (0..band.u.len()).step_by(stride) {
-            let foot = frame.foot(band.u[i], band.v[i]);
+            let mut foot = Foot { distance: band.distance[i], ..Foot::default() };
+            let (mut p, mut density) = (if foot.distance < 0.0 { 1.0 } else { 0.0 }, 0.0);
+            if !band.far[i] {
+                foot = frame.foot(band.u[i], band.v[i], Some((band.foot_cos[i], band.foot_sin[i])));
+                (band.foot_cos[i], band.foot_sin[i]) = (foot.cos, foot.sin);
+                let z = foot.distance * inverse_blur + 0.5 * foot.curvature * self.blur_px;
+                (p, density) = normal_tail(z);
+            }
             let d = foot.distance;
-            let z = d * inverse_blur + 0.5 * foot.curvature * self.blur_px;
-            let (p, density) = normal_tail(z);
-            let basis = [0, 1].map(|side| self.levels[side].basis(band.angle[i], foot.cos, foot.sin));
+            let basis = [0, 1].map(|side| self.levels[side].basis(band.angle[i], band.cos[i], band.sin[i]));
             let mut level = [0.0; 2];
             let mut slope = self.slopes;
             for side in 0..2 {
@@ -448,17 +447,20 @@ impl EdgeModel {
             (-self.slopes[k] / sigma, 1.0 / sigma)
         };
         let rows = [blur, slope(0), slope(1)];
-        let (_, slope_at) = self.starts();
-        let mut local = 0.0;
-        let mut work = work;
+        let (level_at, slope_at) = self.starts();
+        let (mut local, mut work) = (0.0, work);
         for side in 0..2 {
+            let nodes = self.slope_nodes(side);
             let weight = self.local_slope[side].max(1e-9).powi(-2);
-            for k in slope_at[side]..slope_at[side] + self.slope_nodes(side) {
-                local += weight * self.coefficients[k].powi(2);
-                if let Some(w) = work.as_deref_mut() {
-                    w.matrix[(FIXED + k) * (self.size() + 1)] += weight;
-                    w.gradient[FIXED + k] -= weight * self.coefficients[k];
-                }
+            for k in slope_at[side]..slope_at[side] + nodes {
+                local += self.add_prior(work.as_deref_mut(), &[(k, 1.0)], weight);
+            }
+            // Neighbouring levels differ by less than the step of the edge: this fills stretches that are hidden.
+            let weight = self.step().abs().max(1e-9).powi(-2);
+            for k in 0..nodes {
+                let next = if k + 1 == nodes { 0 } else { k + 1 };
+                let pair = [(level_at[side] + k, 1.0), (level_at[side] + next, -1.0)];
+                local += self.add_prior(work.as_deref_mut(), &pair, weight);
             }
         }
         if let Some(w) = work {
@@ -469,6 +471,21 @@ impl EdgeModel {
             }
         }
         rows.iter().map(|(r, _)| r * r).sum::<f64>() + local
+    }
+
+    /// A prior of zero, with its weight, on a combination of coefficients; returns its part of the weighted sum of squares.
+    fn add_prior(&self, work: Option<&mut Normal>, terms: &[(usize, f64)], weight: f64) -> f64 {
+        let value: f64 = terms.iter().map(|(k, x)| x * self.coefficients[*k]).sum();
+        if let Some(w) = work {
+            let n = self.size();
+            for (i, x) in terms {
+                w.gradient[FIXED + i] -= weight * x * value;
+                for (j, y) in terms.iter().filter(|(j, _)| j <= i) {
+                    w.matrix[(FIXED + i) * n + FIXED + j] += weight * x * y;
+                }
+            }
+        }
+        weight * value * value
     }
 
     /// Noise variance of a pixel with share `p` of the disc, grey^2.
@@ -500,160 +517,6 @@ impl EdgeModel {
             sum += unit[k] / alone[k];
         }
         (sum / 5.0).max(1.0).sqrt()
-    }
-}
-
-impl Band {
-    fn clear(&mut self) {
-        self.u.clear();
-        self.v.clear();
-        self.grey.clear();
-        self.angle.clear();
-        self.distance.clear();
-    }
-
-    /// Collects the pixels of the image within `reach` of the ellipse.
-    pub(crate) fn collect(&mut self, view: &GrayView, ellipse: &Ellipse, reach: Reach) {
-        self.clear();
-        let frame = Frame::new(ellipse);
-        // The parallel curve of an ellipse lies inside the ellipse with both axes grown by this much.
-        let bulge = (frame.a + frame.b) / (2.0 * (frame.a * frame.b).sqrt());
-        let (outer, inner) = (reach.outer_px * bulge, reach.inner_px * bulge);
-        let (ao, bo) = (frame.a + outer, frame.b + outer);
-        let (ai, bi) = (frame.a - inner, frame.b - inner);
-        let half_height = (ao * frame.sin).hypot(bo * frame.cos);
-        let (u_last, v_last) = (view.width() as f64 - 1.0, view.height() as f64 - 1.0);
-        let (v_lo, v_hi) = ((frame.v0 - half_height).ceil().max(0.0), (frame.v0 + half_height).floor().min(v_last));
-        let rows = if v_hi < v_lo { 0..0 } else { v_lo as usize..v_hi as usize + 1 };
-        for v in rows {
-            let dv = v as f64 - frame.v0;
-            let Some((lo, hi)) = frame.row_span(dv, ao, bo) else { continue };
-            let (lo, hi) = ((frame.u0 + lo).ceil().max(0.0), (frame.u0 + hi).floor().min(u_last));
-            if hi < lo {
-                continue;
-            }
-            let hole = if ai > 0.0 && bi > 0.0 { frame.row_span(dv, ai, bi) } else { None };
-            let (hole_lo, hole_hi) =
-                hole.map_or((f64::INFINITY, f64::NEG_INFINITY), |(l, h)| (frame.u0 + l, frame.u0 + h));
-            let mut u = lo as usize;
-            while u <= hi as usize {
-                let uf = u as f64;
-                if uf > hole_lo && uf < hole_hi {
-                    u = (hole_hi.ceil() as usize).max(u + 1);
-                    continue;
-                }
-                let foot = frame.foot(uf, v as f64);
-                if foot.distance >= -reach.inner_px && foot.distance <= reach.outer_px {
-                    self.u.push(uf);
-                    self.v.push(v as f64);
-                    self.grey.push(f64::from(view.get(u, v)));
-                    self.angle.push(foot.sin.atan2(foot.cos));
-                    self.distance.push(foot.distance);
-                }
-                u += 1;
-            }
-        }
-        let n = self.u.len();
-        self.keep.clear();
-        self.keep.resize(n, true);
-        for list in [&mut self.residual, &mut self.inside, &mut self.response] {
-            list.clear();
-            list.resize(n, 0.0);
-        }
-    }
-}
-
-/// An ellipse with what its pixels need, computed once.
-struct Frame {
-    u0: f64,
-    v0: f64,
-    a: f64,
-    b: f64,
-    cos: f64,
-    sin: f64,
-    cos2: f64,
-    sin2: f64,
-}
-
-/// Foot point of a pixel on the ellipse.
-struct Foot {
-    distance: f64,
-    curvature: f64,
-    cos: f64,
-    sin: f64,
-    /// Derivative of the distance with respect to the regular coordinates.
-    row: [f64; 5],
-}
-
-impl Frame {
-    fn new(e: &Ellipse) -> Self {
-        let (sin, cos) = e.angle_rad.sin_cos();
-        Self {
-            u0: e.center_px.u_px,
-            v0: e.center_px.v_px,
-            a: e.semi_major_px,
-            b: e.semi_minor_px,
-            cos,
-            sin,
-            cos2: cos * cos - sin * sin,
-            sin2: 2.0 * sin * cos,
-        }
-    }
-
-    /// Columns, relative to the centre, where the row `dv` cuts the ellipse with semi-axes `a`, `b`.
-    fn row_span(&self, dv: f64, a: f64, b: f64) -> Option<(f64, f64)> {
-        let (ia, ib) = (1.0 / (a * a), 1.0 / (b * b));
-        let m00 = self.cos * self.cos * ia + self.sin * self.sin * ib;
-        let m01 = self.cos * self.sin * (ia - ib);
-        let m11 = self.sin * self.sin * ia + self.cos * self.cos * ib;
-        let disc = m01 * m01 * dv * dv - m00 * (m11 * dv * dv - 1.0);
-        (disc >= 0.0).then(|| {
-            let root = disc.sqrt();
-            ((-m01 * dv - root) / m00, (-m01 * dv + root) / m00)
-        })
-    }
-
-    /// Closest point by Newton steps on the eccentric angle, held as a unit vector: no trigonometry in the loop.
-    #[inline]
-    fn foot(&self, u: f64, v: f64) -> Foot {
-        let (du, dv) = (u - self.u0, v - self.v0);
-        let (x, y) = (self.cos * du + self.sin * dv, self.cos * dv - self.sin * du);
-        let (a, b) = (self.a, self.b);
-        let e2 = a * a - b * b;
-        let (mut c, mut s) = (x * b, y * a);
-        let norm = (c * c + s * s).sqrt();
-        if norm > 0.0 {
-            c /= norm;
-            s /= norm;
-        } else {
-            (c, s) = (0.0, 1.0);
-        }
-        for _ in 0..3 {
-            let f = e2 * c * s - x * a * s + y * b * c;
-            let df = e2 * (c * c - s * s) - x * a * c - y * b * s;
-            // Towards the minimum only: at the far side of the evolute the curvature of the square distance turns.
-            let t = if df < 0.0 { (-f / df).clamp(-0.5, 0.5) } else { 0.0 };
-            let (c1, s1) = (c - t * s, s + t * c);
-            let inverse = 1.0 / (c1 * c1 + s1 * s1).sqrt();
-            (c, s) = (c1 * inverse, s1 * inverse);
-            if t.abs() < 1e-6 {
-                break;
-            }
-        }
-        let big_n = (b * b * c * c + a * a * s * s).sqrt();
-        let (nx, ny) = (b * c / big_n, a * s / big_n);
-        let distance = (x - a * c) * nx + (y - b * s) * ny;
-        let (da, db) = (-nx * c, -ny * s);
-        let along = da - db;
-        let across = -(a + b) * c * s / big_n;
-        let row = [
-            -(self.cos * nx - self.sin * ny),
-            -(self.sin * nx + self.cos * ny),
-            da + db,
-            self.cos2 * along - self.sin2 * across,
-            self.sin2 * along + self.cos2 * across,
-        ];
-        Foot { distance, curvature: a * b / (big_n * big_n * big_n), cos: c, sin: s, row }
     }
 }
 

@@ -5,8 +5,8 @@
 //! given by the user: the least gradient follows from the noise of the image itself.
 
 use crate::conic::Ellipse;
+use crate::detect::band::Reach;
 use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd};
-use crate::detect::edge_model::Reach;
 use crate::detect::plane::Plane;
 use crate::detect::refine::{Scratch, Start, refine};
 use crate::detect::trace::{Line, Tracer};
@@ -92,7 +92,7 @@ fn check_options(o: &DetectOptions) -> Result<()> {
         ("max_edge_rms_px", o.max_edge_rms_px),
     ];
     for (name, value) in positive {
-        if !(value > 0.0) {
+        if value.is_nan() || value <= 0.0 {
             return Err(Invalid::value(name, value, "a positive number").into());
         }
     }
@@ -277,7 +277,11 @@ fn rooms(candidates: &[Candidate]) -> Vec<Reach> {
                     }
                 } else if apart > e.semi_minor_px && weighty {
                     // Along the line of centres; conservative for slim ellipses.
-                    room.outer_px = room.outer_px.min(0.6 * (apart - e.semi_major_px - o.semi_major_px).max(2.0));
+                    let gap = apart - e.semi_major_px - o.semi_major_px;
+                    // A spot of the other polarity upon the contour (glare) spoils a few sectors, not the whole band.
+                    if gap > 2.0 || other.bright == c.bright {
+                        room.outer_px = room.outer_px.min(0.6 * gap.max(2.0));
+                    }
                 }
             }
             room

@@ -11,18 +11,22 @@
 //! Levels, blur and slopes are common to all sectors; what their uncertainty adds to the geometry is spread evenly over the sigmas.
 
 use crate::conic::{Ellipse, fit_geometric_from};
-use crate::detect::edge_model::{Band, EdgeModel, Levels, Normal, Reach, turn_share};
+use crate::detect::band::{Band, Reach};
+use crate::detect::edge_model::{EdgeModel, Levels, Normal, turn_share};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::{GrayView, Samples};
 use crate::target::Polarity;
+use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::TAU;
 
 /// Length of contour per edge point, px.
 const SECTOR_PX: f64 = 1.75;
 /// Pixels that suffice while the ellipse is still being approached.
-const ROUGH_PIXELS: usize = 500;
+const ROUGH_PIXELS: usize = 250;
 /// A step of the whole model below this ends the descent, px: the sectors take the last step, their error is of second order.
 const FINE_PX: f64 = 0.02;
+/// The same where the levels vary from node to node: the sectors hold them, so they must have settled.
+const FINE_SPLINE_PX: f64 = 0.002;
 /// Entries of the table from eccentric angle to arc length.
 const ARC_STEPS: usize = 256;
 
@@ -106,13 +110,11 @@ fn descend(
 fn rough_model(view: &GrayView, start: &Start, s: &mut Scratch) -> Result<EdgeModel, RejectionReason> {
     let wanted = 2.5 * start.blur_px + 1.0;
     let reach = Reach { inner_px: wanted.min(start.room.inner_px), outer_px: wanted.min(start.room.outer_px.max(1.5)) };
-    s.band.collect(view, &start.ellipse, reach);
+    s.band.collect(view, &start.ellipse, reach, f64::INFINITY);
     screen(&start.ellipse, s);
     if s.band.u.len() < 20 {
         return Err(RejectionReason::TooSmall { semi_minor_px: start.ellipse.semi_minor_px });
     }
-    let mut model = EdgeModel::new(&start.ellipse, start.blur_px, 0.0, 0.0);
-    model.evaluate(&mut s.band, None, 1);
     let mut sums = [(0.0, 0.0); 2];
     let kept = s.band.keep.iter();
     for ((d, g), _) in s.band.distance.iter().zip(&s.band.grey).zip(kept).filter(|(_, keep)| **keep) {
@@ -121,7 +123,7 @@ fn rough_model(view: &GrayView, start: &Start, s: &mut Scratch) -> Result<EdgeMo
     }
     let mean = |x: (f64, f64)| x.0 / f64::max(x.1, 1.0);
     let (inner, outer) = (mean(sums[0]), mean(sums[1]));
-    model = EdgeModel::new(&start.ellipse, start.blur_px, inner, outer);
+    let mut model = EdgeModel::new(&start.ellipse, start.blur_px, inner, outer);
     model.set_levels([Levels::Harmonic; 2], [0.0; 2]);
     // Weights in units of the contrast keep the damping meaningful for any bit depth.
     let unit = ((inner - outer) * 0.05).powi(2).max(1e-12);
@@ -142,23 +144,26 @@ fn fine_model(view: &GrayView, start: &Start, model: &mut EdgeModel, s: &mut Scr
         if border_px(view, &model.ellipse) < 1.0 {
             return Err(RejectionReason::CutByBorder);
         }
-        s.band.collect(view, &model.ellipse, reach);
+        s.band.collect(view, &model.ellipse, reach, 3.8 * model.blur_px + 0.5);
         screen(&model.ellipse, s);
         if pass == 0 {
-            let stride = (s.band.u.len() / ROUGH_PIXELS).max(1) | 1;
-            descend(model, s, 6, stride, 0.02)?;
             model.set_levels([Levels::Constant; 2], [0.0; 2]);
-            let _ = model.evaluate(&mut s.band, None, 1);
+            model.evaluate(&mut s.band, None, 1);
+            let stride = (s.band.u.len() / ROUGH_PIXELS).max(1) | 1;
             estimate_variance(view, model, s);
-            let (levels, local_slope) = choose_levels(model, s);
-            model.set_levels(levels, local_slope);
+            choose_levels(view, model, s);
+            if model.levels != [Levels::Constant; 2] {
+                model.fit_levels(&mut s.band, &mut s.normal, if model.has_splines() { 1 } else { stride });
+            }
+            estimate_variance(view, model, s);
             model.sloped = [shows_slope(model, s, 0), shows_slope(model, s, 1)];
             if model.has_splines() {
                 // Another, narrower band serves these; the ellipse is as good as this one can make it.
                 continue;
             }
         }
-        descend(model, s, 6, 1, FINE_PX)?;
+        let tolerance_px = if model.has_splines() { FINE_SPLINE_PX } else { FINE_PX };
+        descend(model, s, 6, 1, tolerance_px)?;
         estimate_variance(view, model, s);
         let moved = (before.center_px.u_px - model.ellipse.center_px.u_px)
             .hypot(before.center_px.v_px - model.ellipse.center_px.v_px)
@@ -174,7 +179,7 @@ fn fine_model(view: &GrayView, start: &Start, model: &mut EdgeModel, s: &mut Scr
 
 /// Band of the fine fit: the edge, and beside it what fixes the levels; close to the edge where they vary along it.
 fn fine_reach(model: &EdgeModel, start: &Start) -> Reach {
-    let core = 3.5 * model.blur_px + 0.5;
+    let core = 3.0 * model.blur_px + 0.7;
     let beside = if model.has_splines() { 1.0 } else { (2.0 * model.blur_px).max(3.0) };
     Reach {
         inner_px: (core + beside).min(start.room.inner_px).min(0.85 * model.ellipse.semi_minor_px),
@@ -248,7 +253,6 @@ fn quantisation(view: &GrayView) -> f64 {
 
 /// Noise variance inside and outside from the residuals away from the edge.
 fn estimate_variance(view: &GrayView, model: &mut EdgeModel, s: &mut Scratch) {
-    let floor = quantisation(view).max((1e-4 * model.step()).powi(2));
     let mut found = [None; 2];
     for (side, found) in found.iter_mut().enumerate() {
         let mut squares = 0.0;
@@ -279,9 +283,15 @@ fn estimate_variance(view: &GrayView, model: &mut EdgeModel, s: &mut Scratch) {
             (sum / kept, sum / kept)
         }
     };
-    // A clipped ground has no noise at all; it must not outweigh the flank of the edge.
-    let least = floor.max(inner.max(outer) / 16.0);
-    model.variance = [inner.max(least), outer.max(least)];
+    model.variance = not_too_sure(view, model, [inner, outer]);
+}
+
+/// Variances not below the quantisation, nor far apart: a clipped ground has no noise at all, yet it must not outweigh the flank
+/// of the edge.
+fn not_too_sure(view: &GrayView, model: &EdgeModel, found: [f64; 2]) -> [f64; 2] {
+    let floor = quantisation(view).max((1e-4 * model.step()).powi(2));
+    let least = floor.max(found[0].max(found[1]) / 16.0);
+    found.map(|x| x.max(least))
 }
 
 fn median(values: &mut [f64]) -> f64 {
@@ -289,50 +299,76 @@ fn median(values: &mut [f64]) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
+/// Residuals away from the edge in one stretch of the contour, on one side.
+#[derive(Debug, Clone, Copy, Default)]
+struct Stretch {
+    count: f64,
+    sum: f64,
+    squares: f64,
+}
+
+impl Stretch {
+    fn mean(&self) -> f64 {
+        self.sum / self.count
+    }
+}
+
 /// The poorest level model that the residuals away from the edge do not contradict, for either side.
-/// With it the typical gradient along the contour, grey/px.
-fn choose_levels(model: &EdgeModel, s: &mut Scratch) -> ([Levels; 2], [f64; 2]) {
+/// With it the noise variance that is left when the levels follow the image.
+fn choose_levels(view: &GrayView, model: &mut EdgeModel, s: &Scratch) {
     let perimeter = model.ellipse.perimeter_px();
     let mut chosen = [Levels::Constant; 2];
     let mut gradient = [0.0; 2];
+    let mut noise = model.variance;
     for side in 0..2 {
         // A narrow band leaves few pixels away from the edge: fewer nodes then, but never an untested side.
         let mut nodes = EdgeModel::nodes_for(perimeter);
-        let mut sums = level_sums(s, side, nodes);
-        while sums.iter().any(|x| x.1 < 3.0) && nodes > 5 {
+        let mut seen = stretches(s, side, nodes);
+        while seen.len() * 10 < nodes * 6 && nodes > 5 {
             nodes = (nodes / 2).max(5);
-            sums = level_sums(s, side, nodes);
+            seen = stretches(s, side, nodes);
         }
-        if sums.iter().any(|x| x.1 < 1.0) {
+        if seen.len() < 4 {
             chosen[side] = Levels::Harmonic;
             continue;
         }
-        chosen[side] = poorest(&sums, model.variance[side]);
-        let pairs = (0..nodes).map(|k| (sums[k], sums[(k + 1) % nodes]));
-        let square =
-            pairs.map(|(a, b)| (a.0 / a.1 - b.0 / b.1).powi(2) - model.variance[side] * (1.0 / a.1 + 1.0 / b.1));
-        gradient[side] = (square.sum::<f64>().max(0.0) / nodes as f64).sqrt() * nodes as f64 / perimeter;
+        // Scatter within the stretches only: what varies between them is what is asked for.
+        let freedom: f64 = seen.iter().map(|x| x.1.count - 1.0).sum();
+        let scatter: f64 = seen.iter().map(|x| x.1.squares - x.1.sum * x.1.mean()).sum();
+        let variance = (scatter / freedom).max(1e-12 * model.step().powi(2)).max(1e-300);
+        chosen[side] = poorest(&seen, nodes, variance);
+        if chosen[side] != Levels::Constant {
+            noise[side] = variance;
+        }
+        let mut square = 0.0;
+        for pair in seen.windows(2) {
+            let (a, b) = (pair[0].1, pair[1].1);
+            square += (a.mean() - b.mean()).powi(2) - variance * (1.0 / a.count + 1.0 / b.count);
+        }
+        gradient[side] = (square.max(0.0) / seen.len() as f64).sqrt() * nodes as f64 / perimeter;
     }
-    (chosen, gradient)
+    model.variance = not_too_sure(view, model, noise);
+    model.set_levels(chosen, gradient);
 }
 
-/// Sum of residuals and number of pixels away from the edge on one side, in equal bins of the eccentric angle.
-fn level_sums(s: &Scratch, side: usize, nodes: usize) -> Vec<(f64, f64)> {
-    let mut sums = vec![(0.0_f64, 0.0_f64); nodes];
-    for i in 0..s.band.u.len() {
+/// Residuals away from the edge on one side, in equal stretches of the eccentric angle; those with too few pixels left out.
+fn stretches(s: &Scratch, side: usize, nodes: usize) -> Vec<(usize, Stretch)> {
+    let mut all = vec![Stretch::default(); nodes];
+    for i in (0..s.band.u.len()).filter(|i| s.band.keep[*i]) {
         let p = if side == 0 { s.band.inside[i] } else { 1.0 - s.band.inside[i] };
-        if p > 0.9 {
-            let bin = (turn_share(s.band.angle[i]) * nodes as f64) as usize % nodes;
-            sums[bin] = (sums[bin].0 + s.band.residual[i], sums[bin].1 + 1.0);
+        if p > 0.95 {
+            let r = s.band.residual[i];
+            let x = &mut all[(turn_share(s.band.angle[i]) * nodes as f64) as usize % nodes];
+            *x = Stretch { count: x.count + 1.0, sum: x.sum + r, squares: x.squares + r * r };
         }
     }
-    sums
+    all.into_iter().enumerate().filter(|x| x.1.count >= 3.0).collect()
 }
 
 /// Whether the residuals away from the edge rise or fall with the distance, beyond four sigmas.
 fn shows_slope(model: &EdgeModel, s: &Scratch, side: usize) -> bool {
     let (mut n, mut d1, mut d2, mut r1, mut rd) = (0.0, 0.0, 0.0, 0.0, 0.0);
-    for i in 0..s.band.u.len() {
+    for i in (0..s.band.u.len()).filter(|i| s.band.keep[*i]) {
         let p = if side == 0 { s.band.inside[i] } else { 1.0 - s.band.inside[i] };
         if p > 0.97 {
             let (d, r) = (s.band.distance[i], s.band.residual[i]);
@@ -347,22 +383,23 @@ fn shows_slope(model: &EdgeModel, s: &Scratch, side: usize) -> bool {
     slope * slope * spread > 16.0 * model.variance[side]
 }
 
-/// Tests the bin means against nothing, then against a first harmonic.
-fn poorest(sums: &[(f64, f64)], variance: f64) -> Levels {
-    let n = sums.len();
-    let (mut c0, mut c1, mut s1) = (0.0, 0.0, 0.0);
-    let angle = |k: usize| (k as f64 + 0.5) / n as f64 * TAU;
-    for (k, x) in sums.iter().enumerate() {
-        let mean = x.0 / x.1;
-        c0 += mean / n as f64;
-        c1 += 2.0 * mean * angle(k).cos() / n as f64;
-        s1 += 2.0 * mean * angle(k).sin() / n as f64;
+/// Tests the means of the stretches against a constant, then against a first harmonic.
+fn poorest(seen: &[(usize, Stretch)], nodes: usize, variance: f64) -> Levels {
+    let n = seen.len();
+    let angle = |k: usize| (k as f64 + 0.5) / nodes as f64 * TAU;
+    let (mut normal, mut right) = (Matrix3::<f64>::zeros(), Vector3::<f64>::zeros());
+    for (k, x) in seen {
+        let row = Vector3::new(1.0, angle(*k).cos(), angle(*k).sin());
+        normal += row * row.transpose() * x.count;
+        right += row * x.sum;
     }
+    let harmonic = normal.cholesky().map_or_else(Vector3::zeros, |c| c.solve(&right));
+    let c0 = right[0] / normal[(0, 0)];
     let (mut flat, mut wave) = (0.0, 0.0);
-    for (k, x) in sums.iter().enumerate() {
-        let mean = x.0 / x.1;
-        flat += (mean - c0).powi(2) * x.1 / variance;
-        wave += (mean - c0 - c1 * angle(k).cos() - s1 * angle(k).sin()).powi(2) * x.1 / variance;
+    for (k, x) in seen {
+        flat += (x.mean() - c0).powi(2) * x.count / variance;
+        let h = harmonic[0] + harmonic[1] * angle(*k).cos() + harmonic[2] * angle(*k).sin();
+        wave += (x.mean() - h).powi(2) * x.count / variance;
     }
     let limit = |dof: f64| dof + 3.5 * (2.0 * dof).sqrt();
     // A first harmonic has two degrees of its own; test it alone so that many bins do not drown it.
@@ -394,7 +431,9 @@ fn assign_sectors(model: &EdgeModel, s: &mut Scratch) {
     q.middle_angle.extend((0..count).map(|k| angle_at(&arc, (k as f64 + 0.5) / count as f64)));
     let b = &s.band;
     for i in 0..b.u.len() {
-        let x = turn_share(b.angle[i]) * ARC_STEPS as f64;
+        // The angle on the ellipse as it is now: that of a near-circle may have turned since the band was collected.
+        let angle = b.foot_angle(i);
+        let x = turn_share(angle) * ARC_STEPS as f64;
         let j = (x as usize).min(ARC_STEPS - 1);
         let along = arc[j] + (arc[j + 1] - arc[j]) * (x - j as f64);
         let k = ((along * count as f64) as usize).min(count - 1);
@@ -405,7 +444,7 @@ fn assign_sectors(model: &EdgeModel, s: &mut Scratch) {
         q.information[k] += information;
         q.misfit[k] += weight * b.residual[i] * b.residual[i];
         q.pixels[k] += 1;
-        let off = b.angle[i] - q.middle_angle[k];
+        let off = angle - q.middle_angle[k];
         q.angle_sum[k] += information * (off - TAU * (off / TAU).round());
     }
 }

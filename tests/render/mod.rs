@@ -1,5 +1,5 @@
 //! Renders blurred discs by brute force, independently of the library: fine grid, exact Gaussian, pixel areas, seeded noise.
-#![allow(dead_code, missing_docs)]
+#![allow(dead_code, missing_docs, unreachable_pub)]
 
 /// Samples per pixel and axis of the fine grid.
 const FINE: usize = 8;
