@@ -8,6 +8,7 @@ mod calibrate;
 mod detect;
 mod files;
 mod progress;
+mod sheet;
 mod show;
 mod simulate;
 mod threads;
@@ -60,6 +61,7 @@ fn dispatch(arguments: &Arguments) -> crate::Result<Done> {
     match &arguments.command {
         Command::Calibrate(c) => calibrate::run(c, arguments.threads, &progress),
         Command::Detect(c) => detect::run(c, arguments.threads, &progress),
+        Command::Sheet(c) => sheet::run(c, arguments.threads, &progress),
         Command::Simulate(c) => simulate::run(c, &progress),
         Command::Show(c) => show::run(c),
     }

@@ -93,6 +93,24 @@ pub enum Invalid {
         /// Height of the camera's first image.
         expected_height: usize,
     },
+    /// An image has another size than those that its camera was calibrated with.
+    #[error(
+        "{path}: the image is {width} x {height} px, but camera \"{camera}\" was calibrated with {expected_width} x {expected_height} px; record with the sensor area of the calibration, or calibrate anew"
+    )]
+    CalibratedSize {
+        /// Path of the image.
+        path: String,
+        /// Name of the camera.
+        camera: String,
+        /// Width found.
+        width: usize,
+        /// Height found.
+        height: usize,
+        /// Width at the calibration.
+        expected_width: usize,
+        /// Height at the calibration.
+        expected_height: usize,
+    },
     /// Two statements of the caller exclude each other.
     #[error("{0}")]
     Contradiction(String),

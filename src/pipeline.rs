@@ -7,6 +7,7 @@ mod model;
 mod outcome;
 mod png;
 mod residual_rows;
+mod sheet_alone;
 mod sheet_part;
 
 pub use calibrate::{CalibrateOptions, CalibrationOutput, calibrate};
@@ -14,6 +15,7 @@ pub use images::SeenImage;
 pub use load::load_image;
 pub use model::{AXIS_POINT_SIGMA, LOSS_SIGMAS, POINT_SIGMA};
 pub use png::png_bytes;
+pub use sheet_alone::{SheetOptions, SheetOutput, TRANSFER_LIMIT_PX, find_sheet};
 
 use crate::error::Result;
 use crate::image::GrayImage;

@@ -22,7 +22,7 @@
 mod homography;
 mod joint;
 
-pub use homography::{Homography, PairFeatures, fit_homography, transfer_residuals};
+pub use homography::{HeldCameras, Homography, PairFeatures, fit_homography, transfer_residuals, triangulated_plane};
 pub use joint::joint_sheet;
 
 use crate::frames::{Rig, Sheet};

@@ -12,7 +12,7 @@ use super::model::Model;
 use super::residuals::{DiscResidual, residuals};
 use super::retraction;
 use super::state::State;
-use crate::solve::{self, Gradient, Iteration, NormalEquations, Problem, Step, Termination};
+use crate::solve::{self, Gradient, Iteration, NormalEquations, Posterior, Problem, Step, Termination};
 
 /// Options of [`adjust`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -84,7 +84,7 @@ impl Problem for Bundle<'_> {
         Some(assemble::cost(self.model, state)? + facts::cost(self.model, &self.places, state)?)
     }
     fn linearise(&self, state: &State) -> Option<NormalEquations> {
-        let mut e = assemble::linearise(self.model, &self.places, state)?;
+        let mut e = assemble::linearise(self.model, &self.places, state, None)?;
         facts::linearise(self.model, &self.places, state, &mut e)?;
         Some(e)
     }
@@ -124,7 +124,7 @@ pub fn adjust(
         let stopped = matches!(out.termination, Termination::Cancelled | Termination::BadStart);
         let changed = round < options.rounds && !stopped && {
             let set_aside = set_outliers_aside(&mut model, &out.state, options, &mut outliers);
-            rescale(&mut model, &out.state) || set_aside
+            rescale(&mut model, &out.state, out.equations.as_ref()) || set_aside
         };
         if !changed {
             return Adjustment {
@@ -143,38 +143,46 @@ pub fn adjust(
     }
 }
 
-/// Number of unknowns that the discs of one camera have to pay for: its share of all.
-fn unknowns_per_disc(model: &Model) -> f64 {
-    let layout = Places::of(model).layout();
-    let unknowns = layout.global + layout.blocks.iter().sum::<usize>();
-    let discs: usize = model.images.iter().map(|i| i.discs.len()).sum();
-    (unknowns.saturating_sub(facts::count(model))) as f64 / discs.max(1) as f64
+/// Number of unknowns that the observations of camera `c` pay for: `tr(C N_c)`, C the covariance and N_c the camera's part
+/// of the normal matrix (Foerstner's variance components). Equal shares instead would drive a camera that fits a little
+/// worse out of the adjustment: common unknowns follow the other one, and its residuals grow further.
+fn unknowns_paid(model: &Model, state: &State, posterior: &Posterior, c: usize) -> Option<f64> {
+    let own = assemble::linearise(model, &Places::of(model), state, Some(c))?;
+    let mut sum = posterior.global.component_mul(&own.h_gg).sum();
+    for (p, n) in posterior.blocks.iter().zip(&own.blocks) {
+        sum += p.own.component_mul(&n.h_vv).sum() + 2.0 * p.with_global.component_mul(&n.h_vg).sum();
+    }
+    Some(sum)
 }
 
 /// Scales the sigmas of each camera to what the residuals show; true where a scale changed by more than 3 %.
-fn rescale(model: &mut Model, state: &State) -> bool {
-    let price = unknowns_per_disc(model);
+fn rescale(model: &mut Model, state: &State, equations: Option<&NormalEquations>) -> bool {
+    let Some(posterior) = equations.map(solve::posterior) else { return false };
+    let scales: Vec<f64> = (0..model.cameras.len()).map(|c| scale_of_camera(model, state, &posterior, c)).collect();
     let mut changed = false;
-    for c in 0..model.cameras.len() {
-        let (mut edge_chi2, mut edge_dof, mut disc_chi2, mut disc_dof) = (0.0, 0.0, 0.0, 0.0);
-        for image in model.images.iter().filter(|i| i.camera == c) {
-            let Some(r) = residuals(model, state, image) else { continue };
-            let unscale = image.sigma_scale * image.sigma_scale;
-            for disc in &r.discs {
-                disc_chi2 += disc.chi2 * unscale;
-                disc_dof += 3.0 - price;
-                edge_chi2 += (disc.edge_chi2 - disc.chi2) * unscale;
-                edge_dof += disc.edges.distance_px.len() as f64 - 3.0;
-            }
-        }
-        let factor = variance_factor(edge_chi2, edge_dof).max(variance_factor(disc_chi2, disc_dof));
-        let scale = factor.sqrt();
-        for image in model.images.iter_mut().filter(|i| i.camera == c) {
-            changed |= (scale / image.sigma_scale - 1.0).abs() > 0.03;
-            image.sigma_scale = scale;
-        }
+    for image in &mut model.images {
+        let scale = scales[image.camera];
+        changed |= (scale / image.sigma_scale - 1.0).abs() > 0.03;
+        image.sigma_scale = scale;
     }
     changed
+}
+
+/// Root of the larger significant variance factor of a camera, relative to the given sigmas.
+fn scale_of_camera(model: &Model, state: &State, posterior: &Posterior, c: usize) -> f64 {
+    let (mut edge_chi2, mut edge_dof, mut disc_chi2, mut disc_dof) = (0.0, 0.0, 0.0, 0.0);
+    for image in model.images.iter().filter(|i| i.camera == c) {
+        let Some(r) = residuals(model, state, image) else { continue };
+        let unscale = image.sigma_scale * image.sigma_scale;
+        for disc in &r.discs {
+            disc_chi2 += disc.chi2 * unscale;
+            disc_dof += 3.0;
+            edge_chi2 += (disc.edge_chi2 - disc.chi2) * unscale;
+            edge_dof += disc.edges.distance_px.len() as f64 - 3.0;
+        }
+    }
+    disc_dof -= unknowns_paid(model, state, posterior, c).unwrap_or(0.0);
+    variance_factor(edge_chi2, edge_dof).max(variance_factor(disc_chi2, disc_dof)).sqrt()
 }
 
 /// `chi2 / dof` where it exceeds 1 by more than three of its standard deviations, else 1: a factor that follows mere

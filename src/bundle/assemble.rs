@@ -206,10 +206,16 @@ pub(super) fn image_map(model: &Model, places: &Places, state: &State, image: &S
     (slots, map)
 }
 
-/// Normal equations of all images, without facts. Summed in the order of the images.
-pub(super) fn linearise(model: &Model, places: &Places, state: &State) -> Option<NormalEquations> {
-    let each: Option<Vec<(ImageNormal, Vec<Slot>, DMatrix<f64>)>> = model
-        .images
+/// Normal equations of all images, or of those of one camera, without facts. Summed in the order of the images.
+pub(super) fn linearise(
+    model: &Model,
+    places: &Places,
+    state: &State,
+    camera: Option<usize>,
+) -> Option<NormalEquations> {
+    let wanted: Vec<&ImageObservations> =
+        model.images.iter().filter(|i| camera.is_none_or(|c| i.camera == c)).collect();
+    let each: Option<Vec<(ImageNormal, Vec<Slot>, DMatrix<f64>)>> = wanted
         .par_iter()
         .map(|o| {
             let image = SeenImage::of(model, state, o)?;
@@ -218,7 +224,7 @@ pub(super) fn linearise(model: &Model, places: &Places, state: &State) -> Option
         })
         .collect();
     let mut equations = NormalEquations::zeros(&places.layout());
-    for (o, (normal, slots, map)) in model.images.iter().zip(each?) {
+    for (o, (normal, slots, map)) in wanted.iter().zip(each?) {
         equations.cost += normal.cost;
         let hm = normal.h * &map;
         add(&mut equations, o.view, &slots, &map.tr_mul(&hm), &map.tr_mul(&normal.b));

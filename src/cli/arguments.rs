@@ -31,6 +31,8 @@ pub(super) enum Command {
     Calibrate(Calibrate),
     /// Find discs in images: contours, ellipses and features as CSV and JSON, overlay PNG
     Detect(Detect),
+    /// Find the laser plane alone from views recorded in it, with the cameras of a calibration held
+    Sheet(Sheet),
     /// Render synthetic images with their truth, and a rig file ready to calibrate
     Simulate(Simulate),
     /// Say a calibration in words
@@ -49,6 +51,22 @@ pub(super) struct Calibrate {
     /// Rig file: cameras, target, scale and views
     #[arg(value_name = "RIG.toml")]
     pub(super) rig: PathBuf,
+    /// Folder for the results, made where it is missing
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) output: PathBuf,
+    /// Folder of the images [default: that of the rig file]
+    #[arg(long, value_name = "DIR")]
+    pub(super) images: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct Sheet {
+    /// Rig file: the cameras, the target, and the views with sheet = true
+    #[arg(value_name = "RIG.toml")]
+    pub(super) rig: PathBuf,
+    /// Calibration of these cameras
+    #[arg(long, value_name = "C.json")]
+    pub(super) calibration: PathBuf,
     /// Folder for the results, made where it is missing
     #[arg(short, long, value_name = "DIR")]
     pub(super) output: PathBuf,

@@ -6,14 +6,15 @@ use super::files::{Output, read_text};
 use super::progress::Bar;
 use super::threads;
 use crate::error::Result;
-use crate::pipeline::{CalibrateOptions, CalibrationOutput, Progress, calibrate, load_image};
-use crate::record::Record;
-use crate::report::{Level, OverlayInput, overlay_png, residuals_csv, text, verdict, write_html};
+use crate::pipeline::{CalibrateOptions, Progress, SeenImage, calibrate, load_image};
+use crate::record::{Record, ResidualTable};
+use crate::report::{Level, OverlayInput, OverlayShapes, overlay_png, residuals_csv, text, verdict, write_html};
 use crate::rig_file::{RigDescription, image_path};
 use rayon::prelude::*;
 use serde_json::json;
 use std::fmt::Write;
 use std::num::NonZeroUsize;
+use std::path::Path;
 
 pub(super) fn run(command: &Calibrate, threads: Option<NonZeroUsize>, progress: &Bar) -> Result<Done> {
     let rig_text = read_text(&command.rig, "a rig file (TOML)")?;
@@ -29,16 +30,16 @@ pub(super) fn run(command: &Calibrate, threads: Option<NonZeroUsize>, progress: 
         true
     })?;
     progress.say("writing the report".to_string());
-    let output = files(&job, &found, threads)?;
-    let folder = command.output.display();
-    let json = summary(&found.record, &folder.to_string(), &output.names());
-    let mut words = text(&found.record);
-    let _ = writeln!(words, "\nWritten to {folder}: {}", listed(&output.names()));
-    output.commit(&command.output)?;
-    Ok(Done { text: words, json, flags: flags(&found.record) })
+    let results = Results {
+        record: &found.record,
+        residuals: Some(&found.residuals),
+        images: &found.images,
+        overlays: &found.overlays,
+    };
+    results.write(&command.output, threads)
 }
 
-fn tell(bar: &Bar, progress: &Progress<'_>) {
+pub(super) fn tell(bar: &Bar, progress: &Progress<'_>) {
     match *progress {
         Progress::Image { done, total, .. } => {
             if done == 1 {
@@ -52,24 +53,49 @@ fn tell(bar: &Bar, progress: &Progress<'_>) {
     }
 }
 
-/// Everything that is written, by the name under which it is written.
-fn files(job: &RigDescription, found: &CalibrationOutput, threads: Option<NonZeroUsize>) -> Result<Output> {
-    let inputs: Vec<OverlayInput<'_>> = found
-        .images
-        .iter()
-        .zip(&found.overlays)
-        .map(|(i, shapes)| OverlayInput { view: i.view, camera: i.camera, image: i.image.view(), shapes })
-        .collect();
-    let overlays: Vec<Result<Vec<u8>>> =
-        threads::pool(threads)?.install(|| inputs.par_iter().map(|i| overlay_png(&i.image, i.shapes)).collect());
-    let mut out = Output::default();
-    out.add("calibration.json", found.record.to_json()?);
-    out.add("residuals.csv", residuals_csv(&found.record, &found.residuals));
-    out.add("report.html", write_html(&found.record, &inputs, &found.residuals)?);
-    for (input, png) in inputs.iter().zip(overlays) {
-        out.add(format!("overlay_{:02}_{}.png", input.view, job.cameras[input.camera].name), png?);
+/// What is written about a calibration.
+pub(super) struct Results<'a> {
+    pub(super) record: &'a Record,
+    /// None where nothing was adjusted.
+    pub(super) residuals: Option<&'a ResidualTable>,
+    pub(super) images: &'a [SeenImage],
+    pub(super) overlays: &'a [OverlayShapes],
+}
+
+impl Results<'_> {
+    /// Writes everything and says so.
+    pub(super) fn write(&self, to: &Path, threads: Option<NonZeroUsize>) -> Result<Done> {
+        let output = self.files(threads)?;
+        let folder = to.display();
+        let json = summary(self.record, &folder.to_string(), &output.names());
+        let mut words = text(self.record);
+        let _ = writeln!(words, "\nWritten to {folder}: {}", listed(&output.names()));
+        output.commit(to)?;
+        Ok(Done { text: words, json, flags: flags(self.record) })
     }
-    Ok(out)
+
+    /// Everything that is written, by the name under which it is written.
+    fn files(&self, threads: Option<NonZeroUsize>) -> Result<Output> {
+        let inputs: Vec<OverlayInput<'_>> = self
+            .images
+            .iter()
+            .zip(self.overlays)
+            .map(|(i, shapes)| OverlayInput { view: i.view, camera: i.camera, image: i.image.view(), shapes })
+            .collect();
+        let overlays: Vec<Result<Vec<u8>>> =
+            threads::pool(threads)?.install(|| inputs.par_iter().map(|i| overlay_png(&i.image, i.shapes)).collect());
+        let mut out = Output::default();
+        out.add("calibration.json", self.record.to_json()?);
+        if let Some(residuals) = self.residuals {
+            out.add("residuals.csv", residuals_csv(self.record, residuals));
+        }
+        let none = ResidualTable::default();
+        out.add("report.html", write_html(self.record, &inputs, self.residuals.unwrap_or(&none))?);
+        for (input, png) in inputs.iter().zip(overlays) {
+            out.add(format!("overlay_{:02}_{}.png", input.view, self.record.cameras[input.camera].name), png?);
+        }
+        Ok(out)
+    }
 }
 
 /// All names, overlays counted.

@@ -1,6 +1,7 @@
 //! Residuals of every observation as table rows and as arrows on the images, and how well each image fits.
 
 use super::calibrate::Solved;
+use super::images::SeenImage;
 use crate::bitangent::bitangents;
 use crate::bundle::residuals;
 use crate::detect::{Disc, RejectionReason};
@@ -49,7 +50,8 @@ pub(super) fn residual_rows(s: &Solved) -> Result<(ResidualTable, Vec<OverlaySha
     let mut table = ResidualTable::default();
     let (mut overlays, mut fits) = (vec![], vec![]);
     for (k, image) in s.images.iter().enumerate() {
-        let mut shapes = found_shapes(s, k);
+        let labels: Vec<DotId> = s.built.problem.model.images[k].discs.iter().map(|d| s.built.labels[d.disc]).collect();
+        let mut shapes = found_shapes(image, &labels);
         let mut fit = ImageFit::default();
         // Outliers too are shown where they would have been expected.
         let mut all = s.contours.images[k].clone();
@@ -112,20 +114,17 @@ pub(super) fn residual_rows(s: &Solved) -> Result<(ResidualTable, Vec<OverlaySha
     Ok((table, overlays, fits))
 }
 
-/// What was found in an image, before any adjustment.
-fn found_shapes(s: &Solved, k: usize) -> OverlayShapes {
-    let image = &s.images[k];
+/// What was found in an image, before any adjustment; one label for each of its discs.
+pub(super) fn found_shapes(image: &SeenImage, labels: &[DotId]) -> OverlayShapes {
     let mut shapes = OverlayShapes::default();
-    for seen in &s.built.problem.model.images[k].discs {
-        let edge = &seen.edge;
-        shapes.contours.push(Polyline { u_px: edge.u_px.clone(), v_px: edge.v_px.clone(), closed: true });
-    }
-    for (found, seen) in image.discs.iter().zip(&s.built.problem.model.images[k].discs) {
+    for (found, label) in image.discs.iter().zip(labels) {
         let disc = &image.detection.discs[found.disc];
+        let edge = &disc.edge;
+        shapes.contours.push(Polyline { u_px: edge.u_px.clone(), v_px: edge.v_px.clone(), closed: true });
         shapes.ellipses.push(disc.ellipse);
         let e = &disc.ellipse;
         let at_px = [e.center_px.u_px + 0.75 * e.semi_major_px, e.center_px.v_px + 0.75 * e.semi_minor_px];
-        shapes.labels.push(Label { at_px, text: label_text(s.built.labels[seen.disc]) });
+        shapes.labels.push(Label { at_px, text: label_text(*label) });
     }
     if let [a, b] = image.discs.as_slice() {
         tangent_lines(&image.detection.discs[a.disc], &image.detection.discs[b.disc], &mut shapes);

@@ -1,11 +1,12 @@
 //! The laser sheet of a calibration: jointly, and by the paper's homography beside it.
 
 use super::calibrate::Solved;
-use crate::bundle::ImageObservations;
+use crate::camera::Camera;
 use crate::detect::EdgePoints;
 use crate::error::Result;
 use crate::record::{Homography, Pose, Sheet, SheetSigma};
-use crate::sheet::{PairFeatures, SheetEstimate, fit_homography, joint_sheet, transfer_residuals};
+use crate::sheet::{HeldCameras, PairFeatures, SheetEstimate, fit_homography, joint_sheet, transfer_residuals};
+use crate::target::DotId;
 
 /// Most pairs of discs per view that the homography looks at: more add nothing but time.
 const PAIRS_PER_VIEW: usize = 40;
@@ -18,42 +19,52 @@ pub(super) fn sheet_part(s: &Solved) -> Result<Option<Sheet>> {
     };
     let names: Vec<&str> = s.job.cameras.iter().map(|c| c.name.as_str()).collect();
     let joint = joint_sheet(s.covariance, &plane, names.get(1).copied());
-    let mut sheet = Sheet {
-        normal_in_rig: joint.normal.into(),
-        distance_mm: joint.distance_mm,
-        abc_per_mm: joint.abc_per_mm.into(),
-        angles_deg: joint.angles_rad.map(f64::to_degrees),
-        angles_convention: crate::record::ANGLES_CONVENTION.into(),
-        angle_to_baseline_deg: joint.angle_to_baseline_rad.to_degrees(),
-        sigma: sheet_sigma(&joint),
-        rig_from_sheet: Pose::from(&joint.rig_from_sheet),
-        method: "joint".into(),
-        views: views.clone(),
-        disparity_rms_px: None,
-        homography: None,
-    };
+    let mut sheet = sheet_of(&joint, "joint", views.clone());
     if let [first, second] = names[..] {
-        let features: Vec<PairFeatures> = views.iter().flat_map(|v| features_of_view(s, *v)).collect();
+        let held = HeldCameras::of(s.covariance, [first, second]);
+        let features: Vec<PairFeatures> = views.iter().flat_map(|v| features_of_view(s, &held, *v)).collect();
         if !features.is_empty() {
-            let left = transfer_residuals(s.covariance, &joint.abc_per_mm, &features);
-            let squares: f64 = left.iter().map(|r| r.norm_squared()).sum();
-            sheet.disparity_rms_px = Some((squares / left.len().max(1) as f64).sqrt());
-            sheet.homography =
-                fit_homography(s.covariance, [first, second], &features, &joint.abc_per_mm).ok().map(|h| Homography {
-                    abc_per_mm: h.estimate.abc_per_mm.into(),
-                    distance_mm: h.estimate.distance_mm,
-                    angles_deg: h.estimate.angles_rad.map(f64::to_degrees),
-                    angle_to_baseline_deg: h.estimate.angle_to_baseline_rad.to_degrees(),
-                    sigma: sheet_sigma(&h.estimate),
-                    transfer_rms_px: h.transfer_rms_px,
-                });
+            let all = transfer_residuals(&held, &joint.abc_per_mm, &features);
+            let left: Vec<f64> = all.iter().flatten().map(|r| r.norm_squared()).collect();
+            sheet.disparity_rms_px = Some((left.iter().sum::<f64>() / left.len().max(1) as f64).sqrt());
+            sheet.homography = fit_homography(&held, &features, &joint.abc_per_mm).ok().map(|h| homography_of(&h));
         }
     }
     Ok(Some(sheet))
 }
 
+/// A plane as the record holds it.
+pub(super) fn sheet_of(e: &SheetEstimate, method: &str, views: Vec<usize>) -> Sheet {
+    Sheet {
+        normal_in_rig: e.normal.into(),
+        distance_mm: e.distance_mm,
+        abc_per_mm: e.abc_per_mm.into(),
+        angles_deg: e.angles_rad.map(f64::to_degrees),
+        angles_convention: crate::record::ANGLES_CONVENTION.into(),
+        angle_to_baseline_deg: e.angle_to_baseline_rad.to_degrees(),
+        sigma: sheet_sigma(e),
+        rig_from_sheet: Pose::from(&e.rig_from_sheet),
+        method: method.into(),
+        views,
+        disparity_rms_px: None,
+        homography: None,
+    }
+}
+
+/// The paper's result as the record holds it.
+pub(super) fn homography_of(h: &crate::sheet::Homography) -> Homography {
+    Homography {
+        abc_per_mm: h.estimate.abc_per_mm.into(),
+        distance_mm: h.estimate.distance_mm,
+        angles_deg: h.estimate.angles_rad.map(f64::to_degrees),
+        angle_to_baseline_deg: h.estimate.angle_to_baseline_rad.to_degrees(),
+        sigma: sheet_sigma(&h.estimate),
+        transfer_rms_px: h.transfer_rms_px,
+    }
+}
+
 /// Sigmas of a plane in the units of the file.
-pub(super) fn sheet_sigma(e: &SheetEstimate) -> SheetSigma {
+fn sheet_sigma(e: &SheetEstimate) -> SheetSigma {
     let s = &e.sigmas;
     SheetSigma {
         distance_mm: s[0],
@@ -64,25 +75,22 @@ pub(super) fn sheet_sigma(e: &SheetEstimate) -> SheetSigma {
     }
 }
 
-/// Tangency points of neighbouring discs that both cameras saw in a view.
-fn features_of_view(s: &Solved, view: usize) -> Vec<PairFeatures> {
+fn features_of_view(s: &Solved, held: &HeldCameras, view: usize) -> Vec<PairFeatures> {
     let image = |camera: usize| s.contours.images.iter().find(|i| i.view == view && i.camera == camera);
     let (Some(first), Some(second)) = (image(0), image(1)) else { return vec![] };
-    let contour = |i: &ImageObservations, disc: usize| -> Option<EdgePoints> {
-        i.discs.iter().find(|d| d.disc == disc).map(|d| d.edge.clone())
-    };
-    let mut common: Vec<usize> = first.discs.iter().map(|d| d.disc).collect();
-    common.retain(|d| second.discs.iter().any(|e| e.disc == *d));
+    let seen = [first, second].map(|i| i.discs.iter().map(|d| (s.built.labels[d.disc], &d.edge)).collect::<Vec<_>>());
+    common_features(held.cameras(), [&seen[0], &seen[1]])
+}
+
+/// Tangency points of neighbouring discs of one level that both cameras saw in a view.
+pub(super) fn common_features(cameras: [&Camera; 2], seen: [&[(DotId, &EdgePoints)]; 2]) -> Vec<PairFeatures> {
+    let contour = |c: usize, id: DotId| seen[c].iter().find(|(other, _)| *other == id).map(|(_, edge)| *edge);
+    let mut common: Vec<DotId> = seen[0].iter().map(|(id, _)| *id).filter(|id| contour(1, *id).is_some()).collect();
     common.sort_unstable();
-    let cameras = &s.covariance.natural.cameras;
     let step = (common.len() / PAIRS_PER_VIEW).max(1);
-    let pair = |p: &[usize]| {
-        let (a, b) = (p[0], p[1]);
-        let same_level = s.built.labels[a].level == s.built.labels[b].level;
-        let left = [contour(first, a)?, contour(first, b)?];
-        let right = [contour(second, a)?, contour(second, b)?];
-        let contours = [[&left[0], &left[1]], [&right[0], &right[1]]];
-        if same_level { PairFeatures::of([&cameras[0], &cameras[1]], contours) } else { None }
+    let pair = |p: &[DotId]| {
+        let both = |c: usize| Some([contour(c, p[0])?, contour(c, p[1])?]);
+        if p[0].level == p[1].level { PairFeatures::of(cameras, [both(0)?, both(1)?]) } else { None }
     };
     common.windows(2).step_by(step).filter_map(pair).collect()
 }

@@ -5,6 +5,7 @@ use super::{Mono, RigProblem, RigSolution, rms_of};
 use crate::bundle::{
     AdjustOptions, Fact, Iteration, SolveOptions, State, TargetShape, Termination, ViewPlace, ViewState, adjust,
 };
+use crate::camera::{Camera, Intrinsics};
 use crate::error::{Error, Insufficient, Result, Unusable};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::rigid::{Motion, rotation_log};
@@ -307,7 +308,7 @@ fn pair_start(problem: &RigProblem, monos: &[Mono], agreed: &Agreed) -> Result<S
     let views =
         poses.iter().zip(&model.views).map(|((m, s), view)| view_state(m, s, view.place, first_from_plane.as_ref()));
     let mut state = State {
-        cameras: monos.iter().map(|m| m.intrinsics).collect(),
+        cameras: monos.iter().enumerate().map(|(c, m)| joint_start(problem, c, &m.intrinsics)).collect(),
         camera_from_first: vec![Motion::identity(), motion],
         first_from_plane,
         views: views.collect(),
@@ -318,6 +319,31 @@ fn pair_start(problem: &RigProblem, monos: &[Mono], agreed: &Agreed) -> Result<S
         state.shape_mm[0] = problem.shape_mm[0].unwrap_or(state.shape_mm[0]);
     }
     Ok(state)
+}
+
+/// Intrinsics with which the common adjustment starts.
+///
+/// Where every disc is estimated, a camera alone had to explain printing errors by its lens: axis point and distortion have run
+/// away with them. The effective pinhole, which carries all poses, has not; the rest starts again at the sensor's centre.
+fn joint_start(problem: &RigProblem, c: usize, alone: &Intrinsics) -> Intrinsics {
+    let (model, start) = (&problem.model.cameras[c], &problem.starts[c]);
+    if problem.model.target.offset_sigma_mm.is_none() || !model.uses_pinhole_frame() {
+        return *alone;
+    }
+    let Ok(camera) = Camera::new(*alone) else { return *alone };
+    let center = |k: usize, size: f64| {
+        if model.free[k] { start.values[k].unwrap_or((size - 1.0) / 2.0) } else { alone.to_array()[k] }
+    };
+    let (cx, cy) = (center(2, start.size_px[0]), center(3, start.size_px[1]));
+    let mut p = camera.effective_pinhole().with_axis_point(cx, cy, alone.aspect).to_array();
+    for k in 6..10 {
+        p[k] = start.values[k].filter(|_| model.free[k] || k == 9).unwrap_or(if model.free[k] {
+            0.0
+        } else {
+            alone.to_array()[k]
+        });
+    }
+    Intrinsics::from_array(&p, alone.radial)
 }
 
 fn scaled(m: &Motion<Rig, Target>, shape: &[f64; 3], by: f64) -> (Motion<Rig, Target>, [f64; 3]) {

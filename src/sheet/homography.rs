@@ -5,7 +5,11 @@
 //! image (the distorted one biases them by 0.04 to 0.55 px) and mapped back to real pixels.
 //!
 //! Sigmas: `C = N^-1 (J^T S J + G C_cameras G^T) N^-1` with `N = J^T J`, S the covariance of the features, and G the change of
-//! `J^T r` by the cameras' parameters. Without the second part they would be 5 to 1000 times too small.
+//! `J^T r` by the cameras' parameters. Without the second part they would be 5 to 1000 times too small. Where a parameter of
+//! the cameras is not determined, no sigma of the sheet exists.
+//!
+//! Start: the features of both cameras meet near points p (middle of the shortest line between their rays); `abc . p = 1` is
+//! linear in abc.
 
 use super::{SheetEstimate, plane_geometry, sigmas};
 use crate::bitangent::bitangents;
@@ -16,7 +20,7 @@ use crate::detect::EdgePoints;
 use crate::error::{Insufficient, Result};
 use crate::frames::{Cam, Rig};
 use crate::rigid::Motion;
-use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{DMatrix, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 /// Features of the same pair of discs in both cameras, real (distorted) pixels.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -82,10 +86,101 @@ fn tangency_points(camera: &Camera, contours: [&EdgePoints; 2]) -> Option<(Vec<V
 }
 
 /// Cameras as the transfer sees them.
-#[derive(Clone)]
+#[derive(Debug, Clone)]
 struct Pair {
     cameras: [Camera; 2],
     second_from_first: Motion<Cam, Rig>,
+}
+
+/// One adjusted number of the two cameras.
+#[derive(Debug, Clone, Copy)]
+enum Held {
+    /// Camera and index of the intrinsic.
+    Intrinsic(usize, usize),
+    /// Part of a left step of the motion between the cameras.
+    Motion(usize),
+}
+
+/// Two cameras that are held, with what is known of them.
+#[derive(Debug, Clone)]
+pub struct HeldCameras {
+    pair: Pair,
+    parameters: Vec<Held>,
+    covariance: DMatrix<f64>,
+}
+
+const STEP_NAMES: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
+
+impl HeldCameras {
+    /// Cameras, motion between them (second camera from rig), their names, and a covariance whose rows have names such as
+    /// `left.f_px` and `right.cam_from_rig.rx_rad`; rows of anything else are left aside. A variance that is `NaN` means a
+    /// parameter that nothing determines.
+    pub fn new(
+        cameras: [Camera; 2],
+        second_from_first: Motion<Cam, Rig>,
+        camera_names: [&str; 2],
+        names: &[String],
+        covariance: &DMatrix<f64>,
+    ) -> Self {
+        let parameter = |name: &String| {
+            let c = (0..2).find(|&c| name.strip_prefix(camera_names[c]).is_some_and(|r| r.starts_with('.')))?;
+            let rest = &name[camera_names[c].len() + 1..];
+            if let Some(k) = INTRINSIC_NAMES.iter().position(|n| *n == rest) {
+                return Some(Held::Intrinsic(c, k));
+            }
+            let step = rest.strip_prefix("cam_from_rig.").filter(|_| c == 1)?;
+            STEP_NAMES.iter().position(|n| *n == step).map(Held::Motion)
+        };
+        let own: Vec<(usize, Held)> = names.iter().enumerate().filter_map(|(i, n)| Some((i, parameter(n)?))).collect();
+        // A number without variance does not move.
+        let own: Vec<(usize, Held)> = own.into_iter().filter(|(i, _)| covariance[(*i, *i)] != 0.0).collect();
+        Self {
+            pair: Pair { cameras, second_from_first },
+            covariance: DMatrix::from_fn(own.len(), own.len(), |i, j| covariance[(own[i].0, own[j].0)]),
+            parameters: own.into_iter().map(|(_, h)| h).collect(),
+        }
+    }
+
+    /// The first two cameras of an adjustment.
+    pub fn of(covariance: &NamedCovariance, camera_names: [&str; 2]) -> Self {
+        let natural = &covariance.natural;
+        let mut matrix = covariance.matrix.clone();
+        for i in (0..covariance.names.len()).filter(|i| !covariance.determined[*i]) {
+            matrix[(i, i)] = f64::NAN;
+        }
+        let cameras = [natural.cameras[0], natural.cameras[1]];
+        Self::new(cameras, natural.cam_from_rig[1], camera_names, &covariance.names, &matrix)
+    }
+
+    /// The two cameras.
+    pub fn cameras(&self) -> [&Camera; 2] {
+        [&self.pair.cameras[0], &self.pair.cameras[1]]
+    }
+
+    /// Standard deviation of a parameter, `None` where it is not determined.
+    fn sigma(&self, k: usize) -> Option<f64> {
+        let s = self.covariance[(k, k)].sqrt();
+        (s.is_finite() && s > 0.0).then_some(s)
+    }
+
+    /// The cameras after a change of one parameter.
+    fn stepped(&self, parameter: Held, h: f64) -> Option<Pair> {
+        let mut out = self.pair.clone();
+        match parameter {
+            Held::Intrinsic(c, k) => {
+                let old = out.cameras[c].intrinsics();
+                let mut p = old.to_array();
+                p[k] += h;
+                out.cameras[c] = Camera::new(Intrinsics::from_array(&p, old.radial)).ok()?;
+            }
+            Held::Motion(k) => {
+                let mut d = SVector::<f64, 6>::zeros();
+                d[k] = h;
+                out.second_from_first = out.second_from_first.retract(&d);
+            }
+        }
+        Some(out)
+    }
 }
 
 /// Residual and its derivative by (a, b, c); `None` where a feature does not transfer.
@@ -151,16 +246,41 @@ fn minimum(pair: &Pair, start: &Vector3<f64>, features: &[PairFeatures]) -> Opti
     Some(abc)
 }
 
+/// The plane through the points in which features of both cameras nearly meet, as (a, b, c), 1/mm; `None` where they do not
+/// meet in front of both cameras or do not span a plane.
+pub fn triangulated_plane(held: &HeldCameras, features: &[PairFeatures]) -> Option<Vector3<f64>> {
+    let pair = &held.pair;
+    let first_from_second = pair.second_from_first.inverse();
+    let center = first_from_second.translation_mm;
+    let (mut n, mut b) = (Matrix3::zeros(), Vector3::zeros());
+    for f in features {
+        for (q1, q2) in f.first_px.iter().zip(&f.second_px) {
+            let r1 = pair.cameras[0].ideal_of_pixel(q1).ok()?.push(1.0);
+            let r2 = first_from_second.rotation * pair.cameras[1].ideal_of_pixel(q2).ok()?.push(1.0);
+            // s r1 and center + t r2 are nearest to one another.
+            let (aa, ab, bb) = (r1.dot(&r1), r1.dot(&r2), r2.dot(&r2));
+            let determinant = aa * bb - ab * ab;
+            if !(determinant > 1e-12 * aa * bb) {
+                return None;
+            }
+            let s = (bb * r1.dot(&center) - ab * r2.dot(&center)) / determinant;
+            let t = (ab * r1.dot(&center) - aa * r2.dot(&center)) / determinant;
+            if !(s > 0.0 && t > 0.0) {
+                return None;
+            }
+            let p = 0.5 * (r1 * s + center + r2 * t);
+            n += p * p.transpose();
+            b += p;
+        }
+    }
+    Some(n.cholesky()?.solve(&b))
+}
+
 /// The plane from features of views recorded in the sheet, cameras held; `start` is any plane in front of both cameras.
 ///
 /// # Errors
 /// [`Insufficient::Degenerate`] where there are no features or they do not fix a plane.
-pub fn fit_homography(
-    covariance: &NamedCovariance,
-    names: [&str; 2],
-    features: &[PairFeatures],
-    start: &Vector3<f64>,
-) -> Result<Homography> {
+pub fn fit_homography(held: &HeldCameras, features: &[PairFeatures], start: &Vector3<f64>) -> Result<Homography> {
     let degenerate = || {
         Insufficient::Degenerate(
             "the discs recorded in the sheet do not fix its plane; record the target at two or more places of the sheet, \
@@ -168,50 +288,40 @@ pub fn fit_homography(
                 .into(),
         )
     };
-    let pair = Pair {
-        cameras: [covariance.natural.cameras[0], covariance.natural.cameras[1]],
-        second_from_first: covariance.natural.cam_from_rig[1],
-    };
-    let abc = minimum(&pair, start, features).ok_or_else(degenerate)?;
-    let (n, _, sum, count) = normals(&pair, &abc, features).ok_or_else(degenerate)?;
+    let pair = &held.pair;
+    let abc = minimum(pair, start, features).ok_or_else(degenerate)?;
+    let (n, _, sum, count) = normals(pair, &abc, features).ok_or_else(degenerate)?;
     let inverse = n.try_inverse().ok_or_else(degenerate)?;
-    let noise = inverse * feature_part(&pair, &abc, features) * inverse;
-    // Seven numbers (w, n . v, centre) by abc, and the cameras' share by finite change of the normal equations.
-    let steps = camera_steps(covariance, names);
-    let mut by_camera: Vec<(String, Vector3<f64>, Vector3<f64>)> = vec![];
-    for (name, size) in steps {
-        let change = |h: f64| stepped(&pair, names, &name, h);
-        let (plus, minus) = (change(size), change(-size));
-        let (p, m) = (plus.zip(minus)).ok_or_else(degenerate)?;
+    let length = abc.norm();
+    let center = |x: &Pair| x.second_from_first.inverse().translation_mm;
+    let geometry = plane_geometry(abc / length, 1.0 / length, Some(center(pair)));
+    let turn = seven_by_abc(&geometry.estimate.normal, geometry.estimate.distance_mm);
+    // Seven numbers (w, n . v, centre) by abc; the cameras' share by finite change of the normal equations.
+    let mut by_camera = DMatrix::<f64>::zeros(7, held.parameters.len());
+    let mut determined = true;
+    for (k, parameter) in held.parameters.iter().enumerate() {
+        let Some(sigma) = held.sigma(k) else {
+            determined = false;
+            continue;
+        };
+        let h = 0.1 * sigma;
+        let (p, m) = held.stepped(*parameter, h).zip(held.stepped(*parameter, -h)).ok_or_else(degenerate)?;
         let g = |x: &Pair| normals(x, &abc, features).map(|v| v.1);
         let (gp, gm) = g(&p).zip(g(&m)).ok_or_else(degenerate)?;
-        let dabc = -(inverse * (gp - gm) / (2.0 * size));
-        let center = |x: &Pair| x.second_from_first.inverse().translation_mm;
-        by_camera.push((name, dabc, (center(&p) - center(&m)) / (2.0 * size)));
-    }
-    let length = abc.norm();
-    let center = pair.second_from_first.inverse().translation_mm;
-    let geometry = plane_geometry(abc / length, 1.0 / length, Some(center));
-    let turn = seven_by_abc(&geometry.estimate.normal, geometry.estimate.distance_mm);
-    let rows: Vec<Vec<(String, f64)>> = (0..7)
-        .map(|k| {
-            let value = |(name, dabc, dc): &(String, Vector3<f64>, Vector3<f64>)| {
-                let v = if k < 4 { turn.row(k).transpose().dot(dabc) } else { dc[k - 4] };
-                (name.clone(), v)
-            };
-            by_camera.iter().map(value).collect()
-        })
-        .collect();
-    let cameras = covariance.propagate(&rows);
-    let mut seven = SMatrix::<f64, 7, 7>::from_fn(|i, j| cameras[(i, j)]);
-    let own = turn * noise * turn.transpose();
-    for i in 0..4 {
-        for j in 0..4 {
-            seven[(i, j)] += own[(i, j)];
-        }
+        let dabc = -(inverse * (gp - gm) / (2.0 * h));
+        by_camera.fixed_view_mut::<4, 1>(0, k).copy_from(&(turn * dabc));
+        by_camera.fixed_view_mut::<3, 1>(4, k).copy_from(&((center(&p) - center(&m)) / (2.0 * h)));
     }
     let mut estimate = geometry.estimate;
-    estimate.sigmas = sigmas(&(geometry.derivative * seven * geometry.derivative.transpose()));
+    if determined {
+        let cameras = &by_camera * &held.covariance * by_camera.transpose();
+        let mut seven = SMatrix::<f64, 7, 7>::from_fn(|i, j| cameras[(i, j)]);
+        let noise = inverse * feature_part(pair, &abc, features) * inverse;
+        let own = turn * noise * turn.transpose();
+        let mut corner = seven.fixed_view_mut::<4, 4>(0, 0);
+        corner += own;
+        estimate.sigmas = sigmas(&(geometry.derivative * seven * geometry.derivative.transpose()));
+    }
     Ok(Homography { estimate, transfer_rms_px: (sum / count).sqrt() })
 }
 
@@ -237,48 +347,16 @@ fn seven_by_abc(n: &Vector3<f64>, d: f64) -> SMatrix<f64, 4, 3> {
     out
 }
 
-/// Adjusted parameters of both cameras with a step for finite changes: a tenth of their sigma.
-fn camera_steps(covariance: &NamedCovariance, names: [&str; 2]) -> Vec<(String, f64)> {
-    let of_pair = |n: &&String| names.iter().any(|c| n.starts_with(&format!("{c}.")));
-    let sigma = |n: &String| covariance.sigma(n).filter(|s| *s > 0.0).map(|s| (n.clone(), 0.1 * s));
-    covariance.names.iter().filter(of_pair).filter_map(sigma).collect()
-}
-
-fn stepped(pair: &Pair, names: [&str; 2], name: &str, h: f64) -> Option<Pair> {
-    let mut out = pair.clone();
-    for c in 0..2 {
-        let Some(rest) = name.strip_prefix(&format!("{}.", names[c])) else { continue };
-        if let Some(k) = INTRINSIC_NAMES.iter().position(|n| *n == rest) {
-            let old = out.cameras[c].intrinsics();
-            let mut p = old.to_array();
-            p[k] += h;
-            out.cameras[c] = Camera::new(Intrinsics::from_array(&p, old.radial)).ok()?;
-        } else if let Some(step) = rest.strip_prefix("cam_from_rig.") {
-            let k = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"].iter().position(|n| *n == step)?;
-            let mut d = SVector::<f64, 6>::zeros();
-            d[k] = h;
-            out.second_from_first = out.second_from_first.retract(&d);
-        }
-    }
-    Some(out)
-}
-
-/// Transfer errors of features over a plane, px: what is left between the cameras in the sheet (disparity).
+/// Transfer errors of features over a plane, px: what is left between the cameras in the sheet (disparity); `None` for a
+/// feature that does not transfer.
 pub fn transfer_residuals(
-    covariance: &NamedCovariance,
+    held: &HeldCameras,
     abc_per_mm: &Vector3<f64>,
     features: &[PairFeatures],
-) -> Vec<Vector2<f64>> {
-    let pair = Pair {
-        cameras: [covariance.natural.cameras[0], covariance.natural.cameras[1]],
-        second_from_first: covariance.natural.cam_from_rig[1],
-    };
-    let each = |f: &PairFeatures| -> Vec<Vector2<f64>> {
-        f.first_px
-            .iter()
-            .zip(&f.second_px)
-            .filter_map(|(a, b)| transfer(&pair, abc_per_mm, a, b).map(|r| r.0))
-            .collect()
+) -> Vec<Option<Vector2<f64>>> {
+    let each = |f: &PairFeatures| -> Vec<Option<Vector2<f64>>> {
+        let pixels = f.first_px.iter().zip(&f.second_px);
+        pixels.map(|(a, b)| transfer(&held.pair, abc_per_mm, a, b).map(|r| r.0)).collect()
     };
     features.iter().flat_map(each).collect()
 }

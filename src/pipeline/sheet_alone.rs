@@ -1,0 +1,374 @@
+//! The paper's step alone: the cameras are known, the sheet is found from new views recorded in it.
+//!
+//! Which disc of a pair is which is not known across the cameras. Each view and pairing proposes a plane; the plane over which all
+//! views transfer best, each in its better pairing, decides for all of them. Where another choice transfers about as well, that is
+//! said instead of guessed.
+
+use super::images::{SeenImage, see_all};
+use super::residual_rows::found_shapes;
+use super::sheet_part::{common_features, sheet_of};
+use super::{Progress, Source};
+use crate::camera::{Camera, INTRINSIC_NAMES};
+use crate::detect::EdgePoints;
+use crate::error::{Error, Insufficient, Invalid, Result};
+use crate::record::{self, FeatureKind, ImageFile, Record, View};
+use crate::report::OverlayShapes;
+use crate::rig_file::RigDescription;
+use crate::sheet::{HeldCameras, Homography, PairFeatures, fit_homography, transfer_residuals, triangulated_plane};
+use crate::target::{DotId, Target};
+use nalgebra::{DMatrix, Vector3};
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+
+/// Transfer errors beyond this do not come from noise, px: the result is flagged.
+pub const TRANSFER_LIMIT_PX: f64 = 1.0;
+/// Another pairing must transfer worse by this factor before the better one is believed.
+const DISTINCT: f64 = 3.0;
+/// Views that only the sheet has used carry this reason.
+const SHEET_ALONE: &str = "it served the sheet alone, with the cameras held";
+
+/// Options of [`find_sheet`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct SheetOptions {
+    /// Threads; 0 takes as many as the machine has. Results do not depend on it.
+    pub threads: usize,
+}
+
+/// What [`find_sheet`] gives.
+#[derive(Debug, Clone)]
+pub struct SheetOutput {
+    /// The calibration with the new sheet; the views of the sheet stand behind those of the calibration.
+    pub record: Record,
+    /// The images with what was found in them; their `view` is that of the record.
+    pub images: Vec<SeenImage>,
+    /// What is drawn on each image; arrows in the second camera are transfer errors.
+    pub overlays: Vec<OverlayShapes>,
+}
+
+/// One view of the sheet, seen by both cameras.
+struct SheetView {
+    /// View of the rig file.
+    view: usize,
+    /// Features with the labels as detected, and with those of the second camera exchanged (pairs only).
+    choices: Vec<Vec<PairFeatures>>,
+}
+
+/// The sheet from the views of `job` with `sheet = true`, with the cameras of `calibration` held; their covariance is part of
+/// the sheet's sigmas.
+///
+/// # Errors
+/// [`Invalid`] where no view is marked, or the calibration does not belong to the rig file (other cameras, other image
+/// size); [`Insufficient`] where the discs do not fix a plane or cannot be told apart; whatever is wrong with an image.
+pub fn find_sheet(
+    job: &RigDescription,
+    source: &Source,
+    calibration: &Record,
+    options: &SheetOptions,
+    progress: &mut (dyn FnMut(Progress) -> bool + Send),
+) -> Result<SheetOutput> {
+    let held = held_cameras(job, calibration)?;
+    let wanted = sheet_views_alone(job)?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(options.threads)
+        .build()
+        .map_err(|e| Error::Bug(format!("no threads: {e}")))?;
+    let images = pool.install(|| see_all(&wanted, source, &Mutex::new(progress)))?;
+    check_sizes(&images, calibration)?;
+    let pair = matches!(job.target.target, Target::TwoDiscs(_) | Target::Bubbles(_));
+    let views = features(&wanted, &images, &held, pair);
+    let (homography, chosen) = fit(&held, &views, &job.file)?;
+    Ok(output(calibration, job, &held, images, &views, &homography, &chosen))
+}
+
+fn mismatch(job: &RigDescription, message: impl Into<String>) -> Error {
+    Invalid::File { path: job.file.clone(), message: message.into() }.into()
+}
+
+/// Both cameras with their covariance from the record.
+fn held_cameras(job: &RigDescription, calibration: &Record) -> Result<HeldCameras> {
+    let [first, second] = calibration.cameras.as_slice() else {
+        let n = calibration.cameras.len();
+        return Err(mismatch(
+            job,
+            format!("the sheet needs two cameras, but the calibration holds {n}; calibrate both"),
+        ));
+    };
+    let own: Vec<&str> = job.cameras.iter().map(|c| c.name.as_str()).collect();
+    let theirs = [first.name.as_str(), second.name.as_str()];
+    if own != theirs {
+        return Err(mismatch(
+            job,
+            format!(
+                "its cameras are \"{}\", but the calibration is of \"{}\"; give the calibration of this rig, or name the cameras \
+                 as there and in the same order",
+                own.join("\", \""),
+                theirs.join("\", \"")
+            ),
+        ));
+    }
+    let mut names: Vec<String> = vec![];
+    let mut sigmas = vec![];
+    for c in &calibration.cameras {
+        let s = &c.sigma;
+        let all = [s.f_px, s.aspect, s.cx_px, s.cy_px, s.alpha_rad, s.beta_rad, s.k1, s.k2, s.k3, s.pupil_ratio];
+        names.extend(INTRINSIC_NAMES.iter().map(|n| format!("{}.{n}", c.name)));
+        sigmas.extend(all);
+    }
+    let motion = second.sigma.cam_from_rig;
+    names.extend(
+        ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"].map(|n| format!("{}.cam_from_rig.{n}", second.name)),
+    );
+    sigmas.extend(motion.rotation_rad.into_iter().chain(motion.translation_mm));
+    let at: Vec<Option<usize>> = names.iter().map(|n| calibration.covariance.index(n)).collect();
+    let covariance = DMatrix::from_fn(names.len(), names.len(), |i, j| match (at[i], at[j]) {
+        _ if sigmas[i] == 0.0 || sigmas[j] == 0.0 => 0.0,
+        // A number that moves, but nobody knows how far.
+        _ if i == j && !sigmas[i].is_finite() => f64::NAN,
+        (Some(a), Some(b)) => calibration.covariance.matrix[a][b],
+        _ if i == j => f64::NAN,
+        _ => 0.0,
+    });
+    let cameras = [Camera::new(first.intrinsics())?, Camera::new(second.intrinsics())?];
+    Ok(HeldCameras::new(cameras, second.cam_from_rig.motion(), theirs, &names, &covariance))
+}
+
+/// The job with no images but those of the sheet that both cameras saw.
+fn sheet_views_alone(job: &RigDescription) -> Result<RigDescription> {
+    if !job.has_sheet() {
+        return Err(mismatch(
+            job,
+            "no view is marked as recorded in the laser sheet; write sheet = true in every [[view]] whose target stood in the sheet",
+        ));
+    }
+    let mut out = job.clone();
+    for (i, view) in out.views.iter_mut().enumerate() {
+        if view.sheet && view.plane_z_mm.is_some_and(|z| z != 0.0) {
+            return Err(mismatch(
+                job,
+                format!(
+                    "view {i} has sheet = true and a plane_z_mm other than 0: a target in the sheet is at 0; remove one of them"
+                ),
+            ));
+        }
+        if !view.sheet || view.images.iter().any(Option::is_none) {
+            view.images.iter_mut().for_each(|i| *i = None);
+        }
+    }
+    if out.views.iter().all(|v| v.images.iter().all(Option::is_none)) {
+        return Err(mismatch(
+            job,
+            "no view with sheet = true has an image of both cameras; the sheet is where both see the same discs, so name both images",
+        ));
+    }
+    Ok(out)
+}
+
+fn check_sizes(images: &[SeenImage], calibration: &Record) -> Result<()> {
+    for i in images {
+        let camera = &calibration.cameras[i.camera];
+        let [expected_width, expected_height] = camera.image_size_px;
+        if [i.image.width(), i.image.height()] != camera.image_size_px {
+            return Err(Invalid::CalibratedSize {
+                path: i.name.clone(),
+                camera: camera.name.clone(),
+                width: i.image.width(),
+                height: i.image.height(),
+                expected_width,
+                expected_height,
+            }
+            .into());
+        }
+    }
+    Ok(())
+}
+
+fn features(job: &RigDescription, images: &[SeenImage], held: &HeldCameras, pair: bool) -> Vec<SheetView> {
+    let mut out = vec![];
+    for view in 0..job.views.len() {
+        let of = |camera: usize| images.iter().find(|i| i.view == view && i.camera == camera);
+        let (Some(first), Some(second)) = (of(0), of(1)) else { continue };
+        let choice =
+            |exchange: bool| common_features(held.cameras(), [&contours(first, false), &contours(second, exchange)]);
+        let exchanges: &[bool] = if pair { &[false, true] } else { &[false] };
+        let choices: Vec<Vec<PairFeatures>> = exchanges.iter().map(|e| choice(*e)).collect();
+        if choices.iter().all(|c| !c.is_empty()) {
+            out.push(SheetView { view, choices });
+        }
+    }
+    out
+}
+
+/// Labelled contours of an image; of a pair the labels exchanged where asked for.
+fn contours(image: &SeenImage, exchange: bool) -> Vec<(DotId, &EdgePoints)> {
+    let label = |id: DotId| if exchange { DotId { column: 1 - id.column, ..id } } else { id };
+    image.discs.iter().map(|d| (label(d.id), &image.detection.discs[d.disc].edge)).collect()
+}
+
+/// Mean squared transfer error over a plane, px^2; infinite where a feature does not transfer.
+fn transfer_square(held: &HeldCameras, abc: &Vector3<f64>, features: &[PairFeatures]) -> f64 {
+    let all = transfer_residuals(held, abc, features);
+    let sum: Option<f64> = all.iter().map(|r| r.map(|r| r.norm_squared())).sum();
+    sum.map_or(f64::INFINITY, |s| s / all.len().max(1) as f64)
+}
+
+/// The better choice of every view over a plane, and the mean squared transfer error of all.
+fn better_choices(held: &HeldCameras, abc: &Vector3<f64>, views: &[SheetView]) -> (Vec<usize>, f64) {
+    let mut total = 0.0;
+    let of = |v: &SheetView| {
+        let squares = v.choices.iter().map(|c| transfer_square(held, abc, c)).enumerate();
+        let (best, square) = squares.fold((0, f64::INFINITY), |a, b| if b.1 < a.1 { b } else { a });
+        total += square / views.len() as f64;
+        best
+    };
+    let chosen = views.iter().map(of).collect();
+    (chosen, total)
+}
+
+/// The features of every view in the choice made.
+fn chosen_features(views: &[SheetView], chosen: &[usize]) -> Vec<Vec<PairFeatures>> {
+    views.iter().zip(chosen).map(|(v, c)| v.choices[*c].clone()).collect()
+}
+
+/// The plane over which all views transfer best, with the features of the choices made.
+fn fit(held: &HeldCameras, views: &[SheetView], file: &str) -> Result<(Homography, Vec<Vec<PairFeatures>>)> {
+    let nothing = || {
+        Insufficient::Inconsistent(format!(
+            "{file}: the discs that both cameras see in the sheet's views do not meet in one plane in front of them; check that the \
+             calibration is of this rig, that nothing was moved since, and that left and right images belong together"
+        ))
+    };
+    // Choices of all views with the root mean square error that they reach, best first.
+    let mut found: Vec<(Vec<usize>, Homography)> = vec![];
+    for choice in views.iter().flat_map(|v| &v.choices) {
+        let Some(start) = triangulated_plane(held, choice) else { continue };
+        let Ok(own) = fit_homography(held, choice, &start) else { continue };
+        let (chosen, square) = better_choices(held, &own.estimate.abc_per_mm, views);
+        if !square.is_finite() || found.iter().any(|(c, _)| *c == chosen) {
+            continue;
+        }
+        if let Ok(all) = fit_homography(held, &chosen_features(views, &chosen).concat(), &own.estimate.abc_per_mm) {
+            found.push((chosen, all));
+        }
+    }
+    found.sort_by(|a, b| a.1.transfer_rms_px.total_cmp(&b.1.transfer_rms_px));
+    if let [best, next, ..] = found.as_slice()
+        && next.1.transfer_rms_px < DISTINCT * best.1.transfer_rms_px
+    {
+        return Err(Insufficient::Degenerate(format!(
+            "{file}: which disc is which in the two cameras cannot be told: one pairing transfers with {:.2} px, another with {:.2} px; \
+             record the target at more places of the sheet, or use two discs of clearly different size",
+            best.1.transfer_rms_px, next.1.transfer_rms_px
+        ))
+        .into());
+    }
+    let (chosen, homography) = found.into_iter().next().ok_or_else(nothing)?;
+    Ok((homography, chosen_features(views, &chosen)))
+}
+
+fn output(
+    calibration: &Record,
+    job: &RigDescription,
+    held: &HeldCameras,
+    mut images: Vec<SeenImage>,
+    views: &[SheetView],
+    homography: &Homography,
+    features: &[Vec<PairFeatures>],
+) -> SheetOutput {
+    let mut record = calibration.clone();
+    forget_old_sheet(&mut record);
+    let first = record.views.len();
+    let place = |view: usize| views.iter().position(|v| v.view == view).map(|k| first + k);
+    images.retain(|i| place(i.view).is_some());
+    images.iter_mut().for_each(|i| i.view = place(i.view).unwrap_or(first));
+    record.views.extend((0..views.len()).map(|k| appended(first + k, &images, job)));
+    let mut sheet = sheet_of(&homography.estimate, "homography", (first..first + views.len()).collect());
+    sheet.disparity_rms_px = Some(homography.transfer_rms_px);
+    record.sheet = Some(sheet);
+    record.provenance.options.insert("sheet".into(), format!("homography with the cameras held, from {}", job.file));
+    record.provenance.images.extend(images.iter().map(|i| ImageFile {
+        path: i.name.clone(),
+        view: i.view,
+        camera: job.cameras[i.camera].name.clone(),
+        sha256: None,
+    }));
+    record.fit.flags.extend(flags(job, views, homography, &images));
+    let overlays = overlays(held, &images, homography, features, first);
+    SheetOutput { record, images, overlays }
+}
+
+/// Views and covariance of a sheet that is no longer there.
+fn forget_old_sheet(record: &mut Record) {
+    record.views.retain(|v| v.used || v.why_unused != SHEET_ALONE);
+    let kept = record.views.len();
+    record.provenance.images.retain(|i| i.view < kept);
+    let c = &mut record.covariance;
+    let stays: Vec<usize> = (0..c.names.len()).filter(|i| !c.names[*i].starts_with("sheet.")).collect();
+    let pick = |row: &Vec<f64>| -> Vec<f64> { stays.iter().map(|j| row[*j]).collect() };
+    *c = record::Covariance {
+        matrix: stays.iter().map(|i| pick(&c.matrix[*i])).collect(),
+        names: stays.iter().map(|i| c.names[*i].clone()).collect(),
+    };
+}
+
+fn appended(index: usize, images: &[SeenImage], job: &RigDescription) -> View {
+    let own = images.iter().filter(|i| i.view == index);
+    View {
+        index,
+        in_sheet: true,
+        rig_from_target: None,
+        rms_px: BTreeMap::new(),
+        used: false,
+        why_unused: SHEET_ALONE.into(),
+        observations: BTreeMap::new(),
+        outliers: BTreeMap::new(),
+        images: own.map(|i| (job.cameras[i.camera].name.clone(), i.name.clone())).collect(),
+        sigma: record::PoseSigma::default(),
+        planarity_mm: None,
+        target: None,
+    }
+}
+
+fn flags(job: &RigDescription, views: &[SheetView], homography: &Homography, images: &[SeenImage]) -> Vec<String> {
+    let mut out = vec![];
+    let rms = homography.transfer_rms_px;
+    if rms > TRANSFER_LIMIT_PX {
+        out.push(format!(
+            "in the sheet the two cameras disagree by {rms:.2} px: the calibration may be of another rig, something may have moved \
+             since, or the discs do not lie in one plane"
+        ));
+    }
+    if !homography.estimate.sigmas.iter().all(|s| s.is_finite()) {
+        out.push("the sheet has no standard deviations: the calibration does not determine all that they need".into());
+    }
+    let left_out = job.views.iter().enumerate().filter(|(i, v)| v.sheet && !views.iter().any(|s| s.view == *i));
+    out.extend(left_out.map(|(i, _)| {
+        format!(
+            "view {i} of the rig file says nothing about the sheet: no two separated discs are seen by both cameras"
+        )
+    }));
+    out.extend(images.iter().flat_map(|i| i.warnings.iter().map(|w| format!("{}: {w}", i.name))));
+    out
+}
+
+fn overlays(
+    held: &HeldCameras,
+    images: &[SeenImage],
+    homography: &Homography,
+    features: &[Vec<PairFeatures>],
+    first_view: usize,
+) -> Vec<OverlayShapes> {
+    let mut shapes: Vec<OverlayShapes> =
+        images.iter().map(|i| found_shapes(i, &i.discs.iter().map(|d| d.id).collect::<Vec<_>>())).collect();
+    // The features stand in the order of the views; those of a view in both cameras.
+    let residuals = transfer_residuals(held, &homography.estimate.abc_per_mm, &features.concat());
+    let mut next = residuals.into_iter();
+    for (k, of_view) in features.iter().enumerate() {
+        let second = images.iter().position(|i| i.camera == 1 && i.view == first_view + k);
+        for (q, r) in of_view.iter().flat_map(|f| &f.second_px).zip(&mut next) {
+            if let (Some(at), Some(r)) = (second, r) {
+                shapes[at].marks.push([q.x, q.y], [r.x, r.y], FeatureKind::Point, false);
+            }
+        }
+    }
+    shapes
+}
