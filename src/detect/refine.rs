@@ -329,7 +329,8 @@ fn choose_levels(view: &GrayView, model: &mut EdgeModel, s: &Scratch) {
             seen = stretches(s, side, nodes);
         }
         if seen.len() < 4 {
-            chosen[side] = Levels::Harmonic;
+            // On a small disc a gradient of the levels and a shift of the centre look alike; a large one can bear it.
+            chosen[side] = if perimeter > 40.0 { Levels::Harmonic } else { Levels::Constant };
             continue;
         }
         // Scatter within the stretches only: what varies between them is what is asked for.
@@ -356,7 +357,7 @@ fn stretches(s: &Scratch, side: usize, nodes: usize) -> Vec<(usize, Stretch)> {
     let mut all = vec![Stretch::default(); nodes];
     for i in (0..s.band.u.len()).filter(|i| s.band.keep[*i]) {
         let p = if side == 0 { s.band.inside[i] } else { 1.0 - s.band.inside[i] };
-        if p > 0.95 {
+        if p > 0.97 {
             let r = s.band.residual[i];
             let x = &mut all[(turn_share(s.band.angle[i]) * nodes as f64) as usize % nodes];
             *x = Stretch { count: x.count + 1.0, sum: x.sum + r, squares: x.squares + r * r };
