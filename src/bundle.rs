@@ -39,6 +39,7 @@ mod assemble;
 mod chart;
 mod contour;
 mod facts;
+mod focus;
 mod layout;
 mod model;
 mod posterior;
@@ -49,6 +50,7 @@ mod tangent;
 
 pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, problem};
 pub use facts::Fact;
+pub use focus::Focus;
 pub use model::{
     CameraModel, DiscObservation, ImageObservations, Loss, Model, Node, Observed, PairObservation, TargetModel,
     TargetShape, ViewModel, ViewPlace,

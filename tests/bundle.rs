@@ -7,13 +7,18 @@ mod rig_scene;
 
 use nalgebra::DVector;
 use rig_scene::Scene;
-use spivcal::bundle::{AdjustOptions, adjust, named_covariance};
+use spivcal::bundle::{AdjustOptions, Fact, Focus, adjust, named_covariance};
 use spivcal::solve::{Problem, Step, Termination};
 
 #[test]
 fn gradient_is_that_of_the_cost() {
     for (per_view, plane, points) in [(false, true, false), (true, true, false), (false, false, true)] {
-        let scene = Scene::build(1, per_view, plane, points);
+        let mut scene = Scene::build(1, per_view, plane, points);
+        if plane {
+            scene.model.facts.extend([Some((50.0, 0.005)), None].iter().enumerate().map(|(camera, distance)| {
+                Fact::Focus(Focus { camera, pixel_pitch_mm: 0.00625, tilt_sigma_rad: 2e-4, distance: *distance })
+            }));
+        }
         let problem = spivcal::bundle::problem(&scene.model);
         let state = scene.perturbed_by(3, 0.1);
         let e = problem.linearise(&state).unwrap();

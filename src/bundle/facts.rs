@@ -6,10 +6,11 @@
 //! | baseline | `|t|`, t the origin of one camera seen from the other | `t / |t|` by the motion's shift |
 //! | a length of the target | tau_k, shared or of one view | 1 |
 //! | offsets of printed discs | (dx, dy, dz, dr) | 1 |
-//! | focus | the thin-lens relation of method section 6 | see `focus_rows` |
+//! | focus | the sheet lies in the plane of focus | see [`super::focus`] |
 
 use super::assemble::{Slot, add};
 use super::chart::{self, SolverCamera};
+use super::focus::Focus;
 use super::layout::Places;
 use super::model::Model;
 use super::state::State;
@@ -49,19 +50,24 @@ pub enum Fact {
         /// Its standard deviation, mm.
         sigma_mm: f64,
     },
+    /// The common plane lies where a camera is focused (thin lens); needs a plane.
+    Focus(Focus),
 }
 
 /// One whitened row: residual and its derivatives.
-struct Row {
-    view: usize,
-    residual: f64,
-    slots: Vec<(Slot, f64)>,
+pub(super) struct Row {
+    pub(super) view: usize,
+    pub(super) residual: f64,
+    pub(super) slots: Vec<(Slot, f64)>,
 }
 
 fn rows(model: &Model, places: &Places, state: &State) -> Option<Vec<Row>> {
     let mut out = vec![];
     for fact in &model.facts {
-        out.push(row(model, places, state, fact)?);
+        match fact {
+            Fact::Focus(focus) => out.extend(focus.rows(model, places, state)?),
+            other => out.push(row(model, places, state, other)?),
+        }
     }
     if let (Some(sigmas), Some(first)) = (model.target.offset_sigma_mm, places.offsets) {
         for (j, offset) in state.offsets_mm.iter().enumerate() {
@@ -100,6 +106,7 @@ fn row(model: &Model, places: &Places, state: &State, fact: &Fact) -> Option<Row
             let slots = slot.map(|s| (s, 1.0 / sigma_mm)).into_iter().collect();
             Some(Row { view: view.unwrap_or(0), residual: (now - value_mm) / sigma_mm, slots })
         }
+        Fact::Focus(_) => None,
     }
 }
 
@@ -122,5 +129,7 @@ pub(super) fn linearise(model: &Model, places: &Places, state: &State, e: &mut N
 
 /// Number of rows that facts add to the observations.
 pub(super) fn count(model: &Model) -> usize {
-    model.facts.len() + model.target.offset_sigma_mm.map_or(0, |_| 4 * model.target.disc_count())
+    let of_fact = |f: &Fact| if let Fact::Focus(focus) = f { focus.count() } else { 1 };
+    model.facts.iter().map(of_fact).sum::<usize>()
+        + model.target.offset_sigma_mm.map_or(0, |_| 4 * model.target.disc_count())
 }

@@ -2,12 +2,12 @@
 
 use super::images::SeenImage;
 use crate::bundle::{
-    CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, TargetModel, TargetShape, ViewModel,
-    ViewPlace,
+    CameraModel, DiscObservation, Fact, Focus, ImageObservations, Loss, Model, Node, TargetModel, TargetShape,
+    ViewModel, ViewPlace,
 };
 use crate::camera::INTRINSICS;
 use crate::conic::Ellipse;
-use crate::error::{Insufficient, Result};
+use crate::error::{Insufficient, Invalid, Result};
 use crate::rig::{CameraStart, RigProblem};
 use crate::rig_file::{
     Adjust, CameraDescription, Knowledge, Length, Loss as LossName, Parameter, RigDescription, Scale,
@@ -43,6 +43,7 @@ pub(super) fn build(job: &RigDescription, images: &[SeenImage], sizes_px: &[[f64
     for (c, description) in job.cameras.iter().enumerate() {
         let (model, start) = camera(job, description, sizes_px[c]);
         facts.extend(camera_facts(c, description, &model, sizes_px[c]));
+        facts.extend(focus(job, c)?);
         cameras.push(model);
         starts.push(start);
     }
@@ -152,7 +153,16 @@ fn target(job: &RigDescription, labels: &[DotId]) -> Result<(TargetModel, [Optio
             let (value_mm, sigma_mm) = stiff(length);
             facts.push(Fact::Baseline { value_mm, sigma_mm });
         }
-        Scale::Traverse { .. } => {}
+        Scale::Traverse { sigma_mm: None } => {}
+        Scale::Traverse { sigma_mm: Some(_) } => {
+            return Err(Invalid::File {
+                path: job.file.clone(),
+                message: "[scale] plane_z_mm: a sigma of the traverse's steps cannot be taken into account yet; write plane_z_mm = true \
+                          to take the steps as exact, or give another metric fact"
+                    .into(),
+            }
+            .into());
+        }
     }
     let offset_sigma_mm = (job.target.adjust == Adjust::Points).then(|| {
         let pitch = shape_mm[0].unwrap_or(1.0);
@@ -204,6 +214,18 @@ fn camera(job: &RigDescription, d: &CameraDescription, size_px: [f64; 2]) -> (Ca
     let from_lens = d.focal_length_mm.zip(d.pixel_pitch_mm).map(|(f, pitch)| 1.1 * f / pitch);
     let nominal_f_px = values[0].or(from_lens);
     (CameraModel { name: d.name.clone(), free }, CameraStart { size_px, nominal_f_px, values })
+}
+
+/// The sheet as the plane on which a camera is focused, where the rig file says so.
+fn focus(job: &RigDescription, camera: usize) -> Result<Option<Fact>> {
+    let Some(focus) = job.focus else { return Ok(None) };
+    let d = &job.cameras[camera];
+    let pixel_pitch_mm = d.pixel_pitch_mm.ok_or_else(|| Invalid::File {
+        path: job.file.clone(),
+        message: format!("[focus] needs pixel_pitch_mm of camera \"{}\"; add it, or remove [focus]", d.name),
+    })?;
+    let distance = d.focal_length_mm.zip(focus.distance_sigma);
+    Ok(Some(Fact::Focus(Focus { camera, pixel_pitch_mm, tilt_sigma_rad: focus.tilt_sigma_rad, distance })))
 }
 
 fn camera_facts(camera: usize, d: &CameraDescription, model: &CameraModel, size_px: [f64; 2]) -> Vec<Fact> {

@@ -357,7 +357,7 @@ fn metric_scale(problem: &RigProblem, agreed: &Agreed, poses: &[(Motion<Rig, Tar
         match *fact {
             Fact::Baseline { value_mm, .. } => return value_mm / agreed.motion.translation_mm.norm(),
             Fact::Shape { parameter, view, value_mm, .. } => return value_mm / poses[view.unwrap_or(0)].1[parameter],
-            Fact::Intrinsic { .. } => {}
+            Fact::Intrinsic { .. } | Fact::Focus(_) => {}
         }
     }
     // Steps of a traverse, where nothing else is metric.
