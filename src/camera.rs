@@ -33,7 +33,7 @@
 //! Eqs 12-13 leave open which way the polynomial goes: both are offered by [`Radial`], never mixed.
 //!
 //! Not valid, and refused by [`Refusal`]: behind the camera; where the ray no longer meets the sensor (`h <= 0`);
-//! beyond the radius where `r g(r^2)` stops growing.
+//! beyond the radius where `r g(r^2)` stops growing (at most 1e3); where numbers overflow.
 
 mod convert;
 mod radial;
@@ -308,8 +308,8 @@ impl Camera {
         let tx = (q.x - i.cx_px) / i.f_px;
         let ty = (q.y - i.cy_px) / (i.aspect * i.f_px);
         let h = 1.0 + (tx * t.sb + ty * t.sa * t.cb) / i.pupil_ratio;
-        if !(h > 0.0) {
-            return Err(if h.is_nan() { Refusal::NotFinite } else { Refusal::OffSensor });
+        if !(h > 0.0 && h.is_finite()) {
+            return Err(if h.is_finite() || h == f64::NEG_INFINITY { Refusal::OffSensor } else { Refusal::NotFinite });
         }
         self.undistort(&Vector2::new((tx * t.cb - ty * t.sa * t.sb) / h, ty * t.ca / h))
     }
@@ -364,7 +364,13 @@ impl Camera {
         if !(h > 0.0) {
             return Err(if h.is_nan() { Refusal::NotFinite } else { Refusal::OffSensor });
         }
-        Ok((Vector2::new((xd.x / t.cb + xd.y * t.ta * t.tb) / h, xd.y / t.ca / h), h))
+        let on = Vector2::new((xd.x / t.cb + xd.y * t.ta * t.tb) / h, xd.y / t.ca / h);
+        // Where numbers overflow there is no image either.
+        let q = self.pixel(&on);
+        if !(h.is_finite() && q.x.is_finite() && q.y.is_finite()) {
+            return Err(Refusal::NotFinite);
+        }
+        Ok((on, h))
     }
 
     /// Derivative of [`Self::on_sensor`] by the distorted point.

@@ -1,7 +1,7 @@
 //! Radial distortion on the untilted plane at unit distance: `out = in g(|in|^2)`, its inverse, and where it ends.
 //!
 //! `r g(r^2)` grows while `p(s) = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 > 0` with `s = r^2`; its first positive root is the
-//! last radius at which the polynomial means a lens.
+//! last radius at which the polynomial means a lens; where it has none, 1e3 is.
 
 use super::{Camera, Radial, Refusal};
 use nalgebra::{Matrix2, Matrix2x3, Vector2};
@@ -25,6 +25,10 @@ fn growth(k: &[f64; 3], s: f64) -> f64 {
     1.0 + s * (3.0 * k[0] + s * (5.0 * k[1] + s * 7.0 * k[2]))
 }
 
+/// A field of view of 179.9 degrees: beyond any lens with a plane image. Far beyond, `r g` overflows and Newton's iteration
+/// for its inverse no longer arrives.
+const LARGEST_RADIUS: f64 = 1e3;
+
 impl RadialLimit {
     /// First positive root of the growth polynomial, by bisection between its extrema.
     pub(super) fn of(k: &[f64; 3]) -> Self {
@@ -37,8 +41,8 @@ impl RadialLimit {
             knots.extend([q / a, c / q].into_iter().filter(|s| s.is_finite() && *s > 0.0));
         }
         knots.sort_by(f64::total_cmp);
-        // A radius of 1e3 is a field of view of 179.9 degrees: beyond any lens with a plane image.
-        knots.push(1e6);
+        knots.retain(|s| *s < LARGEST_RADIUS * LARGEST_RADIUS);
+        knots.push(LARGEST_RADIUS * LARGEST_RADIUS);
         let mut low = 0.0;
         for high in knots {
             if growth(k, high) <= 0.0 {
@@ -48,7 +52,11 @@ impl RadialLimit {
             }
             low = high;
         }
-        Self { radius: f64::INFINITY, image: f64::INFINITY }
+        // A lens without distortion has nothing that could end.
+        if *k == [0.0; 3] {
+            return Self { radius: f64::INFINITY, image: f64::INFINITY };
+        }
+        Self { radius: LARGEST_RADIUS, image: LARGEST_RADIUS * gain(k, LARGEST_RADIUS * LARGEST_RADIUS) }
     }
 }
 
@@ -123,6 +131,7 @@ impl Camera {
     fn polynomial_inverse(&self, p: &Vector2<f64>) -> Result<Vector2<f64>, Refusal> {
         let k = &self.intrinsics.k;
         let target = p.norm();
+        // Without distortion there is no bound above either.
         if *k == [0.0; 3] || target == 0.0 {
             return if target.is_finite() { Ok(*p) } else { Err(Refusal::NotFinite) };
         }
@@ -145,18 +154,12 @@ impl Camera {
                 low = r
             }
             let newton = r - excess / growth(k, s);
-            let next = if newton > low && newton < high {
-                newton
-            } else if high.is_finite() {
-                0.5 * (low + high)
-            } else {
-                2.0 * r
-            };
-            let done = (next - r).abs() <= 1e-16 * r;
-            r = next;
-            if done {
+            // At the root Newton's step ends on a bound: asked before the bounds are, it is no reason to bisect.
+            if (newton - r).abs() <= f64::EPSILON * r {
+                r = newton;
                 break;
             }
+            r = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
         }
         Ok(p * (r / target))
     }
