@@ -8,7 +8,7 @@
 //! ```
 //! The inverse of the polynomial is Newton's iteration on the factor q of the radius, carried out on dual numbers.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(clippy::suspicious_arithmetic_impl, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use nalgebra::{Vector2, Vector3};
 use spivcal::camera::{Camera, INTRINSICS, Intrinsics, Radial};
