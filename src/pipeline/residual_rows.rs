@@ -123,7 +123,8 @@ pub(super) fn found_shapes(image: &SeenImage, labels: &[DotId]) -> OverlayShapes
         shapes.contours.push(Polyline { u_px: edge.u_px.clone(), v_px: edge.v_px.clone(), closed: true });
         shapes.ellipses.push(disc.ellipse);
         let e = &disc.ellipse;
-        let at_px = [e.center_px.u_px + 0.75 * e.semi_major_px, e.center_px.v_px + 0.75 * e.semi_minor_px];
+        // Near the centre: inside every disc, however slim and turned.
+        let at_px = [e.center_px.u_px + 4.0, e.center_px.v_px + 4.0];
         shapes.labels.push(Label { at_px, text: label_text(*label) });
     }
     if let [a, b] = image.discs.as_slice() {

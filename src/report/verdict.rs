@@ -86,18 +86,31 @@ fn misfit(r: &Record) -> f64 {
     if dof == 0 || !r.fit.chi2.is_finite() { 1.0 } else { (r.fit.chi2 / dof as f64).sqrt() }
 }
 
+/// How the residuals compare with what the images' noise explains.
+fn scatter(r: &Record) -> String {
+    if r.fit.sigma_scale > 1.0 {
+        format!(
+            "whole discs scatter up to {} times more than noise and roughness along their contours explain, and all sigmas \
+             have been enlarged for it",
+            plain(r.fit.sigma_scale, 2)
+        )
+    } else {
+        format!("that is {} times the scatter expected", plain(misfit(r), 2))
+    }
+}
+
 fn determined(r: &Record) -> Vec<String> {
     let mut out = Vec::new();
     let used = r.views.iter().filter(|v| v.used).count();
     let per_camera: Vec<_> = r.cameras.iter().map(|c| format!("{} {}", c.name, plain(c.rms_px, 3))).collect();
     out.push(format!(
-        "{} of {} and {} agree to {} px rms ({} px); that is {} times the noise expected.",
+        "{} of {} and {} agree to {} px rms ({} px); {}.",
         count(r.fit.observations, "observation"),
         count(r.cameras.len(), "camera"),
         count(used, "view"),
         plain(r.fit.rms_px, 3),
         per_camera.join(", "),
-        plain(misfit(r), 3)
+        scatter(r)
     ));
     if let Some(rig) = &r.rig {
         out.push(format!(
