@@ -121,10 +121,9 @@ fn sampled_is_predicted(what: &str, per_view: bool) {
         let (one, e) = measure(&truth, &named_covariance(&out).unwrap());
         // A run far outside (chi-square of 8 exceeds 40 once in 3e5) is a wrong minimum or a wrong covariance: named.
         if e > 40.0 {
-            println!(
-                "{what}, seed {seed}: squared error {e:.1}, cost {:.1}, decrement {:.1e}, z {one:.1?}",
-                out.cost, out.decrement
-            );
+            let near = adjust(&scene.model, truth.truth.clone(), &options, &mut |_| true);
+            println!("{what}, seed {seed}: squared error {e:.1}, decrement {:.1e}, z {one:.1?}", out.decrement);
+            println!("{what}, seed {seed}: cost {:.3}, from the truth {:.3}", out.cost, near.cost);
         }
         z.push(one);
         nees += e;
