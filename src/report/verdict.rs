@@ -226,6 +226,9 @@ fn next_steps(r: &Record) -> Vec<String> {
     out
 }
 
+/// Residuals of a view below this are nobody's concern, however small the others are, px.
+const VIEW_FINE_PX: f64 = 0.03;
+
 fn bad_views(r: &Record, camera: &str) -> Vec<String> {
     let rms = |v: &View| v.rms_px.get(camera).copied().filter(|x| v.used && x.is_finite());
     let mut all: Vec<f64> = r.views.iter().filter_map(rms).collect();
@@ -236,7 +239,7 @@ fn bad_views(r: &Record, camera: &str) -> Vec<String> {
     let median = all[all.len() / 2];
     r.views
         .iter()
-        .filter_map(|v| rms(v).filter(|&x| x > VIEW_MISFIT * median).map(|x| (v.index, x)))
+        .filter_map(|v| rms(v).filter(|&x| x > (VIEW_MISFIT * median).max(VIEW_FINE_PX)).map(|x| (v.index, x)))
         .map(|(view, x)| {
             format!(
                 "Look at view {view}, camera {camera}: its residual of {} px is {} times the median of this camera.",
