@@ -177,7 +177,7 @@ fn the_verdict_follows_the_record() {
     let v = report::verdict(&good);
     assert_eq!(v.level, Level::Good);
     assert_eq!(v.open, ["Nothing: the images determine every number that was estimated."]);
-    assert_eq!(v.next, ["Nothing has to be done. Check the sheet on particle images: spivcal check."]);
+    assert_eq!(v.next, ["Nothing has to be done."]);
 
     let v = report::verdict(&scene::record());
     assert_eq!(v.level, Level::Care);

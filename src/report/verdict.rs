@@ -221,7 +221,7 @@ fn next_steps(r: &Record) -> Vec<String> {
         out.push("To get the sheet, record one view of the target in the light sheet and mark it sheet = true.".into());
     }
     if out.is_empty() {
-        out.push("Nothing has to be done. Check the sheet on particle images: spivcal check.".into());
+        out.push("Nothing has to be done.".into());
     }
     out
 }
