@@ -3,6 +3,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
+mod real_sets;
+
+use real_sets::folder;
 use serde_json::Value;
 use spivcal::camera::INTRINSIC_NAMES;
 use spivcal::pipeline::{CalibrateOptions, calibrate, load_image};
@@ -21,18 +24,6 @@ fn run(name: &str, images: Option<&Path>) -> Record {
         load_image(&image_path(&file, images, job.views[view].images[camera].as_deref().unwrap()))
     };
     calibrate(&job, &load, &CalibrateOptions::default(), &mut |_| true).unwrap_or_else(|e| panic!("{name}: {e}")).record
-}
-
-/// The folder of a set of real images, or a loud word that it is not there.
-fn folder(set: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("SPIVCAL_REAL_IMAGES")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let path = root.join(set);
-    if path.is_dir() {
-        return Some(path);
-    }
-    println!("SKIPPED: no real images of {set}: {} is not there; set SPIVCAL_REAL_IMAGES", path.display());
-    None
 }
 
 #[test]

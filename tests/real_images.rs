@@ -3,22 +3,13 @@
 //! Counts were established by looking at the pictures: every dot that is whole in the image.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
+mod real_sets;
+
+use real_sets::folder;
 use spivcal::detect::{DetectOptions, Detection, Disc, find_discs};
 use spivcal::image::{GrayImage, Pixels};
 use spivcal::target::{MarkKind, Polarity};
-use std::path::{Path, PathBuf};
-
-/// The folder of a set, or a loud word that it is not there.
-fn folder(set: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("SPIVCAL_REAL_IMAGES")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let path = root.join(set);
-    if path.is_dir() {
-        return Some(path);
-    }
-    println!("SKIPPED: no real images of {set}: {} is not there; set SPIVCAL_REAL_IMAGES", path.display());
-    None
-}
+use std::path::Path;
 
 fn load(path: &Path) -> GrayImage {
     let decoded = image::open(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
