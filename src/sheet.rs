@@ -21,6 +21,7 @@
 
 mod homography;
 mod joint;
+mod recorded;
 
 pub use homography::{HeldCameras, Homography, PairFeatures, fit_homography, transfer_residuals, triangulated_plane};
 pub use joint::joint_sheet;
