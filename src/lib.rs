@@ -13,6 +13,7 @@ pub mod camera;
 pub mod cli;
 pub mod conic;
 pub mod detect;
+pub mod dewarp;
 pub mod error;
 pub mod exchange;
 pub mod frames;
