@@ -72,7 +72,8 @@ fn rendered(name: &str, observations: Observations) {
     let record = run_as(name, None, observations);
     let truth: Value =
         serde_json::from_str(&std::fs::read_to_string(example(name).join("truth.json")).unwrap()).unwrap();
-    assert!(record.fit.newton_decrement < 1e-6, "decrement {}", record.fit.newton_decrement);
+    let (decrement, ended) = (record.fit.newton_decrement, &record.fit.termination);
+    assert!(decrement < 1e-6, "decrement {decrement}, {ended}, {:?}", record.provenance.options);
     let mut wrong = vec![];
     let mut compare = |what: String, got: f64, truth: f64, sigma: f64, limit: f64| {
         let z = (got - truth) / sigma;
