@@ -288,6 +288,7 @@ fn fit(s: &Solved, fits: &[ImageFit]) -> Fit {
             adjustment.decrement
         ));
     }
+    flags.extend(s.undecided.iter().cloned());
     flags.extend(s.images.iter().flat_map(|i| i.warnings.iter().map(|w| format!("{}: {w}", i.name))));
     let scales = adjustment.model.images.iter().map(|i| i.sigma_scale);
     Fit {
