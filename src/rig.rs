@@ -8,7 +8,9 @@
 //!    dot is estimated, its printing error tells the views how their labels belong together; a turn or a shift of the
 //!    labels of all views together changes nothing (a gauge): those of one view are kept.
 //! 3. One metric fact fixes the scale; drifting bubbles have a scale of their own in every view until the baseline is common.
-//! 4. Everything in one adjustment.
+//! 4. Several starts of the common adjustment, tried on a part of the edge points unless the first explains them to their
+//!    noise; the lowest cost wins.
+//! 5. Everything in one adjustment.
 //!
 //! A view, a pairing or a whole camera that contradicts the others is named: images of a view exchanged or of different
 //! moments, a mirrored camera.
@@ -24,6 +26,7 @@ mod joint;
 mod labels;
 mod mono;
 mod print;
+mod starts;
 
 pub use joint::calibrate_rig;
 pub use labels::{OpenImage, OpenLabels};

@@ -4,11 +4,11 @@ use super::consensus::{CONSENSUS_RAD, Choice, angle, choices, votes};
 use super::labels::{changed, image_at, is_pair, labellings, labels, order_pairs, relabel};
 use super::mono::{calibrate_camera, thinned_model};
 use super::print::labels_by_print;
+use super::starts::{best_start, joint_start};
 use super::{Mono, Pose, RigProblem, RigSolution, rms_of};
 use crate::bundle::{
     AdjustOptions, Fact, Iteration, Model, SolveOptions, State, Termination, ViewPlace, ViewState, adjust,
 };
-use crate::camera::{Camera, Intrinsics};
 use crate::detect::pattern::Relabelling;
 use crate::error::{Error, Insufficient, Result, Unusable};
 use crate::frames::{Cam, Rig, Sheet, Target};
@@ -42,6 +42,7 @@ pub fn calibrate_rig(problem: &RigProblem, options: &AdjustOptions, observe: Obs
         start
     };
     labels_by_print(&mut problem, &mut start);
+    let start = best_start(&problem, start, options, observe);
     let adjustment = adjust(&problem.model, start, options, observe);
     match adjustment.termination {
         Termination::Converged => {}
@@ -274,31 +275,6 @@ fn pair_start(problem: &RigProblem, monos: &[Mono], agreed: &Agreed) -> Result<S
         state.shape_mm[0] = problem.shape_mm[0].unwrap_or(state.shape_mm[0]);
     }
     Ok(state)
-}
-
-/// Intrinsics with which the common adjustment starts.
-///
-/// Where every disc is estimated, a camera alone had to explain printing errors by its lens: axis point and distortion have run
-/// away with them. The effective pinhole, which carries all poses, has not; the rest starts again at the sensor's centre.
-fn joint_start(problem: &RigProblem, c: usize, alone: &Intrinsics) -> Intrinsics {
-    let (model, start) = (&problem.model.cameras[c], &problem.starts[c]);
-    if problem.model.target.offset_sigma_mm.is_none() || !model.uses_pinhole_frame() {
-        return *alone;
-    }
-    let Ok(camera) = Camera::new(*alone) else { return *alone };
-    let center = |k: usize, size: f64| {
-        if model.free[k] { start.values[k].unwrap_or((size - 1.0) / 2.0) } else { alone.to_array()[k] }
-    };
-    let (cx, cy) = (center(2, start.size_px[0]), center(3, start.size_px[1]));
-    let mut p = camera.effective_pinhole().with_axis_point(cx, cy, alone.aspect).to_array();
-    for k in 6..10 {
-        p[k] = start.values[k].filter(|_| model.free[k] || k == 9).unwrap_or(if model.free[k] {
-            0.0
-        } else {
-            alone.to_array()[k]
-        });
-    }
-    Intrinsics::from_array(&p, alone.radial)
 }
 
 fn scaled(m: &Motion<Rig, Target>, shape: &[f64; 3], by: f64) -> (Motion<Rig, Target>, [f64; 3]) {

@@ -19,6 +19,8 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 /// Edge points per disc and discs per image that a start looks at: enough to choose, few enough to be quick.
 const START_EDGES: usize = 24;
 const START_DISCS: usize = 48;
+/// Edge points per disc where all discs are needed.
+const LIGHT_EDGES: usize = 12;
 
 /// What one view of the plane gives before the camera is known.
 enum ViewSeed {
@@ -161,7 +163,12 @@ fn lattice_seed(
 
 /// Subsampled copy of a contour.
 fn thinned(edge: &EdgePoints) -> EdgePoints {
-    let step = edge.u_px.len().div_ceil(START_EDGES).max(1);
+    every(edge, START_EDGES)
+}
+
+/// About `count` points of a contour, evenly.
+fn every(edge: &EdgePoints, count: usize) -> EdgePoints {
+    let step = edge.u_px.len().div_ceil(count).max(1);
     let pick = |v: &[f64]| v.iter().step_by(step).copied().collect();
     EdgePoints { u_px: pick(&edge.u_px), v_px: pick(&edge.v_px), sigma_px: pick(&edge.sigma_px) }
 }
@@ -175,12 +182,15 @@ pub(super) fn thinned_model(model: &Model) -> Model {
     out
 }
 
-/// A model with all discs but few edge points, without printing errors.
+/// A model with all discs but few edge points, sigmas smaller so that they say as much together.
 pub(super) fn lightened(model: &Model) -> Model {
     let mut out = model.clone();
-    out.target.offset_sigma_mm = None;
-    out.loss = START_LOSS;
-    out.images.iter_mut().flat_map(|i| &mut i.discs).for_each(|d| d.edge = thinned(&d.edge));
+    for d in out.images.iter_mut().flat_map(|i| &mut i.discs) {
+        let all = d.edge.u_px.len();
+        d.edge = every(&d.edge, LIGHT_EDGES);
+        let share = (d.edge.u_px.len() as f64 / all.max(1) as f64).sqrt();
+        d.edge.sigma_px.iter_mut().for_each(|s| *s *= share);
+    }
     out
 }
 

@@ -43,7 +43,8 @@ pub(super) fn labels_by_print(problem: &mut RigProblem, state: &mut State) {
     if problem.model.target.offset_sigma_mm.is_none() || !(0..views).any(open) {
         return;
     }
-    let model = lightened(&problem.model);
+    let mut model = lightened(&problem.model);
+    model.target.offset_sigma_mm = None;
     let quick =
         AdjustOptions { solve: SolveOptions { decrement: 1.0, iterations: 40 }, rounds: 0, outlier_sigmas: 6.0 };
     let flat = adjust(&model, State { offsets_mm: vec![], ..state.clone() }, &quick, &mut |_| true).state;
