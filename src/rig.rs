@@ -32,7 +32,7 @@ pub use joint::calibrate_rig;
 pub use labels::{OpenImage, OpenLabels};
 
 use crate::bundle::{Adjustment, Model, State};
-use crate::camera::{INTRINSICS, Intrinsics};
+use crate::camera::{INTRINSICS, Intrinsics, Radial};
 use crate::conic::Ellipse;
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
@@ -51,6 +51,8 @@ pub struct CameraStart {
     /// Values at which fixed intrinsics are held, in the order of [`crate::camera::INTRINSIC_NAMES`]; for free ones where to
     /// start, if not in closed form.
     pub values: [Option<f64>; INTRINSICS],
+    /// Direction of the radial polynomial.
+    pub radial: Radial,
 }
 
 /// A rig to calibrate.

@@ -218,7 +218,7 @@ fn camera(job: &RigDescription, d: &CameraDescription, size_px: [f64; 2]) -> (Ca
     // The image distance of a lens is a little longer than its focal length: 10 % at ten focal lengths.
     let from_lens = d.focal_length_mm.zip(d.pixel_pitch_mm).map(|(f, pitch)| 1.1 * f / pitch);
     let nominal_f_px = values[0].or(from_lens);
-    (CameraModel { name: d.name.clone(), free }, CameraStart { size_px, nominal_f_px, values })
+    (CameraModel { name: d.name.clone(), free }, CameraStart { size_px, nominal_f_px, values, radial: d.radial })
 }
 
 /// The sheet as the plane on which a camera is focused, where the rig file says so.

@@ -69,7 +69,7 @@ fn camera(s: &Solved, fits: &[ImageFit], c: usize) -> Option<record::Camera> {
         k1: i.k[0],
         k2: i.k[1],
         k3: i.k[2],
-        radial: record::Radial::IdealToDistorted,
+        radial: i.radial.into(),
         pupil_ratio: i.pupil_ratio,
         pixel_pitch_mm: description.pixel_pitch_mm,
         effective: Effective { f_px: e.f_px, cx_px: e.cx_px, cy_px: e.cy_px },

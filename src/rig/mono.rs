@@ -5,7 +5,7 @@ use crate::bundle::{
     AdjustOptions, Adjustment, DiscObservation, Fact, ImageObservations, Loss, Model, SolveOptions, State, TargetShape,
     ViewModel, ViewPlace, ViewState, adjust,
 };
-use crate::camera::{Camera, EffectivePinhole, Intrinsics, Radial};
+use crate::camera::{Camera, EffectivePinhole, Intrinsics};
 use crate::conic::Ellipse;
 use crate::detect::EdgePoints;
 use crate::error::{Insufficient, Result};
@@ -243,7 +243,7 @@ fn start_intrinsics(start: &CameraStart, free: &[bool; 10], pinhole: &EffectiveP
             p[k] = v[k].unwrap_or(p[k]);
         }
     }
-    Intrinsics::from_array(&p, Radial::IdealToDistorted)
+    Intrinsics::from_array(&p, start.radial)
 }
 
 fn mono_start(problem: &RigProblem, c: usize, seeds: &[SeededImage], pinhole: &EffectivePinhole) -> Option<State> {
