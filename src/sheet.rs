@@ -22,8 +22,8 @@
 mod gain;
 mod homography;
 mod joint;
-mod recorded;
 mod parameter;
+mod recorded;
 
 pub use gain::{PointUncertainty, RESPONSES, Response, SheetUncertainty, StereoSheet};
 pub use homography::{HeldCameras, Homography, PairFeatures, fit_homography, transfer_residuals, triangulated_plane};
