@@ -4,8 +4,8 @@
 
 use nalgebra::{Vector2, Vector3};
 use spivcal::bundle::{
-    CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, State, TargetModel, TargetShape,
-    ViewModel, ViewPlace, ViewState,
+    CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, PlanePosition, State, TargetModel,
+    TargetShape, ViewModel, ViewPlace, ViewState,
 };
 use spivcal::camera::{Camera, Intrinsics};
 use spivcal::conic::fit_direct;
@@ -63,6 +63,18 @@ impl Scene {
 
     /// The same with other cameras at the same places.
     pub(crate) fn with_cameras(seed: u64, cameras: Vec<Camera>, per_view: bool, plane: bool, points: bool) -> Self {
+        Self::at_positions(seed, cameras, per_view, points, &|v| (plane && v >= 4).then_some(0.0))
+    }
+
+    /// The same with views parallel to the sheet at the positions given, mm; `None`: anywhere.
+    pub(crate) fn at_positions(
+        seed: u64,
+        cameras: Vec<Camera>,
+        per_view: bool,
+        points: bool,
+        position: &dyn Fn(usize) -> Option<f64>,
+    ) -> Self {
+        let plane = (0..6).any(|v| position(v).is_some());
         let mut noise = Noise::new(seed);
         // The sheet 500 mm away, seen under 45 degrees from either side.
         let rig_from_sheet: Motion<Rig, Sheet> = Motion::new(
@@ -80,12 +92,12 @@ impl Scene {
         let mut views = vec![];
         let mut places = vec![];
         for v in 0..6 {
-            let in_plane = plane && v >= 4;
+            let (z, in_plane) = (position(v).unwrap_or(0.0), position(v).is_some());
             let turn =
                 if in_plane { [0.0, 0.0] } else { [0.45 * (noise.uniform() - 0.5), 0.45 * (noise.uniform() - 0.5)] };
             let spin = 3.0 * (noise.uniform() - 0.5);
             let shift =
-                [-6.0 + 4.0 * noise.normal(), 2.0 * noise.normal(), if in_plane { 0.0 } else { 2.0 * noise.normal() }];
+                [-6.0 + 4.0 * noise.normal(), 2.0 * noise.normal(), if in_plane { z } else { 2.0 * noise.normal() }];
             let rotation =
                 rotation_exp(&Vector3::new(turn[0], turn[1], 0.0)) * rotation_exp(&Vector3::new(0.0, 0.0, spin));
             let sheet_from_target: Motion<Sheet, Target> =
@@ -96,7 +108,13 @@ impl Scene {
                 plane_from_target: in_plane.then_some(sheet_from_target),
                 shape_mm: if per_view { own } else { shape_mm },
             });
-            places.push(ViewModel { place: if in_plane { ViewPlace::InPlane { z_mm: 0.0 } } else { ViewPlace::Free } });
+            places.push(ViewModel {
+                place: if in_plane {
+                    ViewPlace::InPlane { z_mm: z, known: PlanePosition::Exact }
+                } else {
+                    ViewPlace::Free
+                },
+            });
         }
         let shape = if points {
             let nodes = (0..9).map(|k| Node { x: f64::from(k % 3) - 1.0, y: f64::from(k / 3) - 1.0, level: 0.0 });
