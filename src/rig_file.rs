@@ -276,6 +276,24 @@ pub struct SheetFrame {
     pub flip_x: bool,
 }
 
+impl SheetFrame {
+    /// The placement in words, for reports.
+    pub fn words(&self) -> String {
+        let origin = match self.origin {
+            SheetOrigin::FirstAxis => "where the first camera's axis meets the sheet".to_string(),
+            SheetOrigin::Disc { view, id } => {
+                format!("at column {}, row {}, level {} of the target in view {view}", id.column, id.row, id.level)
+            }
+            SheetOrigin::Point([x, y, z]) => format!("at the foot of ({x}, {y}, {z}) mm of the rig frame"),
+        };
+        let axis = self
+            .x_axis_view
+            .map_or_else(|| "the rig's x axis".to_string(), |v| format!("the target's x axis in view {v}"));
+        let flip = if self.flip_x { ", x and y turned over" } else { "" };
+        format!("origin {origin}; x along {axis}, laid into the sheet{flip}")
+    }
+}
+
 /// Origin of the sheet frame; what does not lie in the sheet is dropped onto it along the normal.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum SheetOrigin {

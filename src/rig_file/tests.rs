@@ -176,7 +176,7 @@ fn every_metric_fact_is_read() {
     assert_eq!(fact("plane_z_mm = { sigma = 0.02 }"), Scale::Traverse { sigma_mm: Some(0.02) });
     let bare = BUBBLES.replace("[scale]\nbaseline_mm = 707\n", "");
     assert_eq!(parse(&bare).scale, Scale::Traverse { sigma_mm: None });
-    let place = |to: &str| parse(&BUBBLES.replace("plane_z_mm = 2.0", to)).views[1].plane_z_mm;
+    let place = |to: &str| parse(&BUBBLES.replace("plane_z_mm = 2.0\nsheet = true", to)).views[1].plane_z_mm;
     let about = PlaneZ::Known { z_mm: 2.0, sigma_mm: Some(0.01) };
     assert_eq!(place("plane_z_mm = { value = 2.0, sigma = 0.01 }"), Some(about));
     assert_eq!(place("plane_z_mm = \"unknown\""), Some(PlaneZ::Unknown));
@@ -313,10 +313,10 @@ fn contradictions_about_the_scale_are_refused() {
     refused(&bare, "plane_z_mm = 2.0", "", 5, &["nothing sets the scale"]);
     let steps = BUBBLES.replace("baseline_mm = 707", "plane_z_mm = true");
     refused(&steps, "plane_z_mm = 2.0", "plane_z_mm = 0.0", 8, &["two views"]);
-    refused(&steps, "plane_z_mm = 2.0", "plane_z_mm = \"unknown\"", 8, &["two views"]);
+    refused(&steps, "plane_z_mm = 2.0\nsheet = true", "plane_z_mm = \"unknown\"", 8, &["two views"]);
     let unknown = BUBBLES.replace("plane_z_mm = 0.0", "");
-    refused(&unknown, "plane_z_mm = 2.0", "plane_z_mm = \"unknown\"", 13, &["counts from", "sheet = true"]);
-    refused(BUBBLES, "plane_z_mm = 2.0", "sheet = true\nplane_z_mm = { value = 0.0, sigma = 0.1 }", 16, &["exactly"]);
+    refused(&unknown, "plane_z_mm = 2.0\nsheet = true", "plane_z_mm = \"unknown\"", 13, &["counts from", "sheet = true"]);
+    refused(BUBBLES, "plane_z_mm = 2.0", "plane_z_mm = { value = 2.0, sigma = 0.1 }", 16, &["exactly"]);
     refused(BUBBLES, "baseline_mm = 707", "spacing_mm = { view = 2, value = 26 }", 8, &["from 0 to 1"]);
     refused(BUBBLES, "baseline_mm = 707", "spacing_mm = { view = -1, value = 26 }", 8, &["from 0 to 1"]);
     refused(BUBBLES, "baseline_mm = 707", "spacing_mm = 26", 8, &["view = ..."]);
