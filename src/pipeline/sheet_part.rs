@@ -5,11 +5,11 @@ use crate::camera::Camera;
 use crate::detect::EdgePoints;
 use crate::error::{Invalid, Result};
 use crate::frames::{Rig, Sheet as SheetFrame};
-use crate::record::{Homography, Pose, Sheet, SheetSigma};
+use crate::record::{Homography, Sheet};
 use crate::rig_file::SheetOrigin;
 use crate::rigid::Motion;
 use crate::sheet::{
-    HeldCameras, PairFeatures, Placement, SheetEstimate, fit_placed_homography, placed_joint_sheet, transfer_residuals,
+    HeldCameras, PairFeatures, Placement, fit_placed_homography, placed_joint_sheet, transfer_residuals,
 };
 use crate::target::DotId;
 use nalgebra::Vector3;
@@ -28,7 +28,7 @@ pub(super) fn sheet_part(s: &Solved) -> Result<Option<Sheet>> {
     let names: Vec<&str> = s.job.cameras.iter().map(|c| c.name.as_str()).collect();
     let placement = placement(s, &plane)?;
     let joint = placed_joint_sheet(s.covariance, &plane, names.get(1).copied(), &placement);
-    let mut sheet = sheet_of(&joint, "joint", views.clone());
+    let mut sheet = joint.to_record("joint", views.clone());
     if let [first, second] = names[..] {
         let held = HeldCameras::of(s.covariance, [first, second]);
         let features: Vec<PairFeatures> = views.iter().flat_map(|v| features_of_view(s, &held, *v)).collect();
@@ -81,24 +81,6 @@ fn place_on_target(s: &Solved, view: usize, id: DotId) -> Vector3<f64> {
     Vector3::new(node.x * shape[0], node.y * shape[0], -node.level * shape[2])
 }
 
-/// A plane as the record holds it.
-pub(super) fn sheet_of(e: &SheetEstimate, method: &str, views: Vec<usize>) -> Sheet {
-    Sheet {
-        normal_in_rig: e.normal.into(),
-        distance_mm: e.distance_mm,
-        abc_per_mm: e.abc_per_mm.into(),
-        angles_deg: e.angles_rad.map(f64::to_degrees),
-        angles_convention: crate::record::ANGLES_CONVENTION.into(),
-        angle_to_baseline_deg: e.angle_to_baseline_rad.to_degrees(),
-        sigma: sheet_sigma(e),
-        rig_from_sheet: Pose::from(&e.rig_from_sheet),
-        method: method.into(),
-        views,
-        disparity_rms_px: None,
-        homography: None,
-    }
-}
-
 /// The paper's result as the record holds it.
 pub(super) fn homography_of(h: &crate::sheet::Homography) -> Homography {
     Homography {
@@ -106,20 +88,8 @@ pub(super) fn homography_of(h: &crate::sheet::Homography) -> Homography {
         distance_mm: h.estimate.distance_mm,
         angles_deg: h.estimate.angles_rad.map(f64::to_degrees),
         angle_to_baseline_deg: h.estimate.angle_to_baseline_rad.to_degrees(),
-        sigma: sheet_sigma(&h.estimate),
+        sigma: h.estimate.record_sigma(),
         transfer_rms_px: h.transfer_rms_px,
-    }
-}
-
-/// Sigmas of a plane in the units of the file.
-fn sheet_sigma(e: &SheetEstimate) -> SheetSigma {
-    let s = &e.sigmas;
-    SheetSigma {
-        distance_mm: s[0],
-        normal_rad: [s[1], s[2]],
-        abc_per_mm: [s[3], s[4], s[5]],
-        angles_deg: [s[6], s[7], s[8]].map(f64::to_degrees),
-        angle_to_baseline_deg: s[9].to_degrees(),
     }
 }
 

@@ -315,7 +315,13 @@ fn contradictions_about_the_scale_are_refused() {
     refused(&steps, "plane_z_mm = 2.0", "plane_z_mm = 0.0", 8, &["two views"]);
     refused(&steps, "plane_z_mm = 2.0\nsheet = true", "plane_z_mm = \"unknown\"", 8, &["two views"]);
     let unknown = BUBBLES.replace("plane_z_mm = 0.0", "");
-    refused(&unknown, "plane_z_mm = 2.0\nsheet = true", "plane_z_mm = \"unknown\"", 13, &["counts from", "sheet = true"]);
+    refused(
+        &unknown,
+        "plane_z_mm = 2.0\nsheet = true",
+        "plane_z_mm = \"unknown\"",
+        13,
+        &["counts from", "sheet = true"],
+    );
     refused(BUBBLES, "plane_z_mm = 2.0", "plane_z_mm = { value = 2.0, sigma = 0.1 }", 16, &["exactly"]);
     refused(BUBBLES, "baseline_mm = 707", "spacing_mm = { view = 2, value = 26 }", 8, &["from 0 to 1"]);
     refused(BUBBLES, "baseline_mm = 707", "spacing_mm = { view = -1, value = 26 }", 8, &["from 0 to 1"]);
