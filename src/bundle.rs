@@ -19,7 +19,7 @@
 //! | (w, v) | `camera_from_first` | 6 | rad, mm | second camera | motion between the cameras, step on the left |
 //! | (w, v) | pose of a view | 6 | rad, mm | first camera | `first_from_target`, step on the left |
 //! | (wx, wy, vz) | plane | 3 | rad, mm | Sheet | the common plane of all views in the sheet or on a traverse |
-//! | (wz, vx, vy) | planar pose | 3 | rad, mm | Sheet | where such a view lies in that plane |
+//! | (wz, vx, vy, vz) | planar pose | 3 or 4 | rad, mm | Sheet | where such a view lies in that plane; vz where its distance is estimated |
 //! | tau | `shape` | 3 | mm | Target | two discs: spacing, radius 0, radius 1; grids: pitch, radius, step between levels |
 //! | (dx, dy, dz, dr) | `offsets` | 4 per disc | mm | Target | departure of a printed disc from its nominal place and radius |
 //!
@@ -54,7 +54,7 @@ pub use facts::Fact;
 pub use focus::Focus;
 pub use model::{
     CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, PairObservation,
-    TargetModel, TargetShape, ViewModel, ViewPlace,
+    PlanePosition, TargetModel, TargetShape, ViewModel, ViewPlace,
 };
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};

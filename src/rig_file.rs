@@ -26,15 +26,18 @@
 //! | `baseline_mm` | mm | | distance of the cameras: a number or `{ value, sigma }` |
 //! | `spacing_mm` | mm | | `{ view, value, sigma }`: distance of the centres in one view |
 //! | `radius_mm` | mm | | `{ view, disc, value, sigma }`: radius of one disc in one view |
-//! | `plane_z_mm` | mm | `true` | `true` or `{ sigma }`: the steps between the views' `plane_z_mm`; may be left out where nothing else sets the scale |
+//! | `plane_z_mm` | mm | `true` | `true` or `{ sigma }` (of each position that has no sigma of its own): the steps between the views' `plane_z_mm`; may be left out where nothing else sets the scale |
 //! | `[focus]` `tilt_sigma_deg` | deg | 0.5 | tolerance of the sheet's tilt against the plane of focus |
 //! | `distance_sigma` | | 0.005 | relative tolerance of its distance; used where every camera has `focal_length_mm` |
+//! | `[sheet]` `origin` | | the first camera's axis | `{ view, column, row, level }` (a disc or mark in a view) or `{ point_mm }` (rig frame), dropped onto the sheet |
+//! | `x_axis` | | the rig's x axis | `{ view }`: along the target's x axis in that view, laid into the sheet |
+//! | `flip_x` | | `false` | x and y turned over; z (and so w) stays towards the first camera |
 //! | `[solve]` `observations` | | `"contour"` | `contour` or `bitangent` |
 //! | `loss` | | `"huber"` | `none`, `huber`, `cauchy` |
 //! | `estimate` | | `["k1"]` | distortion terms that are free: `k1`, `k2`, `k3`; a parameter with a prior is free too |
 //! | `[[view]]` (camera name) | | | image of that camera; a view may lack a camera |
 //! | `sheet` | | `false` | recorded in the laser sheet that is to be measured (needs two cameras) |
-//! | `plane_z_mm` | mm | unknown | known position along a traverse |
+//! | `plane_z_mm` | mm | any pose | position along a traverse, parallel to the sheet: a number, `{ value, sigma }`, or `"unknown"` |
 //!
 //! Angles are in degrees in the file and in radians in [`RigDescription`]. Views and discs are counted from 0.
 //! A single camera can be calibrated alone; there is no sheet then.
@@ -42,6 +45,7 @@
 mod camera;
 mod reader;
 mod scale;
+mod sheet;
 mod solve;
 mod target;
 mod view;
@@ -51,7 +55,7 @@ mod tests;
 
 use crate::camera::Radial;
 use crate::error::Result;
-use crate::target::{Polarity, Target};
+use crate::target::{DotId, Polarity, Target};
 use reader::{Section, Source};
 use std::path::{Path, PathBuf};
 use toml::de::DeTable;
@@ -71,6 +75,8 @@ pub struct RigDescription {
     pub scale: Scale,
     /// Prior from the cameras being focused on the sheet.
     pub focus: Option<Focus>,
+    /// Where the sheet frame stands.
+    pub sheet: SheetFrame,
     /// How the adjustment is done.
     pub solve: Solve,
     /// The views in the order of the file.
@@ -259,6 +265,55 @@ impl Focus {
     pub const DEFAULT_DISTANCE_SIGMA: f64 = 0.005;
 }
 
+/// Where the frame of the laser sheet stands: z is always its normal towards the first camera.
+///
+/// A velocity component w along z is positive towards the first camera; `flip_x` changes the signs of x and y (and of u and v),
+/// never that of w.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct SheetFrame {
+    /// Its origin.
+    pub origin: SheetOrigin,
+    /// View whose target's x axis it follows; none: the rig's x axis laid into the sheet.
+    pub x_axis_view: Option<usize>,
+    /// x and y turned over (half a turn about z).
+    pub flip_x: bool,
+}
+
+impl SheetFrame {
+    /// The placement in words, for reports.
+    pub fn words(&self) -> String {
+        let origin = match self.origin {
+            SheetOrigin::FirstAxis => "where the first camera's axis meets the sheet".to_string(),
+            SheetOrigin::Disc { view, id } => {
+                format!("at column {}, row {}, level {} of the target in view {view}", id.column, id.row, id.level)
+            }
+            SheetOrigin::Point([x, y, z]) => format!("at the foot of ({x}, {y}, {z}) mm of the rig frame"),
+        };
+        let axis = self
+            .x_axis_view
+            .map_or_else(|| "the rig's x axis".to_string(), |v| format!("the target's x axis in view {v}"));
+        let flip = if self.flip_x { ", x and y turned over" } else { "" };
+        format!("origin {origin}; x along {axis}, laid into the sheet{flip}")
+    }
+}
+
+/// Origin of the sheet frame; what does not lie in the sheet is dropped onto it along the normal.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum SheetOrigin {
+    /// Where the first camera's axis meets the sheet.
+    #[default]
+    FirstAxis,
+    /// A disc or mark of the target as it lay in a view.
+    Disc {
+        /// View, counted from 0.
+        view: usize,
+        /// Its label; of two discs column 0 or 1.
+        id: DotId,
+    },
+    /// A point in the frame of the first camera, mm.
+    Point([f64; 3]),
+}
+
 /// What is compared with the images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Observations {
@@ -305,10 +360,34 @@ pub struct ViewDescription {
     pub images: Vec<Option<String>>,
     /// Recorded in the laser sheet that is to be measured.
     pub sheet: bool,
-    /// Known position along a traverse, mm.
-    pub plane_z_mm: Option<f64>,
+    /// Position along a traverse.
+    pub plane_z_mm: Option<PlaneZ>,
     /// Line of the file where it begins, for messages.
     pub line: usize,
+}
+
+/// Position of a view along a traverse: parallel to the sheet, counted towards the viewer of the target.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum PlaneZ {
+    /// Known.
+    Known {
+        /// Position, mm.
+        z_mm: f64,
+        /// Standard deviation, mm; none: that of `[scale] plane_z_mm`, else exact.
+        sigma_mm: Option<f64>,
+    },
+    /// Parallel to the sheet at a position that is to be estimated.
+    Unknown,
+}
+
+impl PlaneZ {
+    /// The known position, mm.
+    pub fn value_mm(self) -> Option<f64> {
+        match self {
+            PlaneZ::Known { z_mm, .. } => Some(z_mm),
+            PlaneZ::Unknown => None,
+        }
+    }
 }
 
 impl RigDescription {
@@ -343,7 +422,7 @@ impl RigDescription {
         let source = Source { file, text };
         let document = DeTable::parse(text).map_err(|e| toml_error(source, &e))?;
         let root = Section::root(source, document.get_ref());
-        root.only(&["camera", "target", "scale", "focus", "solve", "view"], |key| {
+        root.only(&["camera", "target", "scale", "focus", "sheet", "solve", "view"], |key| {
             (key == "views" || key == "cameras")
                 .then(|| format!("is written [[{}]], once for each", &key[..key.len() - 1]))
         })?;
@@ -352,9 +431,10 @@ impl RigDescription {
         let views = view::read_all(&root, &cameras)?;
         let scale = scale::read(&root, &target, length, &cameras, &views)?;
         let focus = solve::read_focus(&root, &cameras, &views)?;
+        let sheet = sheet::read(&root, &target.target, &views)?;
         let solve = solve::read(&root, &target, &cameras)?;
         let mut job =
-            Self { file: file.to_string(), text: text.to_string(), cameras, target, scale, focus, solve, views };
+            Self { file: file.to_string(), text: text.to_string(), cameras, target, scale, focus, sheet, solve, views };
         job.remember_scale_in_target();
         Ok(job)
     }

@@ -6,8 +6,13 @@
 //! angle to the baseline = asin |n . b|,   b the unit vector between the projection centres
 //! rig_from_sheet = Rx(theta1) Ry(theta2) Rz(theta3) up to the half turn about x that makes z face the camera
 //! ```
-//! Sheet frame: z = -n, x the rig's x axis projected into the sheet, y = z cross x; origin where the first camera's axis
-//! meets the sheet. With this choice of x, theta3 is zero.
+//! Sheet frame: z = -n (w is positive towards the first camera), x the rig's x axis projected into the sheet, y = z cross x;
+//! origin where the first camera's axis meets the sheet. With this choice of x, theta3 is zero. A [`Placement`] chooses
+//! another origin and another direction p for x; then theta3 is the angle from the one projected direction to the other about
+//! n, and since a projected direction e of p turns by `dphi = (e . w) (p . n) / (p . e)` for a turn w within the sheet,
+//! ```text
+//! dtheta3 = (e_p . w) (p . n) / (p . e_p) - (e_x . w) (x . n) / (x . e_x)
+//! ```
 //!
 //! | symbol | identifier | unit | frame | meaning |
 //! |---|---|---|---|---|
@@ -26,8 +31,11 @@ mod parameter;
 mod recorded;
 
 pub use gain::{PointUncertainty, RESPONSES, Response, SheetUncertainty, StereoSheet};
-pub use homography::{HeldCameras, Homography, PairFeatures, fit_homography, transfer_residuals, triangulated_plane};
-pub use joint::joint_sheet;
+pub use homography::{
+    HeldCameras, Homography, PairFeatures, fit_homography, fit_placed_homography, transfer_residuals,
+    triangulated_plane,
+};
+pub use joint::{joint_sheet, placed_joint_sheet};
 
 use crate::frames::{Rig, Sheet};
 use crate::rigid::Motion;
@@ -58,6 +66,24 @@ impl SheetEstimate {
     pub const QUANTITIES: usize = 10;
 }
 
+/// Where the sheet frame stands in the sheet; z is always towards the first camera.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Placement {
+    /// A point in the rig frame whose foot on the sheet is the origin, mm; none: where the first camera's axis meets it.
+    pub origin_in_rig_mm: Option<Vector3<f64>>,
+    /// A direction in the rig frame that x follows; none: the rig's x axis. One along the normal has no meaning.
+    pub x_in_rig: Option<Vector3<f64>>,
+    /// x and y turned over.
+    pub flip_x: bool,
+}
+
+/// A direction laid into the plane of normal n, and how much it turns about n per turn of the plane along it.
+fn laid(direction: &Vector3<f64>, n: &Vector3<f64>) -> (Vector3<f64>, f64) {
+    let along = direction - n * n.dot(direction);
+    let e = along.normalize();
+    (e, direction.dot(n) / direction.dot(&e))
+}
+
 /// Geometry of a plane and the derivatives of everything that is reported by a small turn w, a shift along n, and the second
 /// projection centre.
 struct PlaneGeometry {
@@ -67,13 +93,22 @@ struct PlaneGeometry {
 }
 
 /// Frame and derived numbers of the plane `normal . p = distance`; `second_center_mm` in the rig frame.
-fn plane_geometry(normal: Vector3<f64>, distance_mm: f64, second_center_mm: Option<Vector3<f64>>) -> PlaneGeometry {
+fn plane_geometry(
+    normal: Vector3<f64>,
+    distance_mm: f64,
+    second_center_mm: Option<Vector3<f64>>,
+    placement: &Placement,
+) -> PlaneGeometry {
     let (n, d) = if distance_mm < 0.0 { (-normal, -distance_mm) } else { (normal, distance_mm) };
     let z = -n;
-    let x = (Vector3::x() - n * n.x).normalize();
+    let (default_x, default_turn) = laid(&Vector3::x(), &n);
+    let sign = if placement.flip_x { -1.0 } else { 1.0 };
+    let (x, x_turn) = placement.x_in_rig.map_or((default_x * sign, default_turn * sign), |p| laid(&(p * sign), &n));
     let y = z.cross(&x);
-    let origin = Vector3::new(0.0, 0.0, d / n.z);
-    let angles_rad = [(-n.y).atan2(n.z), n.x.asin(), 0.0];
+    let axis_point = Vector3::new(0.0, 0.0, d / n.z);
+    let origin = placement.origin_in_rig_mm.map_or(axis_point, |p| p - n * (n.dot(&p) - d));
+    let theta3 = n.dot(&default_x.cross(&x)).atan2(default_x.dot(&x));
+    let angles_rad = [(-n.y).atan2(n.z), n.x.asin(), theta3];
     let mut derivative = SMatrix::<f64, 10, 7>::zeros();
     // dn = w x n: derivative of n by w is -[n]x.
     let dn = -crate::rigid::skew(&n);
@@ -86,6 +121,8 @@ fn plane_geometry(normal: Vector3<f64>, distance_mm: f64, second_center_mm: Opti
     let theta1 = Vector3::new(0.0, -n.z / yz, n.y / yz);
     derivative.fixed_view_mut::<1, 3>(6, 0).copy_from(&(theta1.transpose() * dn));
     derivative.fixed_view_mut::<1, 3>(7, 0).copy_from(&(dn.row(0) / (1.0 - n.x * n.x).sqrt()));
+    let dtheta3 = x * x_turn - default_x * default_turn;
+    derivative.fixed_view_mut::<1, 3>(8, 0).copy_from(&dtheta3.transpose());
     let mut angle = f64::NAN;
     if let Some(c) = second_center_mm {
         let b = c.normalize();

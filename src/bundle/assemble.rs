@@ -187,7 +187,7 @@ pub(super) fn image_map(model: &Model, places: &Places, state: &State, image: &S
         (Some(plane), Some(_), Some(at)) => {
             let ad = (cam_from_first * *plane).adjoint();
             motion_columns(Slot::Global(at), &ad, &[0, 1, 5]);
-            motion_columns(Slot::Block(0), &ad, &[2, 3, 4]);
+            motion_columns(Slot::Block(0), &ad, model.views[v].place.planar_steps());
         }
         _ => motion_columns(Slot::Block(0), &cam_from_first.adjoint(), &[0, 1, 2, 3, 4, 5]),
     }

@@ -5,6 +5,7 @@
 //! | an intrinsic | i_k | row k of the chart's derivative |
 //! | baseline | `|t|`, t the origin of one camera seen from the other | `t / |t|` by the motion's shift |
 //! | a length of the target | tau_k, shared or of one view | 1 |
+//! | position along a traverse | z of a view in the common plane | 1 |
 //! | offsets of printed discs | (dx, dy, dz, dr) | 1 |
 //! | focus | the sheet lies in the plane of focus | see [`super::focus`] |
 
@@ -12,7 +13,7 @@ use super::assemble::{Slot, add};
 use super::chart::{self, SolverCamera};
 use super::focus::Focus;
 use super::layout::Places;
-use super::model::Model;
+use super::model::{Model, PlanePosition, ViewPlace};
 use super::state::State;
 use crate::camera::INTRINSICS;
 use crate::solve::NormalEquations;
@@ -69,6 +70,11 @@ fn rows(model: &Model, places: &Places, state: &State) -> Option<Vec<Row>> {
             other => out.push(row(model, places, state, other)?),
         }
     }
+    for (v, z_mm, sigma_mm) in positions(model) {
+        let now = state.views[v].plane_from_target?.translation_mm.z;
+        let slots = vec![(Slot::Block(3), 1.0 / sigma_mm)];
+        out.push(Row { view: v, residual: (now - z_mm) / sigma_mm, slots });
+    }
     if let (Some(sigmas), Some(first)) = (model.target.offset_sigma_mm, places.offsets) {
         for (j, offset) in state.offsets_mm.iter().enumerate() {
             for k in 0..4 {
@@ -110,6 +116,14 @@ fn row(model: &Model, places: &Places, state: &State, fact: &Fact) -> Option<Row
     }
 }
 
+/// Views whose position along the common plane's normal is known with a sigma: view, position and sigma in mm.
+fn positions(model: &Model) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
+    model.views.iter().enumerate().filter_map(|(v, view)| match view.place {
+        ViewPlace::InPlane { z_mm, known: PlanePosition::About { sigma_mm } } => Some((v, z_mm, sigma_mm)),
+        _ => None,
+    })
+}
+
 /// Cost of all facts.
 pub(super) fn cost(model: &Model, places: &Places, state: &State) -> Option<f64> {
     rows(model, places, state).map(|r| r.iter().map(|r| 0.5 * r.residual * r.residual).sum())
@@ -131,5 +145,6 @@ pub(super) fn linearise(model: &Model, places: &Places, state: &State, e: &mut N
 pub(super) fn count(model: &Model) -> usize {
     let of_fact = |f: &Fact| if let Fact::Focus(focus) = f { focus.count() } else { 1 };
     model.facts.iter().map(of_fact).sum::<usize>()
+        + positions(model).count()
         + model.target.offset_sigma_mm.map_or(0, |_| 4 * model.target.disc_count())
 }

@@ -1,10 +1,10 @@
 //! Where each unknown stands in the normal equations, and how far it may go in one step.
 //!
 //! Global unknowns: cameras' charts, motions between cameras, plane, shape, offsets. Block of a view: pose (6, or 3 in the
-//! plane) and its own shape where it has one.
+//! plane, 4 where its distance from the plane is estimated) and its own shape where it has one.
 
 use super::chart;
-use super::model::{Model, ViewPlace};
+use super::model::Model;
 use super::state::State;
 use crate::camera::INTRINSICS;
 use crate::solve::{self, Step};
@@ -25,7 +25,7 @@ pub(super) struct Places {
     pub(super) offsets: Option<usize>,
     /// Number of global unknowns.
     pub(super) global: usize,
-    /// Per view: number of pose unknowns (6 or 3).
+    /// Per view: number of pose unknowns (6, 3 or 4).
     pub(super) pose_sizes: Vec<usize>,
     /// Shape parameters inside a view's block, counted from the end of the pose.
     pub(super) view_shape: [Option<usize>; 3],
@@ -41,8 +41,7 @@ impl Places {
         };
         let charts = model.cameras.iter().map(|c| chart::active(c).map(|on| on.then(|| take(1)))).collect();
         let motions = (0..model.cameras.len()).map(|c| (c > 0).then(|| take(6))).collect();
-        let in_plane = |v: &super::ViewModel| matches!(v.place, ViewPlace::InPlane { .. });
-        let plane = model.views.iter().any(in_plane).then(|| take(3));
+        let plane = model.views.iter().any(|v| v.place.in_plane()).then(|| take(3));
         let per_view = model.target.per_view();
         let shape = model.target.free.map(|on| (on && !per_view).then(|| take(1)));
         let offsets = model.target.offset_sigma_mm.map(|_| take(4 * model.target.disc_count()));
@@ -53,7 +52,8 @@ impl Places {
                 inside - 1
             })
         });
-        let pose_sizes = model.views.iter().map(|v| if in_plane(v) { 3 } else { 6 }).collect();
+        let pose_size = |v: &super::ViewModel| if v.place.in_plane() { v.place.planar_steps().len() } else { 6 };
+        let pose_sizes = model.views.iter().map(pose_size).collect();
         Self { charts, motions, plane, shape, offsets, global: next, pose_sizes, view_shape, view_shape_size: inside }
     }
 
@@ -100,7 +100,7 @@ pub(super) fn scales(model: &Model, places: &Places, state: &State) -> Step {
         let n = places.pose_sizes[v];
         let own = length(view);
         let mut block = DVector::from_element(n + places.view_shape_size, 1.0);
-        (0..n).for_each(|k| block[k] = if n == 6 { pose[k] } else { [pose[2], pose[3], pose[4]][k] });
+        (0..n).for_each(|k| block[k] = if n == 6 { pose[k] } else { pose[2 + k] });
         for k in 0..3 {
             places.view_shape[k].iter().for_each(|at| block[n + at] = own[k]);
         }

@@ -96,11 +96,43 @@ impl TargetModel {
 pub enum ViewPlace {
     /// Anywhere.
     Free,
-    /// Parallel to the common plane, `z_mm` in front of it (0: in the sheet).
+    /// Parallel to the common plane, in front of it (0: in the sheet).
     InPlane {
-        /// Position along the plane's normal, mm, known.
+        /// Position along the plane's normal, mm.
         z_mm: f64,
+        /// How well the position is known.
+        known: PlanePosition,
     },
+}
+
+/// How well a position along the common plane's normal is known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum PlanePosition {
+    /// Exactly.
+    Exact,
+    /// With this standard deviation, mm; it is estimated.
+    About {
+        /// Standard deviation, mm.
+        sigma_mm: f64,
+    },
+    /// Not at all: it is estimated, and `z_mm` is meaningless.
+    Unknown,
+}
+
+impl ViewPlace {
+    /// Whether the target is parallel to the common plane.
+    pub fn in_plane(&self) -> bool {
+        matches!(self, ViewPlace::InPlane { .. })
+    }
+    /// Whether its position along the plane's normal is estimated.
+    pub fn moves_along_normal(&self) -> bool {
+        matches!(self, ViewPlace::InPlane { known: PlanePosition::About { .. } | PlanePosition::Unknown, .. })
+    }
+    /// Steps of a pose that are adjusted inside the plane: turn about its normal, shifts along it, and where it is estimated
+    /// the position along the normal.
+    pub(super) fn planar_steps(&self) -> &'static [usize] {
+        if self.moves_along_normal() { &[2, 3, 4, 5] } else { &[2, 3, 4] }
+    }
 }
 
 /// One view: a moment at which the cameras saw the target at one place.

@@ -205,16 +205,20 @@ fn rows(model: &Model, places: &Places, state: &State, natural: &Natural) -> Opt
     }
     let mut at = places.global;
     for v in 0..model.views.len() {
+        let steps = model.views[v].place.planar_steps();
         for r in 0..6 {
             let mut terms: Vec<(usize, f64)> = match (&plane_ad, places.plane, &state.views[v].plane_from_target) {
                 (Some(ad), Some(first), Some(_)) => {
                     let plane = [0, 1, 5].iter().enumerate().map(|(n, &k)| (first + n, ad[(r, k)]));
-                    plane.chain([2, 3, 4].iter().enumerate().map(|(n, &k)| (at + n, ad[(r, k)]))).collect()
+                    plane.chain(steps.iter().enumerate().map(|(n, &k)| (at + n, ad[(r, k)]))).collect()
                 }
                 _ => (0..6).map(|k| (at + k, turn0.adjoint()[(r, k)])).collect(),
             };
             terms.extend(turn_terms(0, &identity, r, 1.0));
             out.push(Row { name: format!("view{v}.rig_from_target.{}", STEP_NAMES[r]), terms });
+        }
+        if model.views[v].place.moves_along_normal() {
+            out.push(Row { name: format!("view{v}.plane_z_mm"), terms: vec![(at + 3, 1.0)] });
         }
         for k in 0..3 {
             if let Some(inside) = places.view_shape[k] {

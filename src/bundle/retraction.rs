@@ -15,7 +15,7 @@
 use super::chart;
 use super::facts::Fact;
 use super::layout::Places;
-use super::model::{Model, TargetShape, ViewPlace};
+use super::model::{Model, TargetShape};
 use super::state::{State, ViewState};
 use crate::camera::{Camera, INTRINSICS, Intrinsics};
 use crate::frames::{Rig, Target};
@@ -104,7 +104,7 @@ pub(super) fn retract(model: &Model, places: &Places, state: &State, step: &Step
         let shape_mm = if model.target.per_view() { m.shape } else { next.shape_mm };
         next.views[v] = match (&next.first_from_plane, &view.plane_from_target) {
             (Some(plane), Some(planar)) => {
-                let planar = planar.retract(&SVector::from([0.0, 0.0, b[0], b[1], b[2], 0.0]));
+                let planar = planar.retract(&planar_step(model, v, b));
                 ViewState { first_from_target: *plane * planar, plane_from_target: Some(planar), shape_mm }
             }
             _ => {
@@ -122,6 +122,13 @@ pub(super) fn retract(model: &Model, places: &Places, state: &State, step: &Step
         return None;
     }
     plausible(model, &next).then_some(next)
+}
+
+/// Step of a view inside the common plane, as a left step.
+fn planar_step(model: &Model, v: usize, b: &DVector<f64>) -> SVector<f64, 6> {
+    let mut step = SVector::zeros();
+    model.views[v].place.planar_steps().iter().enumerate().for_each(|(n, k)| step[*k] = b[n]);
+    step
 }
 
 /// A length after a step: multiplicative, so that sizes in the image stay straight; zero lengths (no second level) additive.
@@ -148,8 +155,8 @@ fn moving(model: &Model, places: &Places, state: &State, step: &Step, v: usize) 
     let c = pose.apply(&old_middle);
     let d: SVector<f64, 6> = match (&state.first_from_plane, &view.plane_from_target, places.plane) {
         (Some(plane), Some(_), Some(at)) => {
-            let in_sheet = SVector::<f64, 6>::from([g[at], g[at + 1], b[0], b[1], b[2], g[at + 2]]);
-            plane.adjoint() * in_sheet
+            let of_plane = SVector::<f64, 6>::from([g[at], g[at + 1], 0.0, 0.0, 0.0, g[at + 2]]);
+            plane.adjoint() * (of_plane + planar_step(model, v, b))
         }
         _ => b.fixed_rows::<6>(0).into_owned(),
     };
@@ -248,7 +255,7 @@ fn metric_scaled(model: &Model, places: &Places, state: &State, next: &mut State
     });
     let Some((linear, now)) = wanted else { return true };
     if !(linear > 0.0 && now > 0.0)
-        || model.views.iter().any(|v| matches!(v.place, ViewPlace::InPlane { z_mm } if z_mm != 0.0))
+        || state.views.iter().any(|v| v.plane_from_target.is_some_and(|p| p.translation_mm.z != 0.0))
     {
         return linear > 0.0;
     }

@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 use crate::record::{Record, ResidualTable};
 use crate::report::OverlayShapes;
 use crate::rig::{RigSolution, calibrate_rig};
-use crate::rig_file::{Observations, RigDescription};
+use crate::rig_file::{Observations, RigDescription, SheetFrame};
 use std::sync::Mutex;
 
 /// Options of [`calibrate`].
@@ -112,6 +112,9 @@ fn run(
     let (residuals, overlays, fits) = residual_rows(&solved)?;
     let sheet = sheet_part(&solved)?;
     let mut record = record(&solved, &fits, sheet)?;
+    if job.sheet != SheetFrame::default() && record.sheet.is_some() {
+        record.provenance.options.insert("sheet frame".into(), job.sheet.words());
+    }
     if let Some((rounds, left_out)) = refits {
         let words = format!("found through the lens {rounds} times, until both agreed");
         record.provenance.options.insert("bitangent features".into(), words);

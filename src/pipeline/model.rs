@@ -2,15 +2,16 @@
 
 use super::images::SeenImage;
 use crate::bundle::{
-    CameraModel, DiscObservation, Fact, Focus, ImageObservations, Loss, Model, Node, TargetModel, TargetShape,
-    ViewModel, ViewPlace,
+    CameraModel, DiscObservation, Fact, Focus, ImageObservations, Loss, Model, Node, PlanePosition, TargetModel,
+    TargetShape, ViewModel, ViewPlace,
 };
 use crate::camera::INTRINSICS;
 use crate::conic::Ellipse;
 use crate::error::{Insufficient, Invalid, Result};
 use crate::rig::{CameraStart, OpenLabels, RigProblem};
 use crate::rig_file::{
-    Adjust, CameraDescription, Knowledge, Length, Loss as LossName, Parameter, RigDescription, Scale,
+    Adjust, CameraDescription, Knowledge, Length, Loss as LossName, Parameter, PlaneZ, RigDescription, Scale,
+    ViewDescription,
 };
 use crate::target::{DotId, Target};
 
@@ -47,12 +48,7 @@ pub(super) fn build(job: &RigDescription, images: &[SeenImage], sizes_px: &[[f64
         cameras.push(model);
         starts.push(start);
     }
-    let views = job.views.iter().map(|v| ViewModel {
-        place: match (v.sheet, v.plane_z_mm) {
-            (false, None) => ViewPlace::Free,
-            (_, z) => ViewPlace::InPlane { z_mm: z.unwrap_or(0.0) },
-        },
-    });
+    let views = job.views.iter().map(|v| ViewModel { place: place(job, v) });
     let model = Model {
         cameras,
         target,
@@ -66,13 +62,28 @@ pub(super) fn build(job: &RigDescription, images: &[SeenImage], sizes_px: &[[f64
         },
     };
     let image_names = images.iter().map(|i| i.name.clone()).collect();
-    let open = OpenLabels { step_pitches: label_step(job), images: images.iter().map(|i| i.open.clone()).collect() };
+    let open = OpenLabels { step_pitches: label_step(&job.target.target), images: images.iter().map(|i| i.open.clone()).collect() };
     Ok(Built { problem: RigProblem { model, ellipses, starts, shape_mm, image_names, open }, labels })
 }
 
 /// Length of a step of a label, pitches.
-fn label_step(job: &RigDescription) -> f64 {
-    if matches!(job.target.target, Target::TwoLevelPlate(_)) { 0.5 } else { 1.0 }
+fn label_step(target: &Target) -> f64 {
+    if matches!(target, Target::TwoLevelPlate(_)) { 0.5 } else { 1.0 }
+}
+
+/// Where a view's target is. In the sheet it is exactly at 0; on a traverse as the view says, else as `[scale]` does.
+fn place(job: &RigDescription, view: &ViewDescription) -> ViewPlace {
+    let common = if let Scale::Traverse { sigma_mm } = job.scale { sigma_mm } else { None };
+    match view.plane_z_mm {
+        None if !view.sheet => ViewPlace::Free,
+        None => ViewPlace::InPlane { z_mm: 0.0, known: PlanePosition::Exact },
+        Some(PlaneZ::Unknown) => ViewPlace::InPlane { z_mm: 0.0, known: PlanePosition::Unknown },
+        Some(PlaneZ::Known { z_mm, sigma_mm }) => {
+            let sigma_mm = sigma_mm.or(common).filter(|_| !view.sheet);
+            let known = sigma_mm.map_or(PlanePosition::Exact, |sigma_mm| PlanePosition::About { sigma_mm });
+            ViewPlace::InPlane { z_mm, known }
+        }
+    }
 }
 
 fn labels_of(job: &RigDescription, images: &[SeenImage]) -> Vec<DotId> {
@@ -103,18 +114,19 @@ fn observations(images: &[SeenImage], labels: &[DotId]) -> (Vec<ImageObservation
     (out, ellipses)
 }
 
+/// Lattice place of a label: labels of a plate count half pitches, since the levels alternate.
+pub(super) fn node(target: &Target, l: &DotId) -> Node {
+    let unit = label_step(target);
+    Node { x: unit * f64::from(l.column), y: unit * f64::from(l.row), level: f64::from(l.level) }
+}
+
 fn stiff(length: Length) -> (f64, f64) {
     (length.value_mm, length.sigma_mm.unwrap_or(EXACT * length.value_mm))
 }
 
 /// Target model, first guess of its shape, and the facts that fix its scale.
 fn target(job: &RigDescription, labels: &[DotId]) -> Result<(TargetModel, [Option<f64>; 3], Vec<Fact>)> {
-    let nodes = || -> Vec<Node> {
-        let unit = label_step(job);
-        let node =
-            |l: &DotId| Node { x: unit * f64::from(l.column), y: unit * f64::from(l.row), level: f64::from(l.level) };
-        labels.iter().map(node).collect()
-    };
+    let nodes = || labels.iter().map(|l| node(&job.target.target, l)).collect();
     let (shape, mut shape_mm) = match &job.target.target {
         Target::TwoDiscs(p) | Target::Bubbles(p) => {
             let per_view = matches!(job.target.target, Target::Bubbles(_));
@@ -158,16 +170,8 @@ fn target(job: &RigDescription, labels: &[DotId]) -> Result<(TargetModel, [Optio
             let (value_mm, sigma_mm) = stiff(length);
             facts.push(Fact::Baseline { value_mm, sigma_mm });
         }
-        Scale::Traverse { sigma_mm: None } => {}
-        Scale::Traverse { sigma_mm: Some(_) } => {
-            return Err(Invalid::File {
-                path: job.file.clone(),
-                message: "[scale] plane_z_mm: a sigma of the traverse's steps cannot be taken into account yet; write plane_z_mm = true \
-                          to take the steps as exact, or give another metric fact"
-                    .into(),
-            }
-            .into());
-        }
+        // The positions themselves are facts: see `place`.
+        Scale::Traverse { .. } => {}
     }
     let offset_sigma_mm = (job.target.adjust == Adjust::Points).then(|| {
         let pitch = shape_mm[0].unwrap_or(1.0);

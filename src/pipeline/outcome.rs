@@ -218,7 +218,7 @@ fn scale(s: &Solved) -> Scale {
         ScaleFact::TargetRadius { radius: l, .. } | ScaleFact::ViewRadius { radius: l, .. } => of("radius", l),
         ScaleFact::Baseline(l) => of("baseline", l),
         ScaleFact::Traverse { sigma_mm } => {
-            let z: Vec<f64> = s.job.views.iter().filter_map(|v| v.plane_z_mm).collect();
+            let z: Vec<f64> = s.job.views.iter().filter_map(|v| v.plane_z_mm?.value_mm()).collect();
             let range =
                 z.iter().copied().fold(f64::NEG_INFINITY, f64::max) - z.iter().copied().fold(f64::INFINITY, f64::min);
             of("traverse", Length { value_mm: range, sigma_mm })
@@ -240,6 +240,8 @@ fn view(s: &Solved, fits: &[ImageFit], v: usize) -> View {
         images: BTreeMap::new(),
         sigma: pose_sigma(s, &format!("view{v}.rig_from_target")),
         planarity_mm: None,
+        plane_z_mm: None,
+        plane_z_sigma_mm: None,
         target: None,
     };
     for (image, fit) in s.images.iter().zip(fits).filter(|(i, _)| i.view == v) {
@@ -248,6 +250,10 @@ fn view(s: &Solved, fits: &[ImageFit], v: usize) -> View {
         out.observations.insert(name.clone(), fit.edges);
         out.outliers.insert(name.clone(), fit.outliers);
         out.images.insert(name, image.name.clone());
+    }
+    if s.adjustment.model.views[v].place.moves_along_normal() {
+        out.plane_z_mm = s.adjustment.state.views[v].plane_from_target.map(|p| p.translation_mm.z);
+        out.plane_z_sigma_mm = s.covariance.sigma(&format!("view{v}.plane_z_mm"));
     }
     if s.adjustment.model.target.per_view() {
         let [spacing_mm, r0, r1] = s.adjustment.state.views[v].shape_mm;

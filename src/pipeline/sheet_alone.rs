@@ -13,8 +13,11 @@ use crate::detect::EdgePoints;
 use crate::error::{Error, Insufficient, Invalid, Result};
 use crate::record::{self, FeatureKind, ImageFile, Record, View};
 use crate::report::OverlayShapes;
-use crate::rig_file::RigDescription;
-use crate::sheet::{HeldCameras, Homography, PairFeatures, fit_homography, transfer_residuals, triangulated_plane};
+use crate::rig_file::{RigDescription, SheetOrigin};
+use crate::sheet::{
+    HeldCameras, Homography, PairFeatures, Placement, fit_homography, fit_placed_homography, transfer_residuals,
+    triangulated_plane,
+};
 use crate::target::{DotId, Target};
 use nalgebra::{DMatrix, Vector3};
 use std::collections::BTreeMap;
@@ -76,8 +79,30 @@ pub fn find_sheet(
     check_sizes(&images, calibration)?;
     let pair = matches!(job.target.target, Target::TwoDiscs(_) | Target::Bubbles(_));
     let views = features(&wanted, &images, &held, pair);
-    let (homography, chosen) = fit(&held, &views, &job.file)?;
+    let (homography, chosen) = fit(&held, &views, &placement(job)?, &job.file)?;
     Ok(output(calibration, job, &held, images, &views, &homography, &chosen))
+}
+
+/// Where the rig file places the sheet frame; without the poses of targets only by a point.
+fn placement(job: &RigDescription) -> Result<Placement> {
+    let origin_in_rig_mm = match job.sheet.origin {
+        SheetOrigin::FirstAxis => None,
+        SheetOrigin::Point(p) => Some(Vector3::from(p)),
+        SheetOrigin::Disc { .. } => {
+            return Err(mismatch(
+                job,
+                "[sheet] origin: the sheet alone is found without poses of the target; give point_mm, \
+             a point in the frame of the first camera, or calibrate the whole rig",
+            ));
+        }
+    };
+    if job.sheet.x_axis_view.is_some() {
+        return Err(mismatch(
+            job,
+            "[sheet] x_axis: the sheet alone is found without poses of the target; remove x_axis, or calibrate the whole rig",
+        ));
+    }
+    Ok(Placement { origin_in_rig_mm, x_in_rig: None, flip_x: job.sheet.flip_x })
 }
 
 fn mismatch(job: &RigDescription, message: impl Into<String>) -> Error {
@@ -142,7 +167,7 @@ fn sheet_views_alone(job: &RigDescription) -> Result<RigDescription> {
     }
     let mut out = job.clone();
     for (i, view) in out.views.iter_mut().enumerate() {
-        if view.sheet && view.plane_z_mm.is_some_and(|z| z != 0.0) {
+        if view.sheet && view.plane_z_mm.is_some_and(|z| z.value_mm() != Some(0.0)) {
             return Err(mismatch(
                 job,
                 format!(
@@ -230,7 +255,12 @@ fn chosen_features(views: &[SheetView], chosen: &[usize]) -> Vec<Vec<PairFeature
 }
 
 /// The plane over which all views transfer best, with the features of the choices made.
-fn fit(held: &HeldCameras, views: &[SheetView], file: &str) -> Result<(Homography, Vec<Vec<PairFeatures>>)> {
+fn fit(
+    held: &HeldCameras,
+    views: &[SheetView],
+    placement: &Placement,
+    file: &str,
+) -> Result<(Homography, Vec<Vec<PairFeatures>>)> {
     let nothing = || {
         Insufficient::Inconsistent(format!(
             "{file}: the discs that both cameras see in the sheet's views do not meet in one plane in front of them; check that the \
@@ -246,7 +276,8 @@ fn fit(held: &HeldCameras, views: &[SheetView], file: &str) -> Result<(Homograph
         if !square.is_finite() || found.iter().any(|(c, _)| *c == chosen) {
             continue;
         }
-        if let Ok(all) = fit_homography(held, &chosen_features(views, &chosen).concat(), &own.estimate.abc_per_mm) {
+        let features = chosen_features(views, &chosen).concat();
+        if let Ok(all) = fit_placed_homography(held, &features, &own.estimate.abc_per_mm, placement) {
             found.push((chosen, all));
         }
     }
@@ -324,6 +355,8 @@ fn appended(index: usize, images: &[SeenImage], job: &RigDescription) -> View {
         images: own.map(|i| (job.cameras[i.camera].name.clone(), i.name.clone())).collect(),
         sigma: record::PoseSigma::default(),
         planarity_mm: None,
+        plane_z_mm: None,
+        plane_z_sigma_mm: None,
         target: None,
     }
 }

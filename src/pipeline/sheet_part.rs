@@ -3,13 +3,21 @@
 use super::calibrate::Solved;
 use crate::camera::Camera;
 use crate::detect::EdgePoints;
-use crate::error::Result;
+use crate::error::{Invalid, Result};
+use crate::frames::{Rig, Sheet as SheetFrame};
 use crate::record::{Homography, Sheet};
-use crate::sheet::{HeldCameras, PairFeatures, fit_homography, joint_sheet, transfer_residuals};
+use crate::rig_file::SheetOrigin;
+use crate::rigid::Motion;
+use crate::sheet::{
+    HeldCameras, PairFeatures, Placement, fit_placed_homography, placed_joint_sheet, transfer_residuals,
+};
 use crate::target::DotId;
+use nalgebra::Vector3;
 
 /// Most pairs of discs per view that the homography looks at: more add nothing but time.
 const PAIRS_PER_VIEW: usize = 40;
+/// Sine of the angle to the normal below which a direction does not say where the sheet's x axis goes.
+const LEAST_X_AXIS: f64 = 0.05;
 
 /// The sheet, or `None` where no view was recorded in it.
 pub(super) fn sheet_part(s: &Solved) -> Result<Option<Sheet>> {
@@ -18,7 +26,8 @@ pub(super) fn sheet_part(s: &Solved) -> Result<Option<Sheet>> {
         return Ok(None);
     };
     let names: Vec<&str> = s.job.cameras.iter().map(|c| c.name.as_str()).collect();
-    let joint = joint_sheet(s.covariance, &plane, names.get(1).copied());
+    let placement = placement(s, &plane)?;
+    let joint = placed_joint_sheet(s.covariance, &plane, names.get(1).copied(), &placement);
     let mut sheet = joint.to_record("joint", views.clone());
     if let [first, second] = names[..] {
         let held = HeldCameras::of(s.covariance, [first, second]);
@@ -27,10 +36,49 @@ pub(super) fn sheet_part(s: &Solved) -> Result<Option<Sheet>> {
             let all = transfer_residuals(&held, &joint.abc_per_mm, &features);
             let left: Vec<f64> = all.iter().flatten().map(|r| r.norm_squared()).collect();
             sheet.disparity_rms_px = Some((left.iter().sum::<f64>() / left.len().max(1) as f64).sqrt());
-            sheet.homography = fit_homography(&held, &features, &joint.abc_per_mm).ok().map(|h| homography_of(&h));
+            let fitted = fit_placed_homography(&held, &features, &joint.abc_per_mm, &placement);
+            sheet.homography = fitted.ok().map(|h| homography_of(&h));
         }
     }
     Ok(Some(sheet))
+}
+
+/// Where the rig file places the sheet frame.
+fn placement(s: &Solved, plane: &Motion<Rig, SheetFrame>) -> Result<Placement> {
+    let wanted = &s.job.sheet;
+    let pose = |view: usize| s.covariance.natural.rig_from_target[view];
+    let origin_in_rig_mm = match wanted.origin {
+        SheetOrigin::FirstAxis => None,
+        SheetOrigin::Point(p) => Some(Vector3::from(p)),
+        SheetOrigin::Disc { view, id } => Some(pose(view).apply(&place_on_target(s, view, id))),
+    };
+    let x_in_rig: Option<Vector3<f64>> = wanted.x_axis_view.map(|v| pose(v).rotation.column(0).into_owned());
+    let normal = plane.rotation.column(2);
+    if let (Some(view), Some(x)) = (wanted.x_axis_view, &x_in_rig)
+        && x.cross(&normal).norm() < LEAST_X_AXIS
+    {
+        return Err(Invalid::File {
+            path: s.job.file.clone(),
+            message: format!(
+                "[sheet] x_axis: the target's x axis in view {view} stands upright on the sheet; choose a view in which it lies along it"
+            ),
+        }
+        .into());
+    }
+    Ok(Placement { origin_in_rig_mm, x_in_rig, flip_x: wanted.flip_x })
+}
+
+/// Place of a disc or mark of the target in the target's frame, mm, in a view.
+fn place_on_target(s: &Solved, view: usize, id: DotId) -> Vector3<f64> {
+    let (model, state) = (&s.adjustment.model.target, &s.adjustment.state);
+    let shape = if model.per_view() { state.views[view].shape_mm } else { state.shape_mm };
+    if let Some(j) = s.built.labels.iter().position(|l| *l == id) {
+        let offset = state.offsets_mm.get(j).map_or_else(Vector3::zeros, |o| Vector3::new(o[0], o[1], o[2]));
+        return model.nominal_disc(j, &shape).0 + offset;
+    }
+    // A mark that is no disc, or a dot that no image shows.
+    let node = super::model::node(&s.job.target.target, &id);
+    Vector3::new(node.x * shape[0], node.y * shape[0], -node.level * shape[2])
 }
 
 /// The paper's result as the record holds it.

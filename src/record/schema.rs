@@ -365,6 +365,12 @@ pub struct View {
     /// Root mean square distance of the view's own points from one plane, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub planarity_mm: Option<f64>,
+    /// Position along the normal of the common plane, where the rig file left it to be estimated, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plane_z_mm: Option<f64>,
+    /// Its standard deviation, mm; absent where nothing determines it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plane_z_sigma_mm: Option<f64>,
     /// Shape of this view's own target (bubbles).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<ViewTarget>,

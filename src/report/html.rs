@@ -138,9 +138,12 @@ fn sheet_section(out: &mut String, r: &Record) {
     let _ = writeln!(
         out,
         "<p class=\"note\">Plane: a x + b y + c z = 1 in the rig frame, normal · p = distance, normal away from the first camera. \
-         Angles 1 to 3: {}. Sheet frame: z towards the first camera, x the rig's x axis laid into the sheet, y up in the first image. \
-         Sigmas include those of the cameras.</p>",
-        escape(&sheet.angles_convention)
+         Angles 1 to 3: {}. Sheet frame: z, and a positive w, towards the first camera; {}. Sigmas include those of the cameras.</p>",
+        escape(&sheet.angles_convention),
+        r.provenance.options.get("sheet frame").map_or_else(
+            || "x the rig's x axis laid into the sheet, y up in the first image".to_string(),
+            |words| escape(words)
+        )
     );
 }
 

@@ -7,7 +7,7 @@ use super::print::labels_by_print;
 use super::starts::{best_start, joint_start};
 use super::{Mono, Pose, RigProblem, RigSolution, rms_of};
 use crate::bundle::{
-    AdjustOptions, Fact, Iteration, Model, SolveOptions, State, Termination, ViewPlace, ViewState, adjust,
+    AdjustOptions, Fact, Iteration, Model, PlanePosition, SolveOptions, State, Termination, ViewPlace, ViewState, adjust,
 };
 use crate::detect::pattern::Relabelling;
 use crate::error::{Error, Insufficient, Result, Unusable};
@@ -294,8 +294,10 @@ fn metric_scale(problem: &RigProblem, agreed: &Agreed, poses: &[(Motion<Rig, Tar
     // Steps of a traverse, where nothing else is metric.
     if model.target.free[0] {
         let at = |i: usize| match model.views[i].place {
-            ViewPlace::InPlane { z_mm } => Some((z_mm, poses[i].0.rotation.column(2).dot(&poses[i].0.translation_mm))),
-            ViewPlace::Free => None,
+            ViewPlace::InPlane { known: PlanePosition::Unknown, .. } | ViewPlace::Free => None,
+            ViewPlace::InPlane { z_mm, .. } => {
+                Some((z_mm, poses[i].0.rotation.column(2).dot(&poses[i].0.translation_mm)))
+            }
         };
         let all: Vec<(f64, f64)> = (0..poses.len()).filter_map(at).collect();
         let ends = all
@@ -313,7 +315,8 @@ fn metric_scale(problem: &RigProblem, agreed: &Agreed, poses: &[(Motion<Rig, Tar
 /// Mean plane of the views that lie in it.
 fn plane_of(problem: &RigProblem, poses: &[(Motion<Rig, Target>, [f64; 3])]) -> Option<Motion<Rig, Sheet>> {
     let mut frames = problem.model.views.iter().zip(poses).filter_map(|(view, (m, _))| match view.place {
-        ViewPlace::InPlane { z_mm } => Some((*m, z_mm)),
+        ViewPlace::InPlane { known: PlanePosition::Unknown, .. } => Some((*m, None)),
+        ViewPlace::InPlane { z_mm, .. } => Some((*m, Some(z_mm))),
         ViewPlace::Free => None,
     });
     let (first, z) = frames.next()?;
@@ -321,14 +324,16 @@ fn plane_of(problem: &RigProblem, poses: &[(Motion<Rig, Target>, [f64; 3])]) -> 
     for (m, z) in std::iter::once((first, z)).chain(frames) {
         let axis = m.rotation.column(2);
         normal += axis;
-        depth += axis.dot(&m.translation_mm) - z;
-        n += 1.0;
+        if let Some(z) = z {
+            depth += axis.dot(&m.translation_mm) - z;
+            n += 1.0;
+        }
     }
     let axis = normal.normalize();
     let x = (first.rotation.column(0) - axis * axis.dot(&first.rotation.column(0))).normalize();
     let rotation = Matrix3::from_columns(&[x, axis.cross(&x), axis]);
     // The foot of the first view's origin: near the images, so that tilts and depth are little correlated.
-    let origin = first.translation_mm + axis * (depth / n - axis.dot(&first.translation_mm));
+    let origin = first.translation_mm + axis * (depth / f64::max(n, 1.0) - axis.dot(&first.translation_mm));
     Some(Motion::new(rotation, origin))
 }
 
@@ -339,12 +344,13 @@ fn view_state(
     plane: Option<&Motion<Rig, Sheet>>,
 ) -> ViewState {
     match (place, plane) {
-        (ViewPlace::InPlane { z_mm }, Some(plane)) => {
+        (ViewPlace::InPlane { z_mm, known }, Some(plane)) => {
             let q: Motion<Sheet, Target> = plane.inverse() * *m;
             let turn = q.rotation.m21.atan2(q.rotation.m11);
             let (s, c) = turn.sin_cos();
             let rotation = Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0);
-            let planar = Motion::new(rotation, Vector3::new(q.translation_mm.x, q.translation_mm.y, z_mm));
+            let z = if known == PlanePosition::Unknown { q.translation_mm.z } else { z_mm };
+            let planar = Motion::new(rotation, Vector3::new(q.translation_mm.x, q.translation_mm.y, z));
             ViewState { first_from_target: *plane * planar, plane_from_target: Some(planar), shape_mm: *shape }
         }
         _ => ViewState { first_from_target: *m, plane_from_target: None, shape_mm: *shape },

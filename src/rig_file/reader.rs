@@ -128,6 +128,9 @@ impl<'a> Item<'a> {
         };
         Ok(array.iter().enumerate().map(item).collect())
     }
+    pub(super) fn is_text(&self) -> bool {
+        self.value.is_str()
+    }
     pub(super) fn is_table(&self) -> bool {
         self.value.is_table()
     }

@@ -56,7 +56,7 @@ pub(super) fn read(
 }
 
 fn has_steps(views: &[ViewDescription]) -> bool {
-    let mut positions = views.iter().filter_map(|v| v.plane_z_mm);
+    let mut positions = views.iter().filter_map(|v| v.plane_z_mm?.value_mm());
     positions.next().is_some_and(|first| positions.any(|z| z != first))
 }
 
@@ -102,7 +102,7 @@ fn pair_only(fact: &Item<'_>, target: &Target, key: &str) -> Result<()> {
     }
 }
 
-fn view_index(section: &Section<'_>, views: &[ViewDescription]) -> Result<usize> {
+pub(super) fn view_index(section: &Section<'_>, views: &[ViewDescription]) -> Result<usize> {
     let last = views.len().saturating_sub(1);
     let what = format!("a view from 0 to {last} (there are {}, counted from 0)", views.len());
     let index = section.require("view", &what)?.integer(0, i64::try_from(last).unwrap_or(i64::MAX), &what)?;

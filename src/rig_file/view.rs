@@ -1,8 +1,8 @@
 //! `[[view]]`.
 
 use super::camera::VIEW_KEYS;
-use super::reader::{FINITE, Item, Section};
-use super::{CameraDescription, ViewDescription};
+use super::reader::{FINITE, Item, SIGMA, Section};
+use super::{CameraDescription, PlaneZ, ViewDescription};
 use crate::error::Result;
 
 pub(super) fn read_all(root: &Section<'_>, cameras: &[CameraDescription]) -> Result<Vec<ViewDescription>> {
@@ -26,6 +26,14 @@ pub(super) fn read_all(root: &Section<'_>, cameras: &[CameraDescription]) -> Res
             }
         }
         views.push(view);
+    }
+    let counted = |v: &ViewDescription| v.sheet || v.plane_z_mm.is_some_and(|z| z.value_mm().is_some());
+    let unknown = views.iter().position(|v| v.plane_z_mm == Some(PlaneZ::Unknown));
+    if let Some(index) = unknown.filter(|_| !views.iter().any(counted)) {
+        return Err(items[index].refuse(
+            "plane_z_mm = \"unknown\" counts from the sheet or from a known position, and there is none; give at least one \
+             view sheet = true or a known plane_z_mm",
+        ));
     }
     if cameras.len() == 2 && !views.iter().any(|v| v.images.iter().all(Option::is_some)) {
         return Err(list.refuse(format!(
@@ -59,7 +67,28 @@ fn read(section: &Section<'_>, item: &Item<'_>, cameras: &[CameraDescription]) -
             "the sheet is measured with two cameras, but one is described; add the other camera, or remove sheet = true",
         ));
     }
-    Ok(ViewDescription { images, sheet, plane_z_mm: section.number("plane_z_mm", FINITE)?, line: item.line() })
+    let plane_z_mm = section.find("plane_z_mm").map(|i| plane_z(&i, sheet)).transpose()?;
+    Ok(ViewDescription { images, sheet, plane_z_mm, line: item.line() })
+}
+
+fn plane_z(item: &Item<'_>, sheet: bool) -> Result<PlaneZ> {
+    let exact =
+        "in a view with sheet = true the target is in the sheet exactly; remove sheet = true, or give a number alone";
+    if item.is_text() {
+        item.choice(&[("unknown", ())])?;
+        return if sheet { Err(item.refuse(exact)) } else { Ok(PlaneZ::Unknown) };
+    }
+    if !item.is_table() {
+        return Ok(PlaneZ::Known { z_mm: item.number(FINITE)?, sigma_mm: None });
+    }
+    let section = item.section("a table")?;
+    section.only(&["value", "sigma"], |_| None)?;
+    let z_mm = section.require("value", "expected a position in mm")?.number(FINITE)?;
+    let sigma_mm = section.number("sigma", SIGMA)?;
+    if sheet && sigma_mm.is_some() {
+        return Err(item.refuse(exact));
+    }
+    Ok(PlaneZ::Known { z_mm, sigma_mm })
 }
 
 /// In a view an unknown key is most often a camera that is not described.

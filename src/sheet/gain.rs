@@ -29,7 +29,7 @@
 //! Not valid where both cameras see the sheet along the same line (A has no inverse: `None`).
 
 use super::parameter::{Parameter, stepped_camera, stepped_motion};
-use super::plane_geometry;
+use super::{Placement, plane_geometry};
 use crate::bundle::NamedCovariance;
 use crate::camera::Camera;
 use crate::frames::{Cam, Rig, Sheet};
@@ -85,7 +85,7 @@ impl StereoSheet {
     /// Cameras, motion of the second against the rig, and any frame whose plane z = 0 is the sheet.
     pub fn new(cameras: [Camera; 2], second_from_rig: Motion<Cam, Rig>, rig_from_plane: &Motion<Rig, Sheet>) -> Self {
         let axis: Vector3<f64> = rig_from_plane.rotation.column(2).into_owned();
-        let geometry = plane_geometry(axis, axis.dot(&rig_from_plane.translation_mm), None);
+        let geometry = plane_geometry(axis, axis.dot(&rig_from_plane.translation_mm), None, &Placement::default());
         let rig_from_sheet = geometry.estimate.rig_from_sheet;
         Self { cameras, cam_from_rig: [Motion::identity(), second_from_rig], rig_from_sheet }
     }

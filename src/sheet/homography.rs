@@ -12,7 +12,7 @@
 //! linear in abc.
 
 use super::parameter::{Parameter, stepped_camera, stepped_motion};
-use super::{SheetEstimate, plane_geometry, sigmas};
+use super::{Placement, SheetEstimate, plane_geometry, sigmas};
 use crate::bitangent::bitangents;
 use crate::bundle::NamedCovariance;
 use crate::camera::Camera;
@@ -256,6 +256,19 @@ pub fn triangulated_plane(held: &HeldCameras, features: &[PairFeatures]) -> Opti
 /// # Errors
 /// [`Insufficient::Degenerate`] where there are no features or they do not fix a plane.
 pub fn fit_homography(held: &HeldCameras, features: &[PairFeatures], start: &Vector3<f64>) -> Result<Homography> {
+    fit_placed_homography(held, features, start, &Placement::default())
+}
+
+/// [`fit_homography`] with the sheet frame where `placement` says.
+///
+/// # Errors
+/// As [`fit_homography`].
+pub fn fit_placed_homography(
+    held: &HeldCameras,
+    features: &[PairFeatures],
+    start: &Vector3<f64>,
+    placement: &Placement,
+) -> Result<Homography> {
     let degenerate = || {
         Insufficient::Degenerate(
             "the discs recorded in the sheet do not fix its plane; record the target at two or more places of the sheet, \
@@ -269,7 +282,7 @@ pub fn fit_homography(held: &HeldCameras, features: &[PairFeatures], start: &Vec
     let inverse = n.try_inverse().ok_or_else(degenerate)?;
     let length = abc.norm();
     let center = |x: &Pair| x.second_from_first.inverse().translation_mm;
-    let geometry = plane_geometry(abc / length, 1.0 / length, Some(center(pair)));
+    let geometry = plane_geometry(abc / length, 1.0 / length, Some(center(pair)), placement);
     let turn = seven_by_abc(&geometry.estimate.normal, geometry.estimate.distance_mm);
     // Seven numbers (w, n . v, centre) by abc; the cameras' share by finite change of the normal equations.
     let mut by_camera = DMatrix::<f64>::zeros(7, held.parameters.len());

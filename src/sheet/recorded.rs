@@ -1,6 +1,6 @@
 //! A plane as the record holds it.
 
-use super::{SheetEstimate, plane_geometry};
+use super::{Placement, SheetEstimate, plane_geometry};
 use crate::record::{ANGLES_CONVENTION, Pose, Sheet, SheetSigma};
 use nalgebra::Vector3;
 
@@ -8,7 +8,7 @@ impl SheetEstimate {
     /// The plane `normal . p = distance` of the rig frame, its sigmas unknown; `second_center_mm` is the second projection
     /// centre in the rig frame.
     pub fn of_plane(normal: Vector3<f64>, distance_mm: f64, second_center_mm: Option<Vector3<f64>>) -> Self {
-        let mut estimate = plane_geometry(normal, distance_mm, second_center_mm).estimate;
+        let mut estimate = plane_geometry(normal, distance_mm, second_center_mm, &Placement::default()).estimate;
         estimate.sigmas.fill(f64::NAN);
         estimate
     }

@@ -4,8 +4,8 @@
 
 use nalgebra::{Vector2, Vector3};
 use spivcal::bundle::{
-    CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, State, TargetModel, TargetShape,
-    ViewModel, ViewPlace, ViewState,
+    CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, PlanePosition, State, TargetModel,
+    TargetShape, ViewModel, ViewPlace, ViewState,
 };
 use spivcal::camera::{Camera, Intrinsics, Radial};
 use spivcal::conic::fit_direct;
@@ -108,7 +108,16 @@ pub(crate) struct Parts {
 }
 
 impl Parts {
-    fn of(seed: u64, cameras: Vec<Camera>, grid: Option<Grid>, per_view: bool, plane: bool, points: bool) -> Self {
+    /// Six views, parallel to the sheet at the positions given, mm; `None`: anywhere.
+    fn of(
+        seed: u64,
+        cameras: Vec<Camera>,
+        grid: Option<Grid>,
+        per_view: bool,
+        points: bool,
+        position: &dyn Fn(usize) -> Option<f64>,
+    ) -> Self {
+        let plane = (0..6).any(|v| position(v).is_some());
         let mut noise = Noise::new(seed);
         // The sheet 500 mm away, seen under 45 degrees from either side.
         let rig_from_sheet: Motion<Rig, Sheet> = Motion::new(
@@ -127,18 +136,22 @@ impl Parts {
         let turning = grid.map_or(1.0, |g| g.turn);
         let mut views = vec![];
         for v in 0..6 {
-            let in_plane = plane && v >= 4;
+            let (z, in_plane) = (position(v).unwrap_or(0.0), position(v).is_some());
             let turn = if in_plane { [0.0, 0.0] } else { [0.45, 0.45].map(|t| turning * t * (noise.uniform() - 0.5)) };
             let spin = turning * 3.0 * (noise.uniform() - 0.5);
             let aside = [4.0 * turning * noise.normal(), 2.0 * turning * noise.normal()];
-            let shift = [-6.0 + aside[0], aside[1], if in_plane { 0.0 } else { 2.0 * noise.normal() }];
+            let shift = [-6.0 + aside[0], aside[1], if in_plane { z } else { 2.0 * noise.normal() }];
             let rotation =
                 rotation_exp(&Vector3::new(turn[0], turn[1], 0.0)) * rotation_exp(&Vector3::new(0.0, 0.0, spin));
             let sheet_from_target: Motion<Sheet, Target> =
                 Motion::new(rotation, Vector3::from(shift) + rotation * Vector3::new(0.0, 0.0, 0.0));
             let own = [shape_mm[0] + noise.uniform(), shape_mm[1] - noise.uniform(), shape_mm[2] - noise.uniform()];
             views.push(PartView {
-                place: if in_plane { ViewPlace::InPlane { z_mm: 0.0 } } else { ViewPlace::Free },
+                place: if in_plane {
+                    ViewPlace::InPlane { z_mm: z, known: PlanePosition::Exact }
+                } else {
+                    ViewPlace::Free
+                },
                 rig_from_target: rig_from_sheet * sheet_from_target,
                 shape_mm: if per_view { own } else { shape_mm },
             });
@@ -244,13 +257,24 @@ impl Scene {
 
     /// The same with other cameras at the same places.
     pub(crate) fn with_cameras(seed: u64, cameras: Vec<Camera>, per_view: bool, plane: bool, points: bool) -> Self {
-        let grid = Grid { columns: 3, rows: 3, pitch_mm: 8.0, radius_mm: 2.5, print_error_mm: 0.01, turn: 1.0 };
-        Parts::of(seed, cameras, points.then_some(grid), per_view, plane, points).scene()
+        Self::at_positions(seed, cameras, per_view, points, &|v| (plane && v >= 4).then_some(0.0))
     }
 
     /// The same with a grid as the target, no view in the sheet; every dot estimated when `points`.
     pub(crate) fn with_grid(seed: u64, cameras: Vec<Camera>, grid: Grid, points: bool) -> Self {
-        Parts::of(seed, cameras, Some(grid), false, false, points).scene()
+        Parts::of(seed, cameras, Some(grid), false, points, &|_| None).scene()
+    }
+
+    /// The same with views parallel to the sheet at the positions given, mm; `None`: anywhere.
+    pub(crate) fn at_positions(
+        seed: u64,
+        cameras: Vec<Camera>,
+        per_view: bool,
+        points: bool,
+        position: &dyn Fn(usize) -> Option<f64>,
+    ) -> Self {
+        let grid = Grid { columns: 3, rows: 3, pitch_mm: 8.0, radius_mm: 2.5, print_error_mm: 0.01, turn: 1.0 };
+        Parts::of(seed, cameras, points.then_some(grid), per_view, points, position).scene()
     }
 
     /// What a calibration from nothing but contours has to start from.

@@ -17,7 +17,7 @@
 use super::{Noise, PartView, Parts, Scene, tilted_camera};
 use nalgebra::{Matrix3, Vector3};
 use serde_json::Value;
-use spivcal::bundle::{Fact, Focus, TargetModel, TargetShape, ViewPlace};
+use spivcal::bundle::{Fact, Focus, PlanePosition, TargetModel, TargetShape, ViewPlace};
 use spivcal::camera::{Camera, Intrinsics};
 use spivcal::frames::{Cam, Rig};
 use spivcal::rigid::Motion;
@@ -124,7 +124,11 @@ fn parts_of(scene: &simulate::Scene) -> Parts {
     };
     let shared = shape(&truth["target"]);
     let view = |v: &Value| PartView {
-        place: if v["in_sheet"].as_bool().unwrap() { ViewPlace::InPlane { z_mm: 0.0 } } else { ViewPlace::Free },
+        place: if v["in_sheet"].as_bool().unwrap() {
+            ViewPlace::InPlane { z_mm: 0.0, known: PlanePosition::Exact }
+        } else {
+            ViewPlace::Free
+        },
         rig_from_target: motion(&v["rig_from_target"]),
         shape_mm: shared.or_else(|| shape(&v["target"])).unwrap(),
     };
@@ -207,8 +211,8 @@ impl Problem {
             "D1" => with_plate(1),
             "D3" => with_plate(3),
             "D10" => with_plate(10),
-            "two-discs" => Parts::of(21, tilted(), None, false, true, false),
-            "bubbles" => Parts::of(21, tilted(), None, true, true, false),
+            "two-discs" => Parts::of(21, tilted(), None, false, false, &|v| (v >= 4).then_some(0.0)),
+            "bubbles" => Parts::of(21, tilted(), None, true, false, &|v| (v >= 4).then_some(0.0)),
             _ => return None,
         };
         Some(Self { name: name.into(), parts, focused: name == "C" })

@@ -188,6 +188,8 @@ fn view(i: usize) -> View {
         ]),
         sigma: PoseSigma { rotation_rad: [3.1e-4, 3.3e-4, 1.2e-4], translation_mm: [0.012, 0.011, 0.34] },
         planarity_mm: None,
+        plane_z_mm: None,
+        plane_z_sigma_mm: None,
         target: None,
     };
     if i == 3 {
