@@ -66,8 +66,10 @@ fn true_sheet(scene: &Scene) -> [f64; 2] {
 
 /// Fresh noise on the edge points and a fresh draw of the facts.
 fn drawn(scene: &Scene, seed: u64) -> Scene {
-    let mut out = scene.with_noise(seed);
-    let mut noise = Noise::stream(seed, 1);
+    let mut spread = Noise::new(seed);
+    let mut fresh = || (spread.uniform() * (1u64 << 53) as f64) as u64;
+    let mut out = scene.with_noise(fresh());
+    let mut noise = Noise::new(fresh());
     for fact in &mut out.model.facts {
         match fact {
             Fact::Intrinsic { value, sigma, .. } => *value += *sigma * noise.normal(),

@@ -18,7 +18,7 @@ mod reference;
 mod scatter;
 
 pub(crate) use reference::{Draw, Problem};
-pub(crate) use scatter::{Bound, QUANTITIES, Run, Summary, band, given_sigmas, true_stereo};
+pub(crate) use scatter::{Bound, QUANTITIES, Run, Summary, band, given_sigmas, solved, true_stereo};
 
 const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
 

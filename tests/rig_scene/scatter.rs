@@ -139,7 +139,7 @@ pub(crate) struct Run {
     pub(crate) disparity_px2: f64,
 }
 
-fn solved(scene: &Scene, seed: u64) -> (Adjustment, bool) {
+pub(crate) fn solved(scene: &Scene, seed: u64) -> (Adjustment, bool) {
     let options = given_sigmas();
     let out = adjust(&scene.model, scene.perturbed_by(seed, 0.3), &options, &mut |_| true);
     let near = adjust(&scene.model, scene.truth.clone(), &options, &mut |_| true);
