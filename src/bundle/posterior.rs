@@ -82,6 +82,12 @@ impl NamedCovariance {
             Some(i) => self.determined[i].then(|| self.matrix[(i, i)].max(0.0).sqrt()),
         }
     }
+    /// True where a linear function of named parameters, a (name, coefficient) list, stands still along every undetermined
+    /// direction: the angle of the sheet to the baseline may be known where neither sheet nor baseline is.
+    pub fn is_determined(&self, row: &[(String, f64)]) -> bool {
+        let terms: Vec<(usize, f64)> = row.iter().filter_map(|(n, c)| Some((self.index(n)?, *c))).collect();
+        still(&terms, &self.null_directions)
+    }
     /// Covariance of linear functions of named parameters: `rows` are (name, coefficient) lists.
     pub fn propagate(&self, rows: &[Vec<(String, f64)>]) -> DMatrix<f64> {
         let j = DMatrix::from_fn(rows.len(), self.names.len(), |r, c| {
@@ -110,7 +116,7 @@ pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
     });
     let matrix = &g * &full * g.transpose();
     let moved = null_movements(&post, &places, adjustment.equations.as_ref()?);
-    let determined = rows.iter().map(|row| still(row, &moved)).collect();
+    let determined = rows.iter().map(|row| still(&row.terms, &moved)).collect();
     let names: Vec<String> = rows.into_iter().map(|r| r.name).collect();
     let offset_sigmas_mm = places.offsets.map_or_else(Vec::new, |at| {
         let sigma = |i: usize| post.global[(i, i)].max(0.0).sqrt();
@@ -257,12 +263,12 @@ fn null_movements(post: &Posterior, places: &Places, e: &crate::solve::NormalEqu
     moved
 }
 
-/// A row is undetermined where it moves along a null direction by more than a ten-thousandth of what the direction moves
-/// the unknowns it is made of.
-fn still(row: &Row, moved: &DMatrix<f64>) -> bool {
+/// A sum is undetermined where it moves along a null direction by more than a ten-thousandth of what the direction moves
+/// its terms.
+fn still(terms: &[(usize, f64)], moved: &DMatrix<f64>) -> bool {
     moved.column_iter().all(|m| {
-        let sum: f64 = row.terms.iter().map(|(i, c)| c * m[*i]).sum();
-        let size: f64 = row.terms.iter().map(|(i, c)| (c * m[*i]).abs()).sum();
+        let sum: f64 = terms.iter().map(|(i, c)| c * m[*i]).sum();
+        let size: f64 = terms.iter().map(|(i, c)| (c * m[*i]).abs()).sum();
         sum.abs() <= 1e-4 * size || size <= 1e-9
     })
 }

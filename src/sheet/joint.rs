@@ -8,7 +8,8 @@ use crate::rigid::Motion;
 use nalgebra::{DMatrix, SMatrix, Vector3};
 
 /// The common plane with its standard deviations, all correlations with the cameras included; `second` is the name of
-/// the second camera.
+/// the second camera. A number that nothing determines has the sigma `NaN`; the angle to the baseline may be known where the
+/// plane's angles in the lens frame are not.
 pub fn joint_sheet(covariance: &NamedCovariance, plane: &Motion<Rig, Sheet>, second: Option<&str>) -> SheetEstimate {
     placed_joint_sheet(covariance, plane, second, &Placement::default())
 }
@@ -41,9 +42,14 @@ pub fn placed_joint_sheet(
     let all = geometry.derivative * seven * geometry.derivative.transpose();
     let mut estimate = geometry.estimate;
     estimate.sigmas = sigmas(&all);
-    let known = (0..6).all(|k| covariance.sigma(&sheet_step(k)).is_some());
-    if !known {
-        estimate.sigmas.fill(f64::NAN);
+    for q in 0..SheetEstimate::QUANTITIES {
+        let part = |(j, terms): (usize, &Vec<(String, f64)>)| -> Vec<(String, f64)> {
+            terms.iter().map(|(n, c)| (n.clone(), geometry.derivative[(q, j)] * c)).collect()
+        };
+        let row: Vec<(String, f64)> = rows.iter().enumerate().flat_map(part).collect();
+        if !covariance.is_determined(&row) {
+            estimate.sigmas[q] = f64::NAN;
+        }
     }
     estimate
 }

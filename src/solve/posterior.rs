@@ -92,7 +92,16 @@ pub fn posterior(equations: &NormalEquations) -> Posterior {
         let d = equations.h_gg[(i, i)];
         if d > 0.0 { d.sqrt().recip() } else { 1.0 }
     });
-    let scaled = DMatrix::from_fn(n, n, |i, j| s[(i.max(j), i.min(j))] * scale[i] * scale[j]);
+    // What nothing sees has no information; the unit diagonal of the elimination only makes its step zero.
+    let seen = |i: usize| equations.h_gg[(i, i)] > 0.0;
+    let scaled =
+        DMatrix::from_fn(
+            n,
+            n,
+            |i, j| {
+                if seen(i) && seen(j) { s[(i.max(j), i.min(j))] * scale[i] * scale[j] } else { 0.0 }
+            },
+        );
     let eigen = symmetric_eigen(&scaled)
         .unwrap_or_else(|| super::SymmetricEigen { values: DVector::zeros(n), vectors: DMatrix::identity(n, n) });
     let nullity = eigen.values.iter().filter(|v| **v < RANK_LIMIT).count();

@@ -1,6 +1,6 @@
 //! A synthetic rig with exact contours of two discs: the paper's geometry (50 mm lens, 500 mm, 45 degrees, 6.25 um).
 
-#![allow(dead_code)]
+#![allow(dead_code, unused_imports)]
 
 use nalgebra::{Vector2, Vector3};
 use spivcal::bundle::{
@@ -18,7 +18,7 @@ mod reference;
 mod scatter;
 
 pub(crate) use reference::{Draw, Problem};
-pub(crate) use scatter::{Bound, QUANTITIES, Run, Summary, band};
+pub(crate) use scatter::{Bound, QUANTITIES, Run, Summary, band, given_sigmas, solved, true_stereo};
 
 const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
 

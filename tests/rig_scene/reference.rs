@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | A | preset `paper-table2`: five of a printed pair of discs by hand, one in the sheet | spacing of the pair |
 //! | B | 20 pairs of bubbles, freely posed, radii and spacing of their own; the last one is the sheet | spacing of the last |
-//! | B5 | B with four more pairs in that sheet | the same |
+//! | B5 | 20 pairs freely posed and five in one sheet | the same |
 //! | C | 5 pairs of bubbles in one fixed sheet; focus relation of both cameras, 0.3 degrees and 0.5 % | spacing of the first |
 //! | C0 | C without the focus relation | the same |
 //! | D1, D3, D10 | C0 with 1, 3, 10 views of a printed plate of known shape | the plate |
@@ -183,6 +183,11 @@ impl Problem {
     pub(crate) const NAMES: [&'static str; 12] =
         ["A", "B", "B5", "C", "C0", "D1", "D3", "D10", "paper-table1", "paper-table3", "two-discs", "bubbles"];
 
+    /// A problem of other parts.
+    pub(crate) fn made_of(name: &str, parts: Parts) -> Self {
+        Self { name: name.into(), parts, focused: false }
+    }
+
     /// The problem of this name.
     pub(crate) fn of(name: &str) -> Option<Self> {
         let of_text = |text: &str| parts_of(&simulate::Scene::parse(text, name).unwrap());
@@ -201,7 +206,7 @@ impl Problem {
             "A" => preset("paper-table2"),
             "paper-table1" | "paper-table3" => preset(name),
             "B" => known(of_text(&bubbles(20, 1, 0)), 19),
-            "B5" => known(of_text(&bubbles(24, 5, 0)), 23),
+            "B5" => known(of_text(&bubbles(25, 5, 0)), 24),
             "C" => {
                 let mut parts = known(of_text(&bubbles(5, 5, 0)), 0);
                 parts.knows_focus();

@@ -85,7 +85,7 @@ fn sheet_numbers(stereo: &StereoSheet, second_center_mm: Vector3<f64>) -> [f64; 
     [n.dot(&second_center_mm.normalize()).asin(), n.dot(&plane.translation_mm)]
 }
 
-fn true_stereo(parts: &Parts) -> StereoSheet {
+pub(crate) fn true_stereo(parts: &Parts) -> StereoSheet {
     let plane = parts.rig_from_sheet.expect("a sheet");
     StereoSheet::new([parts.cameras[0], parts.cameras[1]], parts.cam_from_rig, &plane)
 }
@@ -114,10 +114,9 @@ impl Bound {
         let plane = covariance.natural.rig_from_plane.expect("a sheet");
         let sheet = joint_sheet(&covariance, &plane, Some("right"));
         let sheet_points = SheetUncertainty::of(&covariance, NAMES).expect("two cameras and a sheet");
-        let determined = |rows: &[(String, f64)]| rows.iter().all(|(n, _)| covariance.sigma(n).is_some());
         let rows = covariance.natural.cameras.iter().zip(NAMES).flat_map(|(c, n)| camera_rows(n, c));
         let mut sigmas: Vec<Option<f64>> =
-            rows.enumerate().map(|(k, row)| determined(&row).then(|| cameras[(k, k)].sqrt())).collect();
+            rows.enumerate().map(|(k, row)| covariance.is_determined(&row).then(|| cameras[(k, k)].sqrt())).collect();
         sigmas.extend([sheet.sigmas[9], sheet.sigmas[0]].map(|s| s.is_finite().then_some(s)));
         sigmas.push(sheet_points.at([0.0, 0.0]).expect("seen").relative_gain());
         let all: Option<Vec<f64>> = grid().map(|p| sheet_points.at(p).expect("seen").disparity_px()).collect();
@@ -140,7 +139,7 @@ pub(crate) struct Run {
     pub(crate) disparity_px2: f64,
 }
 
-fn solved(scene: &Scene, seed: u64) -> (Adjustment, bool) {
+pub(crate) fn solved(scene: &Scene, seed: u64) -> (Adjustment, bool) {
     let options = given_sigmas();
     let out = adjust(&scene.model, scene.perturbed_by(seed, 0.3), &options, &mut |_| true);
     let near = adjust(&scene.model, scene.truth.clone(), &options, &mut |_| true);
