@@ -142,7 +142,9 @@ fn bitangent_model(contours: &Model, images: &[SeenImage], built: &Built) -> Res
             };
             let (Some(da), Some(db)) = (found(a.disc), found(b.disc)) else { continue };
             let Ok(tangents) = bitangents(&da.ellipse, &db.ellipse) else { continue };
-            let whitening = tangents.whitening([&da.covariance, &db.covariance], ExternalUse::WhereMeasurable)?;
+            // Equal discs: the external tangents meet at infinity on the target, wherever they meet in the image. Leaving
+            // that crossing out loses nothing.
+            let whitening = tangents.whitening([&da.covariance, &db.covariance], ExternalUse::Never)?;
             let kept: Vec<usize> =
                 (0..POINTS).filter(|&p| whitening.external || p != crate::bitangent::EXTERNAL_CROSSING).collect();
             let at = |j: usize| 2 * kept[j / 2] + j % 2;

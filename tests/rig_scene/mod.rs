@@ -140,7 +140,7 @@ impl Scene {
             shape_mm,
             offsets_mm,
         };
-        let mut model = Model {
+        let model = Model {
             cameras: ["left", "right"].map(|n| CameraModel { name: n.into(), free }).into(),
             target,
             views: places,
@@ -148,17 +148,22 @@ impl Scene {
             images: vec![],
             loss: Loss::None,
         };
-        for (v, view) in views.iter().enumerate() {
-            for (c, camera) in cameras.iter().enumerate() {
-                let cam_from_target: Motion<Cam, Target> = match c {
-                    0 => Motion::new(view.first_from_target.rotation, view.first_from_target.translation_mm),
-                    _ => cam_from_rig * view.first_from_target,
-                };
-                let own = if per_view { view.shape_mm } else { shape_mm };
-                model.images.push(image(&model.target, camera, &cam_from_target, &own, &truth.offsets_mm, v, c));
+        Self { model, cameras, truth }.seen_again()
+    }
+
+    /// The exact contours of the truth as it stands.
+    pub(crate) fn seen_again(mut self) -> Self {
+        self.model.images.clear();
+        for (v, view) in self.truth.views.iter().enumerate() {
+            for (c, camera) in self.cameras.iter().enumerate() {
+                let turn: Motion<Cam, Cam> = Motion::new(camera.cam_from_pinhole(), Vector3::zeros());
+                let cam_from_target = turn * self.truth.camera_from_first[c] * view.first_from_target;
+                let own = if self.model.target.per_view() { view.shape_mm } else { self.truth.shape_mm };
+                let seen = image(&self.model.target, camera, &cam_from_target, &own, &self.truth.offsets_mm, v, c);
+                self.model.images.push(seen);
             }
         }
-        Self { model, cameras, truth }
+        self
     }
 
     /// What a calibration from nothing but contours has to start from.

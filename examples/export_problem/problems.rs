@@ -1,0 +1,209 @@
+//! The problems: each a model with noisy observations and a start some way off.
+
+use crate::rig_scene::{Noise, Scene, tilted_camera};
+use nalgebra::{DMatrix, Vector3};
+use spivcal::bitangent::{EXTERNAL_CROSSING, ExternalUse, POINTS, bitangents};
+use spivcal::bundle::{DiscObservation, Fact, Focus, Loss, Model, PairObservation, State, TargetShape, ViewPlace};
+use spivcal::camera::{Camera, Radial};
+use spivcal::conic::fit_geometric;
+use spivcal::frames::Rig;
+use spivcal::rigid::Motion;
+
+pub struct Case {
+    pub name: &'static str,
+    pub model: Model,
+    pub start: State,
+}
+
+const SEED: u64 = 4;
+
+fn noisy(per_view: bool, plane: bool, points: bool) -> Scene {
+    Scene::build(SEED, per_view, plane, points).with_noise(SEED)
+}
+
+fn case(name: &'static str, scene: Scene) -> Case {
+    let start = scene.perturbed_by(SEED, 0.5);
+    Case { name, model: scene.model, start }
+}
+
+/// What the first camera alone sees.
+fn mono_case(name: &'static str, scene: Scene) -> Case {
+    let mut case = case(name, scene);
+    case.model.cameras.truncate(1);
+    case.model.images.retain(|i| i.camera == 0);
+    case.model.facts.retain(|f| matches!(f, Fact::Intrinsic { camera: 0, .. }));
+    case.start.cameras.truncate(1);
+    case.start.camera_from_first.truncate(1);
+    case
+}
+
+/// Tangent features, whitened, in place of contours; neighbours along the rows of a lattice are pairs.
+fn with_tangents(mut model: Model) -> Model {
+    let rows = matches!(model.target.shape, TargetShape::Lattice(_)).then_some(3);
+    // The external tangents of equal discs meet at infinity on the target, wherever they meet in the image.
+    let external = if rows.is_some() { ExternalUse::Never } else { ExternalUse::WhereMeasurable };
+    for image in &mut model.images {
+        let discs = std::mem::take(&mut image.discs);
+        let same_row = |a: &DiscObservation, b: &DiscObservation| rows.is_none_or(|n| a.disc / n == b.disc / n);
+        image.pairs =
+            discs.windows(2).filter(|w| same_row(&w[0], &w[1])).map(|w| pair(&w[0], &w[1], external)).collect();
+    }
+    model.target.offset_sigma_mm = None;
+    model
+}
+
+fn pair(a: &DiscObservation, b: &DiscObservation, external: ExternalUse) -> PairObservation {
+    let fit = |d: &DiscObservation| fit_geometric(&d.edge.u_px, &d.edge.v_px, &d.edge.sigma_px).expect("an ellipse");
+    let (ea, eb) = (fit(a), fit(b));
+    let tangents = bitangents(&ea.ellipse, &eb.ellipse).expect("separated discs");
+    let whitening = tangents.whitening([&ea.covariance, &eb.covariance], external).unwrap();
+    let kept: Vec<usize> = (0..POINTS).filter(|&p| whitening.external || p != EXTERNAL_CROSSING).collect();
+    let at = |j: usize| 2 * kept[j / 2] + j % 2;
+    PairObservation {
+        discs: [a.disc, b.disc],
+        pixels_px: (0..2 * kept.len()).map(|j| tangents.points[at(j)]).collect(),
+        whitening: DMatrix::from_fn(whitening.rank, 2 * kept.len(), |i, j| whitening.matrix[(i, at(j))]),
+        kept,
+    }
+}
+
+/// Every 17th edge point moved off by up to 15 sigmas: what a robust loss is for.
+fn with_outliers(mut scene: Scene, loss: Loss) -> Scene {
+    let mut noise = Noise::new(99);
+    for edge in scene.model.images.iter_mut().flat_map(|i| &mut i.discs).map(|d| &mut d.edge) {
+        for i in (0..edge.u_px.len()).step_by(17) {
+            edge.u_px[i] += 15.0 * edge.sigma_px[i] * (noise.uniform() - 0.5);
+            edge.v_px[i] += 15.0 * edge.sigma_px[i] * (noise.uniform() - 0.5);
+        }
+    }
+    scene.model.loss = loss;
+    scene
+}
+
+fn with_focus(mut scene: Scene) -> Scene {
+    scene.model.facts.extend([Some((50.0, 0.005)), None].iter().enumerate().map(|(camera, distance)| {
+        Fact::Focus(Focus { camera, pixel_pitch_mm: 0.00625, tilt_sigma_rad: 5e-3, distance: *distance })
+    }));
+    scene
+}
+
+/// f of the left camera fixed (lens chart on that side), priors on tilt and distortion of both.
+fn fixed_f() -> Case {
+    let mut scene = noisy(false, true, false);
+    scene.model.cameras[0].free[0] = false;
+    for (camera, tilt) in [(0, -0.1107), (1, 0.1107)] {
+        scene.model.facts.push(Fact::Intrinsic { camera, parameter: 5, value: tilt + 0.002, sigma: 0.003 });
+        scene.model.facts.push(Fact::Intrinsic { camera, parameter: 6, value: -0.25, sigma: 0.1 });
+    }
+    let mut case = case("fixed_f", scene);
+    case.start = in_lens_frame(case.start);
+    case
+}
+
+/// The lens chart of the first camera holds poses in its lens frame.
+fn in_lens_frame(mut state: State) -> State {
+    let camera = Camera::new(state.cameras[0]).expect("a camera");
+    let turn: Motion<Rig, Rig> = Motion::new(camera.cam_from_pinhole(), Vector3::zeros());
+    state.camera_from_first.iter_mut().skip(1).for_each(|m| *m = *m * turn.inverse());
+    state.first_from_plane.iter_mut().for_each(|m| *m = turn * *m);
+    state.views.iter_mut().for_each(|v| v.first_from_target = turn * v.first_from_target);
+    state
+}
+
+/// Every intrinsic of both cameras free, the weak ones with priors.
+fn with_all_intrinsics() -> Scene {
+    let camera = |tilt: f64, alpha: f64| {
+        let mut i = *tilted_camera(tilt, alpha).intrinsics();
+        (i.aspect, i.k[1], i.pupil_ratio) = (1.003, 2.0, 1.02);
+        Camera::new(i).unwrap()
+    };
+    let cameras = vec![camera(-0.1107, 0.01), camera(0.1107, -0.02)];
+    let mut scene = Scene::with_cameras(SEED, cameras, false, true, false).with_noise(SEED);
+    for camera in 0..2 {
+        scene.model.cameras[camera].free = [true; 10];
+        for (parameter, value, sigma) in [(1, 1.0, 0.01), (7, 0.0, 5.0), (8, 0.0, 50.0), (9, 1.0, 0.05)] {
+            scene.model.facts.push(Fact::Intrinsic { camera, parameter, value, sigma });
+        }
+    }
+    scene
+}
+
+/// The polynomial from distorted to ideal points.
+fn photogrammetric() -> Scene {
+    let camera = |tilt: f64, alpha: f64| {
+        let mut i = *tilted_camera(tilt, alpha).intrinsics();
+        i.radial = Radial::DistortedToIdeal;
+        Camera::new(i).unwrap()
+    };
+    let cameras = vec![camera(-0.1107, 0.01), camera(0.1107, -0.02)];
+    Scene::with_cameras(SEED, cameras, false, true, false).with_noise(SEED)
+}
+
+/// The grid on a traverse whose steps are the only length: the spacing is free, three views at known depths.
+fn traverse() -> Case {
+    let steps = [(3, 1.5), (4, 0.0), (5, -1.5)];
+    let mut scene = Scene::build(SEED, false, true, false);
+    let plane = scene.truth.first_from_plane.expect("a plane");
+    let sheet_of = |scene: &Scene, v: usize| scene.truth.views[v].plane_from_target.expect("a view in the plane");
+    let planar: Vec<_> = [4, 4, 5].iter().map(|&v| sheet_of(&scene, v)).collect();
+    for ((v, z), mut m) in steps.into_iter().zip(planar) {
+        m.translation_mm.z = z;
+        scene.model.views[v].place = ViewPlace::InPlane { z_mm: z };
+        scene.truth.views[v].plane_from_target = Some(m);
+        scene.truth.views[v].first_from_target = plane * m;
+    }
+    scene.model.target.free[0] = true;
+    let scene = scene.seen_again().with_noise(SEED);
+    case("traverse", scene)
+}
+
+/// A perfect grid: with its discs anywhere, tangent features without offsets would not fit.
+fn perfect_grid() -> Scene {
+    let mut scene = Scene::build(SEED, false, true, true);
+    scene.truth.offsets_mm.fill([0.0; 4]);
+    scene.seen_again().with_noise(SEED)
+}
+
+/// What other programs calibrate too: one camera, a perfect grid of known pitch, axis point held; f, tilts and k1 free.
+fn plain_grid() -> Case {
+    let mut scene = Scene::build(SEED, false, false, true);
+    scene.truth.offsets_mm.clear();
+    scene.model.target.offset_sigma_mm = None;
+    (scene.model.cameras[0].free[2], scene.model.cameras[0].free[3]) = (false, false);
+    let mut case = mono_case("plain_grid", scene.seen_again().with_noise(SEED));
+    case.model.facts.clear();
+    (case.start.cameras[0].cx_px, case.start.cameras[0].cy_px) = (520.0, 380.0);
+    case
+}
+
+pub fn all() -> Vec<Case> {
+    let tangents = |case: Case| {
+        let start = State { offsets_mm: vec![], ..case.start };
+        Case { model: with_tangents(case.model), start, ..case }
+    };
+    let huber = |k: f64| with_outliers(noisy(false, true, false), Loss::Huber(k));
+    let mut robust_tangents = tangents(case("robust_tangents", noisy(false, true, false)));
+    robust_tangents.model.loss = Loss::Huber(0.8);
+    vec![
+        mono_case("mono", noisy(false, false, false)),
+        case("stereo", noisy(false, false, false)),
+        case("joint_sheet", noisy(false, true, false)),
+        case("joint_sheet_focus", with_focus(noisy(false, true, false))),
+        case("bubbles", noisy(true, true, false)),
+        case("bubbles_focus", with_focus(noisy(true, true, false))),
+        case("grid", noisy(false, false, true)),
+        plain_grid(),
+        fixed_f(),
+        case("all_intrinsics", with_all_intrinsics()),
+        case("photogrammetric", photogrammetric()),
+        traverse(),
+        case("huber", huber(2.0)),
+        case("cauchy", with_outliers(noisy(false, true, false), Loss::Cauchy(3.0))),
+        tangents(mono_case("mono_tangents", noisy(false, false, false))),
+        tangents(case("stereo_tangents", noisy(false, false, false))),
+        tangents(case("joint_sheet_tangents", noisy(false, true, false))),
+        tangents(case("bubbles_tangents", noisy(true, true, false))),
+        tangents(case("grid_tangents", perfect_grid())),
+        robust_tangents,
+    ]
+}
