@@ -6,7 +6,8 @@
 mod rig_scene;
 
 use nalgebra::DVector;
-use rig_scene::Scene;
+use rig_scene::{Scene, with_tangents};
+use spivcal::bitangent::{EXTERNAL_CROSSING, ExternalUse};
 use spivcal::bundle::{AdjustOptions, Fact, Focus, adjust, named_covariance};
 use spivcal::solve::{Problem, Step, Termination};
 
@@ -73,6 +74,25 @@ fn truth_is_recovered_from_exact_contours() {
             assert!((g - t).abs() < 1e-4 * (1.0 + t.abs()), "{g} {t}");
         }
     }
+}
+
+/// Equal discs: their external tangents are parallel on the target, though they meet in the image.
+#[test]
+fn grids_are_adjusted_from_tangents_without_their_external_crossings() {
+    let scene = Scene::build(4, false, true, true).without_offsets().with_noise(4);
+    let model = with_tangents(scene.model.clone(), ExternalUse::Never);
+    let options = AdjustOptions { rounds: 0, ..Default::default() };
+    let out = adjust(&model, scene.perturbed_by(4, 0.5), &options, &mut |_| true);
+    assert_eq!(out.termination, Termination::Converged);
+    let counts = model.counts();
+    let freedom = (counts.observations + counts.facts - counts.unknowns) as f64;
+    // Chi-square within four of its standard deviations.
+    let z = (2.0 * out.cost - freedom) / (2.0 * freedom).sqrt();
+    assert!(z.abs() < 4.0, "chi-square {} of {freedom} degrees of freedom", 2.0 * out.cost);
+
+    let with = with_tangents(scene.model.clone(), ExternalUse::WhereMeasurable);
+    assert!(with.images.iter().flat_map(|i| &i.pairs).any(|p| p.kept.contains(&EXTERNAL_CROSSING)));
+    assert!(spivcal::bundle::problem(&with).cost(&scene.truth).is_none(), "a point at infinity has no residual");
 }
 
 /// Normalised squared error of all natural parameters over repeated noise: chi-square with as many degrees of freedom.

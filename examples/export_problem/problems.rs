@@ -1,11 +1,10 @@
 //! The problems: each a model with noisy observations and a start some way off.
 
-use crate::rig_scene::{Noise, Scene, tilted_camera};
-use nalgebra::{DMatrix, Vector3};
-use spivcal::bitangent::{EXTERNAL_CROSSING, ExternalUse, POINTS, bitangents};
-use spivcal::bundle::{DiscObservation, Fact, Focus, Loss, Model, PairObservation, State, TargetShape, ViewPlace};
+use crate::rig_scene::{Noise, Scene, tilted_camera, with_tangents};
+use nalgebra::Vector3;
+use spivcal::bitangent::ExternalUse;
+use spivcal::bundle::{Fact, Focus, Loss, Model, State, TargetShape, ViewPlace};
 use spivcal::camera::{Camera, Radial};
-use spivcal::conic::fit_geometric;
 use spivcal::frames::Rig;
 use spivcal::rigid::Motion;
 
@@ -35,36 +34,6 @@ fn mono_case(name: &'static str, scene: Scene) -> Case {
     case.start.cameras.truncate(1);
     case.start.camera_from_first.truncate(1);
     case
-}
-
-/// Tangent features, whitened, in place of contours; neighbours along the rows of a lattice are pairs.
-fn with_tangents(mut model: Model) -> Model {
-    let rows = matches!(model.target.shape, TargetShape::Lattice(_)).then_some(3);
-    // The external tangents of equal discs meet at infinity on the target, wherever they meet in the image.
-    let external = if rows.is_some() { ExternalUse::Never } else { ExternalUse::WhereMeasurable };
-    for image in &mut model.images {
-        let discs = std::mem::take(&mut image.discs);
-        let same_row = |a: &DiscObservation, b: &DiscObservation| rows.is_none_or(|n| a.disc / n == b.disc / n);
-        image.pairs =
-            discs.windows(2).filter(|w| same_row(&w[0], &w[1])).map(|w| pair(&w[0], &w[1], external)).collect();
-    }
-    model.target.offset_sigma_mm = None;
-    model
-}
-
-fn pair(a: &DiscObservation, b: &DiscObservation, external: ExternalUse) -> PairObservation {
-    let fit = |d: &DiscObservation| fit_geometric(&d.edge.u_px, &d.edge.v_px, &d.edge.sigma_px).expect("an ellipse");
-    let (ea, eb) = (fit(a), fit(b));
-    let tangents = bitangents(&ea.ellipse, &eb.ellipse).expect("separated discs");
-    let whitening = tangents.whitening([&ea.covariance, &eb.covariance], external).unwrap();
-    let kept: Vec<usize> = (0..POINTS).filter(|&p| whitening.external || p != EXTERNAL_CROSSING).collect();
-    let at = |j: usize| 2 * kept[j / 2] + j % 2;
-    PairObservation {
-        discs: [a.disc, b.disc],
-        pixels_px: (0..2 * kept.len()).map(|j| tangents.points[at(j)]).collect(),
-        whitening: DMatrix::from_fn(whitening.rank, 2 * kept.len(), |i, j| whitening.matrix[(i, at(j))]),
-        kept,
-    }
 }
 
 /// Every 17th edge point moved off by up to 15 sigmas: what a robust loss is for.
@@ -157,20 +126,11 @@ fn traverse() -> Case {
     case("traverse", scene)
 }
 
-/// A perfect grid: with its discs anywhere, tangent features without offsets would not fit.
-fn perfect_grid() -> Scene {
-    let mut scene = Scene::build(SEED, false, true, true);
-    scene.truth.offsets_mm.fill([0.0; 4]);
-    scene.seen_again().with_noise(SEED)
-}
-
 /// What other programs calibrate too: one camera, a perfect grid of known pitch, axis point held; f, tilts and k1 free.
 fn plain_grid() -> Case {
-    let mut scene = Scene::build(SEED, false, false, true);
-    scene.truth.offsets_mm.clear();
-    scene.model.target.offset_sigma_mm = None;
+    let mut scene = Scene::build(SEED, false, false, true).without_offsets();
     (scene.model.cameras[0].free[2], scene.model.cameras[0].free[3]) = (false, false);
-    let mut case = mono_case("plain_grid", scene.seen_again().with_noise(SEED));
+    let mut case = mono_case("plain_grid", scene.with_noise(SEED));
     case.model.facts.clear();
     (case.start.cameras[0].cx_px, case.start.cameras[0].cy_px) = (520.0, 380.0);
     case
@@ -178,8 +138,10 @@ fn plain_grid() -> Case {
 
 pub fn all() -> Vec<Case> {
     let tangents = |case: Case| {
-        let start = State { offsets_mm: vec![], ..case.start };
-        Case { model: with_tangents(case.model), start, ..case }
+        // The external tangents of equal discs meet at infinity on the target, wherever they meet in the image.
+        let equal = matches!(case.model.target.shape, TargetShape::Lattice(_));
+        let external = if equal { ExternalUse::Never } else { ExternalUse::WhereMeasurable };
+        Case { model: with_tangents(case.model, external), ..case }
     };
     let huber = |k: f64| with_outliers(noisy(false, true, false), Loss::Huber(k));
     let mut robust_tangents = tangents(case("robust_tangents", noisy(false, true, false)));
@@ -203,7 +165,7 @@ pub fn all() -> Vec<Case> {
         tangents(case("stereo_tangents", noisy(false, false, false))),
         tangents(case("joint_sheet_tangents", noisy(false, true, false))),
         tangents(case("bubbles_tangents", noisy(true, true, false))),
-        tangents(case("grid_tangents", perfect_grid())),
+        tangents(case("grid_tangents", Scene::build(SEED, false, true, true).without_offsets().with_noise(SEED))),
         robust_tangents,
     ]
 }

@@ -2,13 +2,14 @@
 
 #![allow(dead_code)]
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{DMatrix, Vector2, Vector3};
+use spivcal::bitangent::{EXTERNAL_CROSSING, ExternalUse, POINTS, bitangents};
 use spivcal::bundle::{
-    CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, State, TargetModel, TargetShape,
-    ViewModel, ViewPlace, ViewState,
+    CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, PairObservation, State, TargetModel,
+    TargetShape, ViewModel, ViewPlace, ViewState,
 };
 use spivcal::camera::{Camera, Intrinsics};
-use spivcal::conic::fit_direct;
+use spivcal::conic::{fit_direct, fit_geometric};
 use spivcal::detect::EdgePoints;
 use spivcal::frames::{Cam, Rig, Sheet, Target};
 use spivcal::rig::{CameraStart, RigProblem};
@@ -166,6 +167,13 @@ impl Scene {
         self
     }
 
+    /// A perfect grid in place of one with every disc estimated.
+    pub(crate) fn without_offsets(mut self) -> Self {
+        self.truth.offsets_mm.clear();
+        self.model.target.offset_sigma_mm = None;
+        self.seen_again()
+    }
+
     /// What a calibration from nothing but contours has to start from.
     pub(crate) fn problem(&self) -> RigProblem {
         let ellipse = |d: &DiscObservation| fit_direct(&d.edge.u_px, &d.edge.v_px).unwrap();
@@ -259,5 +267,31 @@ fn image(
         discs: (0..target.disc_count()).map(disc).collect(),
         pairs: vec![],
         sigma_scale: 1.0,
+    }
+}
+
+/// Tangent features, whitened, in place of contours; neighbours along the rows of the 3 x 3 grid are pairs.
+pub(crate) fn with_tangents(mut model: Model, external: ExternalUse) -> Model {
+    let grid = matches!(model.target.shape, TargetShape::Lattice(_));
+    for image in &mut model.images {
+        let discs = std::mem::take(&mut image.discs);
+        let pairs = discs.windows(2).filter(|w| !grid || w[0].disc / 3 == w[1].disc / 3);
+        image.pairs = pairs.map(|w| pair(&w[0], &w[1], external)).collect();
+    }
+    model
+}
+
+fn pair(a: &DiscObservation, b: &DiscObservation, external: ExternalUse) -> PairObservation {
+    let fit = |d: &DiscObservation| fit_geometric(&d.edge.u_px, &d.edge.v_px, &d.edge.sigma_px).unwrap();
+    let (ea, eb) = (fit(a), fit(b));
+    let tangents = bitangents(&ea.ellipse, &eb.ellipse).unwrap();
+    let whitening = tangents.whitening([&ea.covariance, &eb.covariance], external).unwrap();
+    let kept: Vec<usize> = (0..POINTS).filter(|&p| whitening.external || p != EXTERNAL_CROSSING).collect();
+    let at = |j: usize| 2 * kept[j / 2] + j % 2;
+    PairObservation {
+        discs: [a.disc, b.disc],
+        pixels_px: (0..2 * kept.len()).map(|j| tangents.points[at(j)]).collect(),
+        whitening: DMatrix::from_fn(whitening.rank, 2 * kept.len(), |i, j| whitening.matrix[(i, at(j))]),
+        kept,
     }
 }
