@@ -79,6 +79,7 @@ struct EdgeResidual {
   bool offsets;
   std::array<double, 3> edge;
   double scale;
+  mutable double phi;  // the last foot: the next one is not far
 
   template <class T>
   bool operator()(T const* const* p, T* residual) const {
@@ -90,7 +91,7 @@ struct EdgeResidual {
       circle.radius = circle.radius + (*p)[3];
     }
     if (value_of(view.cam_from_target(circle.center).z) <= 0.0) return false;
-    if (!contour_distance(circle, edge.data(), scene.wrong, residual)) return false;
+    if (!contour_distance(circle, edge.data(), scene.wrong, phi, residual)) return false;
     *residual = *residual / (edge[2] * scale);
     return true;
   }
@@ -244,7 +245,7 @@ void add_images(const Problem& problem, Unknowns& u, Wrong wrong, ceres::Problem
       const bool offsets = !u.offsets.empty();
       if (offsets) blocks.push_back({u.offsets[disc.disc].data(), 4});
       for (const auto& edge : disc.edge)
-        add(ceres, new EdgeResidual{scene, disc.disc, offsets, edge, image.scale}, 1, loss_of(problem, 1), blocks);
+        add(ceres, new EdgeResidual{scene, disc.disc, offsets, edge, image.scale, NAN}, 1, loss_of(problem, 1), blocks);
     }
     for (const Pair& pair : image.pairs) {
       Eigen::MatrixXd w = pair.whitening / image.scale;

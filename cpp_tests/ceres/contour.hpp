@@ -53,9 +53,11 @@ struct Foot {
   bool found;
 };
 
-inline Foot foot(const Circle<double>& circle, const double* seen) {
-  double phi = 0.0, best = INFINITY;
-  for (int k = 0; k < 24; ++k) {
+// `phi`: a foot close by, or NaN; comes back as the foot.
+inline Foot foot(const Circle<double>& circle, const double* seen, double& phi) {
+  double best = INFINITY;
+  const bool known = std::isfinite(phi);
+  for (int k = 0; k < 24 && !known; ++k) {
     const double a = k * (M_PI / 12.0), c = std::cos(a), s = std::sin(a);
     double q[2];
     circle.image(c, s, q);
@@ -85,10 +87,10 @@ inline Foot foot(const Circle<double>& circle, const double* seen) {
 }
 
 template <class T>
-bool contour_distance(const Circle<T>& circle, const double* seen, Wrong wrong, T* distance) {
+bool contour_distance(const Circle<T>& circle, const double* seen, Wrong wrong, double& phi, T* distance) {
   using std::sqrt;
   const Circle<double> plain = circle.plain();
-  const Foot at = foot(plain, seen);
+  const Foot at = foot(plain, seen, phi);
   if (!at.found) return false;
   Slope<T> q[2];
   circle.with_tangent(T(at.phi), q);

@@ -1,9 +1,9 @@
 // Ellipses of discs: cv::findContours and cv::fitEllipse against the library, on the same rendered images.
 //   opencv_discs DIR    reads DIR/discs.txt and DIR/discs_K.f32 (format in examples/export_problem/discs.rs)
 //
-// The table gives the root mean square error over the Cramer-Rao bound: 1 is the best that any method can do. OpenCV is given
+// The table gives the root mean square error over the Cramer-Rao bound: 1 is the best that any unbiased method can do. OpenCV is given
 // the ideal threshold (half-way between the true levels); ellipses of findContours run through pixel centres inside the
-// disc, half a pixel within its edge on average, which its semi-axes are corrected for.
+// disc and come out too small, so axes are scored without their mean error.
 
 #include <cmath>
 #include <cstdint>

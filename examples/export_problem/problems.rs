@@ -136,6 +136,42 @@ fn plain_grid() -> Case {
     case
 }
 
+/// Two cameras, `views` views of two discs, all poses free.
+fn many_views(views: usize) -> Scene {
+    let mut out = noisy(false, false, false);
+    for seed in SEED + 1.. {
+        if out.truth.views.len() >= views {
+            break;
+        }
+        let more = Scene::build(seed, false, false, false).with_noise(seed);
+        let first = out.truth.views.len();
+        out.truth.views.extend(more.truth.views);
+        out.model.views.extend(more.model.views);
+        out.model.images.extend(more.model.images.into_iter().map(|mut i| {
+            i.view += first;
+            i
+        }));
+    }
+    out.truth.views.truncate(views);
+    out.model.views.truncate(views);
+    out.model.images.retain(|i| i.view < views);
+    out
+}
+
+/// The problems of the benchmark: 5 and 30 views; 14 tangent features or 2 x 40 edge points per image.
+pub fn timed() -> Vec<Case> {
+    let tangents = |name: &'static str, views: usize| {
+        let case = case(name, many_views(views));
+        Case { model: with_tangents(case.model, ExternalUse::Never), ..case }
+    };
+    vec![
+        tangents("tangents_2x5", 5),
+        tangents("tangents_2x30", 30),
+        case("contours_2x5", many_views(5)),
+        case("contours_2x30", many_views(30)),
+    ]
+}
+
 pub fn all() -> Vec<Case> {
     let tangents = |case: Case| {
         // The external tangents of equal discs meet at infinity on the target, wherever they meet in the image.
