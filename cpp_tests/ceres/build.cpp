@@ -104,6 +104,7 @@ struct PairResidual {
 
   template <class T>
   bool operator()(T const* const* p, T* residual) const {
+    const T* intrinsics = p[0];
     const auto view = scene.read<T>(p);
     Point<T> c[2];
     T r[2];
@@ -120,6 +121,8 @@ struct PairResidual {
       gap.push_back(pair->pixels[2 * k] - q[0]);
       gap.push_back(pair->pixels[2 * k + 1] - q[1]);
     }
+    for (int i = 0; i < pair->by_lens.rows(); ++i)
+      for (int k = 0; k < 10; ++k) gap[i] += pair->by_lens(i, k) * (intrinsics[k] * kUnit[k] - pair->lens[k]);
     for (int i = 0; i < whitening.rows(); ++i) {
       residual[i] = T(0.0);
       for (size_t j = 0; j < gap.size(); ++j) residual[i] += whitening(i, j) * gap[j];
@@ -150,7 +153,7 @@ struct Baseline {
   }
 };
 
-// Thin lens: in focus is the plane (tan b / F, tan a / (F cos b), 1 / f_lens - 1 / F) . p = 1 of the camera frame; two
+// In focus is the plane (tan b / F, tan a / (F cos b), m (1 / f_lens - 1 / F)) . p = 1 of the camera frame; two
 // directions e in the sheet at right angles have to be at right angles to its normal, with the sheet's c where f_lens is not
 // needed. Which directions does not change the cost, but where the residuals are not small, directions that spin in the sheet as
 // other parameters change give another J^T J (by a thousandth in the covariance). Like the library's, these stand still against
@@ -184,7 +187,8 @@ struct FocusResidual {
     const T size = sqrt(dot(g, g));
     r[0] = dot(x, g) / (size * fact.sigma);
     r[1] = dot(cross(n, x), g) / (size * fact.sigma);
-    if (fact.distance) r[2] = ((1.0 / fact.focal_length - 1.0 / f) / c - 1.0) / fact.distance_sigma;
+    const T ratio = p[0][9];
+    if (fact.distance) r[2] = (ratio * (1.0 / fact.focal_length - 1.0 / f) / c - 1.0) / fact.distance_sigma;
     return true;
   }
 };

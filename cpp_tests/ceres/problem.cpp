@@ -135,6 +135,13 @@ Image read_image(Reader& in) {
     p.whitening.resize(in.count(), p.pixels.size());
     for (int i = 0; i < p.whitening.rows(); ++i)
       for (int j = 0; j < p.whitening.cols(); ++j) p.whitening(i, j) = in.number();
+    if (in.flag()) {
+      p.lens.resize(10);
+      for (double& x : p.lens) x = in.number();
+      p.by_lens.resize(p.pixels.size(), 10);
+      for (int i = 0; i < p.by_lens.rows(); ++i)
+        for (int j = 0; j < 10; ++j) p.by_lens(i, j) = in.number();
+    }
     image.pairs.push_back(p);
   }
   return image;

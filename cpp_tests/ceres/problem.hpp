@@ -32,6 +32,9 @@ struct Pair {
   std::vector<int> kept;
   Eigen::VectorXd pixels;
   Eigen::MatrixXd whitening;
+  // Where features were found through a lens: its intrinsics, and how they follow another one (2 n x 10); else empty.
+  Eigen::VectorXd lens;
+  Eigen::MatrixXd by_lens;
 };
 
 struct Image {

@@ -1,11 +1,11 @@
 //! The problems: each a model with noisy observations and a start some way off.
 
-use crate::rig_scene::{Noise, Scene, tilted_camera, with_tangents};
+use crate::rig_scene::{Noise, Parts, Scene, tilted_camera, with_tangents};
 use nalgebra::Vector3;
 use spivcal::bitangent::ExternalUse;
-use spivcal::bundle::{Fact, Focus, Loss, Model, State, TargetShape, ViewPlace};
+use spivcal::bundle::{Fact, Focus, Loss, Model, State, TargetShape, ViewPlace, pair_features};
 use spivcal::camera::{Camera, Radial};
-use spivcal::frames::Rig;
+use spivcal::frames::{Rig, Sheet, Target};
 use spivcal::rigid::Motion;
 
 pub struct Case {
@@ -108,31 +108,52 @@ fn photogrammetric() -> Scene {
     Scene::with_cameras(SEED, cameras, false, true, false).with_noise(SEED)
 }
 
-/// The grid on a traverse whose steps are the only length: the spacing is free, three views at known depths.
+fn parts(plane: bool, points: bool) -> Parts {
+    Parts::of(SEED, vec![tilted_camera(-0.1107, 0.01), tilted_camera(0.1107, -0.02)], false, plane, points)
+}
+
+/// Two discs on a traverse whose steps are the only length: the spacing is free, three views at known depths.
 fn traverse() -> Case {
-    let steps = [(3, 1.5), (4, 0.0), (5, -1.5)];
-    let mut scene = Scene::build(SEED, false, true, false);
-    let plane = scene.truth.first_from_plane.expect("a plane");
-    let sheet_of = |scene: &Scene, v: usize| scene.truth.views[v].plane_from_target.expect("a view in the plane");
-    let planar: Vec<_> = [4, 4, 5].iter().map(|&v| sheet_of(&scene, v)).collect();
-    for ((v, z), mut m) in steps.into_iter().zip(planar) {
-        m.translation_mm.z = z;
-        scene.model.views[v].place = ViewPlace::InPlane { z_mm: z };
-        scene.truth.views[v].plane_from_target = Some(m);
-        scene.truth.views[v].first_from_target = plane * m;
+    let mut parts = parts(true, false);
+    let sheet = parts.rig_from_sheet.expect("a sheet");
+    let own = parts.views[4].rig_from_target;
+    for (v, z_mm) in [(3, 1.5), (4, 0.0), (5, -1.5)] {
+        parts.views[v].place = ViewPlace::InPlane { z_mm };
+        let from = if v == 3 { own } else { parts.views[v].rig_from_target };
+        let mut planar: Motion<Sheet, Target> = sheet.inverse() * from;
+        planar.translation_mm.z = z_mm;
+        parts.views[v].rig_from_target = sheet * planar;
     }
-    scene.model.target.free[0] = true;
-    let scene = scene.seen_again().with_noise(SEED);
-    case("traverse", scene)
+    parts.target.free[0] = true;
+    case("traverse", parts.scene().with_noise(SEED))
+}
+
+/// A perfect grid in place of one with every disc estimated.
+fn perfect_grid(plane: bool) -> Scene {
+    let mut parts = parts(plane, true);
+    parts.offsets_mm.clear();
+    parts.target.offset_sigma_mm = None;
+    parts.scene().with_noise(SEED)
 }
 
 /// What other programs calibrate too: one camera, a perfect grid of known pitch, axis point held; f, tilts and k1 free.
 fn plain_grid() -> Case {
-    let mut scene = Scene::build(SEED, false, false, true).without_offsets();
+    let mut scene = perfect_grid(false);
     (scene.model.cameras[0].free[2], scene.model.cameras[0].free[3]) = (false, false);
-    let mut case = mono_case("plain_grid", scene.with_noise(SEED));
+    let mut case = mono_case("plain_grid", scene);
     case.model.facts.clear();
     (case.start.cameras[0].cx_px, case.start.cameras[0].cy_px) = (520.0, 380.0);
+    case
+}
+
+/// Features found through the lens of the start, with how they follow another lens.
+fn through_the_lens() -> Case {
+    let mut case = case("tangents_through_lens", noisy(false, true, false));
+    for image in &mut case.model.images {
+        let camera = Camera::new(case.start.cameras[image.camera]).expect("a camera");
+        image.pairs = vec![pair_features(&camera, [&image.discs[0], &image.discs[1]]).expect("separated discs")];
+        image.discs.clear();
+    }
     case
 }
 
@@ -193,6 +214,7 @@ pub fn all() -> Vec<Case> {
         plain_grid(),
         fixed_f(),
         case("all_intrinsics", with_all_intrinsics()),
+        case("all_intrinsics_focus", with_focus(with_all_intrinsics())),
         case("photogrammetric", photogrammetric()),
         traverse(),
         case("huber", huber(2.0)),
@@ -201,7 +223,8 @@ pub fn all() -> Vec<Case> {
         tangents(case("stereo_tangents", noisy(false, false, false))),
         tangents(case("joint_sheet_tangents", noisy(false, true, false))),
         tangents(case("bubbles_tangents", noisy(true, true, false))),
-        tangents(case("grid_tangents", Scene::build(SEED, false, true, true).without_offsets().with_noise(SEED))),
+        tangents(case("grid_tangents", perfect_grid(true))),
         robust_tangents,
+        through_the_lens(),
     ]
 }

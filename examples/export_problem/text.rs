@@ -11,7 +11,8 @@
 //! facts N:         intrinsic c k value sigma | baseline value sigma | shape k v|-1 value sigma
 //!                  | focus c pitch tilt_sigma 0|1 focal_length sigma
 //! images N:        view camera scale discs pairs; disc j n [u v sigma] x n;
-//!                  pair j0 j1 n [kept] x n [u v] x n rank, whitening matrix by rows
+//!                  pair j0 j1 n [kept] x n [u v] x n rank, whitening matrix by rows,
+//!                  0|1 follows the lens [10 intrinsics, 2 n x 10 derivative by rows]
 //! optimum cost decrement iterations
 //! covariance N [names] N x N numbers
 //! ```
@@ -208,7 +209,12 @@ fn image(out: &mut Words, image: &ImageObservations) {
         p.kept.iter().for_each(|k| {
             out.word(k);
         });
-        out.numbers(&p.pixels_px).word(p.whitening.nrows()).numbers(p.whitening.transpose().iter()).line();
+        out.numbers(&p.pixels_px).word(p.whitening.nrows()).numbers(p.whitening.transpose().iter());
+        out.flags(&[p.lens.is_some()]);
+        if let Some(lens) = &p.lens {
+            out.numbers(&lens.intrinsics).numbers(lens.derivative.transpose().iter());
+        }
+        out.line();
     }
 }
 
