@@ -109,7 +109,7 @@ fn photogrammetric() -> Scene {
 }
 
 fn parts(plane: bool, points: bool) -> Parts {
-    Parts::of(SEED, vec![tilted_camera(-0.1107, 0.01), tilted_camera(0.1107, -0.02)], false, plane, points)
+    Scene::parts(SEED, vec![tilted_camera(-0.1107, 0.01), tilted_camera(0.1107, -0.02)], false, plane, points)
 }
 
 /// Two discs on a traverse whose steps are the only length: the spacing is free, three views at known depths.
