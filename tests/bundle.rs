@@ -6,7 +6,8 @@
 mod rig_scene;
 
 use nalgebra::DVector;
-use rig_scene::{Scene, tilted_camera};
+use rig_scene::{Scene, tilted_camera, with_tangents};
+use spivcal::bitangent::{EXTERNAL_CROSSING, ExternalUse};
 use spivcal::bundle::{AdjustOptions, Fact, Focus, adjust, named_covariance};
 use spivcal::camera::{Camera, Intrinsics};
 use spivcal::solve::{Problem, Step, Termination};
@@ -87,6 +88,21 @@ fn truth_is_recovered_from_exact_contours() {
             assert!((g - t).abs() < 1e-4 * (1.0 + t.abs()), "{g} {t}");
         }
     }
+}
+
+/// Equal discs: their external tangents are parallel on the target, though they meet in the image.
+#[test]
+fn a_crossing_at_infinity_is_refused() {
+    let scene = Scene::build(4, false, true, true);
+    let cost = |external: ExternalUse| {
+        let mut state = scene.truth.clone();
+        state.offsets_mm.iter_mut().for_each(|o| o[3] = 0.0);
+        let model = with_tangents(scene.model.clone(), external);
+        let kept = model.images.iter().flat_map(|i| &i.pairs).any(|p| p.kept.contains(&EXTERNAL_CROSSING));
+        (kept, spivcal::bundle::problem(&model).cost(&state))
+    };
+    assert!(matches!(cost(ExternalUse::Never), (false, Some(_))));
+    assert!(matches!(cost(ExternalUse::WhereMeasurable), (true, None)));
 }
 
 /// Normalised squared error of all natural parameters over repeated noise: chi-square with as many degrees of freedom.

@@ -3,69 +3,11 @@
 
 mod render;
 
-use nalgebra::{SMatrix, SVector};
-use render::{Clean, Random, Spot, draw};
-use spivcal::detect::{DetectOptions, Disc, find_discs};
-use spivcal::image::{GrayView, Samples};
+use nalgebra::SVector;
+use render::Random;
+use render::accuracy::{Case, bound, cases};
+use spivcal::detect::{DetectOptions, find_discs};
 use std::f64::consts::PI;
-
-struct Case {
-    name: &'static str,
-    spot: Spot,
-    psf: f64,
-    low: f64,
-    high: f64,
-    noise: f64,
-    bits: u32,
-}
-
-const SIZE: usize = 80;
-
-fn render(spot: &Spot, psf: f64, low: f64, high: f64) -> Clean {
-    draw(SIZE, SIZE, psf, |u, v, h| low + (high - low) * spot.cover(u, v, h))
-}
-
-fn detect(clean: &Clean, noise: f64, bits: u32, random: &mut Random) -> Vec<Disc> {
-    let (w, h) = (clean.width, clean.height);
-    let options = DetectOptions::default();
-    let found = match bits {
-        8 => {
-            let p = clean.noisy_u8(noise, random);
-            find_discs(&GrayView::new(Samples::U8(&p), w, h, w).unwrap(), &options)
-        }
-        16 => {
-            let p = clean.noisy_u16(noise, random);
-            find_discs(&GrayView::new(Samples::U16(&p), w, h, w).unwrap(), &options)
-        }
-        _ => {
-            let p = clean.noisy_f32(noise, random);
-            find_discs(&GrayView::new(Samples::F32(&p), w, h, w).unwrap(), &options)
-        }
-    };
-    found.unwrap().discs
-}
-
-/// Cramer-Rao covariance of (u, v, a, b) with angle, blur and both levels unknown, by differences of rendered images.
-fn bound(case: &Case) -> SMatrix<f64, 8, 8> {
-    let p0 = [case.spot.u, case.spot.v, case.spot.a, case.spot.b, case.spot.phi, case.psf, case.low, case.high];
-    let span = case.high - case.low;
-    let step = [0.05, 0.05, 0.05, 0.05, 0.05 / case.spot.a, 0.03, 0.01 * span, 0.01 * span];
-    let at = |p: [f64; 8]| render(&Spot { u: p[0], v: p[1], a: p[2], b: p[3], phi: p[4] }, p[5], p[6], p[7]).grey;
-    let columns: Vec<Vec<f64>> = (0..8)
-        .map(|k| {
-            let (mut up, mut down) = (p0, p0);
-            up[k] += step[k];
-            down[k] -= step[k];
-            at(up).iter().zip(at(down)).map(|(x, y)| (x - y) / (2.0 * step[k])).collect()
-        })
-        .collect();
-    let quantised = if case.bits == 8 { 1.0 / 12.0 } else { 0.0 };
-    let variance = case.noise * case.noise + quantised;
-    let fisher = SMatrix::<f64, 8, 8>::from_fn(|i, j| {
-        columns[i].iter().zip(&columns[j]).map(|(x, y)| x * y).sum::<f64>() / variance
-    });
-    fisher.try_inverse().unwrap()
-}
 
 struct Score {
     bias: [f64; 4],
@@ -81,12 +23,8 @@ fn run(case: &Case, trials: usize, seed: u64) -> Score {
     let mut errors: Vec<[f64; 4]> = Vec::new();
     let mut nees = 0.0;
     for trial in 0..trials {
-        // Another place within the pixel each time: errors that repeat with the pixel grid must show up.
-        let mut spot = case.spot;
-        spot.u += (trial as f64 * 0.618).fract() - 0.5;
-        spot.v += (trial as f64 * 0.414).fract() - 0.5;
-        let clean = render(&spot, case.psf, case.low, case.high);
-        let discs = detect(&clean, case.noise, case.bits, &mut random);
+        let (spot, image) = case.expose(trial, &mut random);
+        let discs = find_discs(&image.view(), &DetectOptions::default()).unwrap().discs;
         assert_eq!(discs.len(), 1, "{}: trial {trial}", case.name);
         let e = &discs[0].ellipse;
         let error =
@@ -111,54 +49,7 @@ fn run(case: &Case, trials: usize, seed: u64) -> Score {
 
 #[test]
 fn scatter_reaches_the_bound_and_sigmas_are_true() {
-    let oblique = Spot { u: 39.7, v: 40.2, a: 24.0, b: 9.0, phi: 0.5 };
-    let cases = [
-        Case {
-            name: "dark 8 bit, blur 1, noise 2 %",
-            spot: Spot { a: 18.0, b: 14.0, u: 40.0, v: 40.0, phi: -0.7 },
-            psf: 1.0,
-            low: 200.0,
-            high: 60.0,
-            noise: 2.8,
-            bits: 8,
-        },
-        Case {
-            name: "bright 16 bit, blur 0.5, noise 1 %",
-            spot: Spot { a: 15.0, b: 12.0, u: 40.0, v: 40.0, phi: 0.3 },
-            psf: 0.5,
-            low: 3000.0,
-            high: 30000.0,
-            noise: 270.0,
-            bits: 16,
-        },
-        Case {
-            name: "bright float, blur 3, noise 3 %",
-            spot: Spot { a: 20.0, b: 16.0, u: 40.0, v: 40.0, phi: 1.2 },
-            psf: 3.0,
-            low: 0.1,
-            high: 1.1,
-            noise: 0.03,
-            bits: 32,
-        },
-        Case {
-            name: "oblique 8 bit, blur 0.8, noise 2 %",
-            spot: oblique,
-            psf: 0.8,
-            low: 40.0,
-            high: 190.0,
-            noise: 3.0,
-            bits: 8,
-        },
-        Case {
-            name: "small 8 bit, blur 0.8, noise 1 %",
-            spot: Spot { a: 5.0, b: 4.0, u: 40.0, v: 40.0, phi: 0.3 },
-            psf: 0.8,
-            low: 180.0,
-            high: 40.0,
-            noise: 1.4,
-            bits: 8,
-        },
-    ];
+    let cases = cases();
     let trials = 80;
     for (k, case) in cases.iter().enumerate() {
         let s = run(case, trials, 7 + k as u64);

@@ -2,12 +2,13 @@
 //!
 //! `r = W (f + G (i - i0) - image of F(c0, r0, c1, r1))`, W the whitening of the features' rank-10 covariance, so that r has
 //! unit variance; F in closed form ([`crate::bitangent::circle_features`]), its derivative by the shape of the target through
-//! those of centres and radii; G how features found through the lens i0 follow another lens i ([`super::refit`]). The robust
-//! loss sees the pair as one, with a threshold grown by the root of its rank.
+//! those of centres and radii; G how features found through the lens i0 follow another lens i ([`super::refit`]). Equal
+//! radii have no external crossing: a state with them is refused where that point was kept. The robust loss sees the pair as one,
+//! with a threshold grown by the root of its rank.
 
 use super::assemble::{ImageNormal, LOCAL, SPACE, SeenImage};
 use super::model::{Loss, PairObservation};
-use crate::bitangent::circle_features;
+use crate::bitangent::{EXTERNAL_CROSSING, circle_features};
 use crate::camera::INTRINSICS;
 use nalgebra::{DMatrix, DVector, Matrix3x2, SMatrix, Vector3};
 
@@ -38,6 +39,9 @@ fn circles_by_shape(image: &SeenImage, discs: [usize; 2]) -> SMatrix<f64, 6, 3> 
 fn residual(image: &SeenImage, pair: &PairObservation, derive: bool) -> Option<(DVector<f64>, DMatrix<f64>)> {
     let ((c0, r0), (c1, r1)) = (image.disc(pair.discs[0]), image.disc(pair.discs[1]));
     let features = circle_features(c0.xy(), r0, c1.xy(), r1).ok()?;
+    if pair.kept.contains(&EXTERNAL_CROSSING) && !features.external_is_finite {
+        return None;
+    }
     let by_shape = features.jacobian * circles_by_shape(image, pair.discs);
     let motion = &image.cam_from_target;
     let in_plane: Matrix3x2<f64> = motion.rotation.fixed_columns::<2>(0).into_owned();

@@ -1,5 +1,7 @@
 //! Renders blurred discs by brute force, independently of the library: fine grid, exact Gaussian, pixel areas, seeded noise.
-#![allow(dead_code, missing_docs, unreachable_pub)]
+#![allow(dead_code, missing_docs, unreachable_pub, clippy::unwrap_used)]
+
+pub mod accuracy;
 
 /// Samples per pixel and axis of the fine grid.
 const FINE: usize = 8;

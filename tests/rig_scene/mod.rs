@@ -2,13 +2,15 @@
 
 #![allow(dead_code, unused_imports)]
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{DMatrix, Vector2, Vector3};
+use spivcal::bitangent::{EXTERNAL_CROSSING, ExternalUse, POINTS, bitangents};
 use spivcal::bundle::{
-    CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, PlanePosition, State, TargetModel,
+    CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, PairObservation, PlanePosition, State,
+    TargetModel,
     TargetShape, ViewModel, ViewPlace, ViewState,
 };
 use spivcal::camera::{Camera, Intrinsics, Radial};
-use spivcal::conic::fit_direct;
+use spivcal::conic::{fit_direct, fit_geometric};
 use spivcal::detect::EdgePoints;
 use spivcal::frames::{Cam, Rig, Sheet, Target};
 use spivcal::rig::{CameraStart, OpenLabels, RigProblem};
@@ -106,6 +108,10 @@ pub(crate) struct Parts {
     pub(crate) facts: Vec<Fact>,
     pub(crate) free: [bool; 10],
 }
+
+/// The grid of scenes whose every dot is estimated.
+const THREE_BY_THREE: Grid =
+    Grid { columns: 3, rows: 3, pitch_mm: 8.0, radius_mm: 2.5, print_error_mm: 0.01, turn: 1.0 };
 
 impl Parts {
     /// Six views, parallel to the sheet at the positions given, mm; `None`: anywhere.
@@ -257,7 +263,13 @@ impl Scene {
 
     /// The same with other cameras at the same places.
     pub(crate) fn with_cameras(seed: u64, cameras: Vec<Camera>, per_view: bool, plane: bool, points: bool) -> Self {
-        Self::at_positions(seed, cameras, per_view, points, &|v| (plane && v >= 4).then_some(0.0))
+        Self::parts(seed, cameras, per_view, plane, points).scene()
+    }
+
+    /// What such a scene is made of, to be changed before it is seen.
+    pub(crate) fn parts(seed: u64, cameras: Vec<Camera>, per_view: bool, plane: bool, points: bool) -> Parts {
+        let position = |v: usize| (plane && v >= 4).then_some(0.0);
+        Parts::of(seed, cameras, points.then_some(THREE_BY_THREE), per_view, points, &position)
     }
 
     /// The same with a grid as the target, no view in the sheet; every dot estimated when `points`.
@@ -273,8 +285,7 @@ impl Scene {
         points: bool,
         position: &dyn Fn(usize) -> Option<f64>,
     ) -> Self {
-        let grid = Grid { columns: 3, rows: 3, pitch_mm: 8.0, radius_mm: 2.5, print_error_mm: 0.01, turn: 1.0 };
-        Parts::of(seed, cameras, points.then_some(grid), per_view, points, position).scene()
+        Parts::of(seed, cameras, points.then_some(THREE_BY_THREE), per_view, points, position).scene()
     }
 
     /// What a calibration from nothing but contours has to start from.
@@ -371,5 +382,32 @@ fn image(
         discs: (0..target.disc_count()).map(disc).collect(),
         pairs: vec![],
         sigma_scale: 1.0,
+    }
+}
+
+/// Tangent features, whitened, in place of contours; neighbours along the rows of the 3 x 3 grid are pairs.
+pub(crate) fn with_tangents(mut model: Model, external: ExternalUse) -> Model {
+    let grid = matches!(model.target.shape, TargetShape::Lattice(_));
+    for image in &mut model.images {
+        let discs = std::mem::take(&mut image.discs);
+        let pairs = discs.windows(2).filter(|w| !grid || w[0].disc / 3 == w[1].disc / 3);
+        image.pairs = pairs.map(|w| pair(&w[0], &w[1], external)).collect();
+    }
+    model
+}
+
+fn pair(a: &DiscObservation, b: &DiscObservation, external: ExternalUse) -> PairObservation {
+    let fit = |d: &DiscObservation| fit_geometric(&d.edge.u_px, &d.edge.v_px, &d.edge.sigma_px).unwrap();
+    let (ea, eb) = (fit(a), fit(b));
+    let tangents = bitangents(&ea.ellipse, &eb.ellipse).unwrap();
+    let whitening = tangents.whitening([&ea.covariance, &eb.covariance], external).unwrap();
+    let kept: Vec<usize> = (0..POINTS).filter(|&p| whitening.external || p != EXTERNAL_CROSSING).collect();
+    let at = |j: usize| 2 * kept[j / 2] + j % 2;
+    PairObservation {
+        discs: [a.disc, b.disc],
+        pixels_px: (0..2 * kept.len()).map(|j| tangents.points[at(j)]).collect(),
+        whitening: DMatrix::from_fn(whitening.rank, 2 * kept.len(), |i, j| whitening.matrix[(i, at(j))]),
+        lens: None,
+        kept,
     }
 }

@@ -1,0 +1,52 @@
+//! Writes adjustment problems with the library's answers as plain text, for programs of other makes to solve anew; and judges
+//! the answers of those.
+//!
+//! ```text
+//! cargo run --example export_problem -- DIR            DIR/NAME.problem for every problem, DIR/projection.txt
+//! cargo run --example export_problem -- --check DIR    Newton decrement of DIR/NAME.solution in the library's own equations
+//! cargo run --example export_problem -- --bench DIR    the problems of the benchmark
+//! cargo run --example export_problem -- --time NAME N  median seconds of N adjustments of one of them
+//! cargo run --example export_problem -- --discs DIR    rendered discs with truth, Cramer-Rao bound and what the library finds
+//! ```
+//! The formats are described in `text.rs`, `projection.rs` and `discs.rs`; `cpp_tests` reads them.
+#![allow(missing_docs, unreachable_pub, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(clippy::print_stdout, clippy::print_stderr)]
+
+mod check;
+mod discs;
+mod problems;
+mod projection;
+#[path = "../../tests/render/mod.rs"]
+mod render;
+#[path = "../../tests/rig_scene/mod.rs"]
+mod rig_scene;
+mod text;
+mod timing;
+
+use std::path::Path;
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    match words[..] {
+        ["--check", dir] => check::check(Path::new(dir)),
+        ["--discs", dir] => discs::write(Path::new(dir)),
+        ["--bench", dir] => {
+            std::fs::create_dir_all(dir).expect("folder for the problems");
+            problems::timed().iter().for_each(|p| text::write(p, Path::new(dir)));
+            ExitCode::SUCCESS
+        }
+        ["--time", name, rounds] => timing::run(name, rounds.parse().expect("a number of rounds")),
+        [dir] if !dir.starts_with('-') => {
+            std::fs::create_dir_all(dir).expect("folder for the problems");
+            problems::all().iter().for_each(|p| text::write(p, Path::new(dir)));
+            projection::write(Path::new(dir));
+            ExitCode::SUCCESS
+        }
+        _ => {
+            eprintln!("export_problem DIR | --check DIR | --discs DIR | --bench DIR | --time NAME N");
+            ExitCode::from(2)
+        }
+    }
+}
