@@ -37,9 +37,12 @@
 mod adjust;
 mod assemble;
 mod chart;
+mod conflict;
 mod contour;
+mod extension;
 mod facts;
 mod focus;
+mod influence;
 mod layout;
 mod model;
 mod posterior;
@@ -49,12 +52,16 @@ mod state;
 mod tangent;
 
 pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, problem};
+pub use conflict::{PriorCheck, PriorOf, prior_checks};
+pub use extension::{Extension, ExtensionTest, extension_tests};
 pub use facts::Fact;
 pub use focus::Focus;
+pub use influence::{named_rows, natural_of, predicted_without_view, readjusted_without_view};
 pub use model::{
     CameraModel, DiscObservation, ImageObservations, Loss, Model, Node, Observed, PairObservation, TargetModel,
     TargetShape, ViewModel, ViewPlace,
 };
+pub(crate) use posterior::intrinsic_words;
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
 pub use state::{State, ViewState};

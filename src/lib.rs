@@ -13,6 +13,7 @@ pub mod camera;
 pub mod cli;
 pub mod conic;
 pub mod detect;
+pub mod diagnosis;
 pub mod error;
 pub mod frames;
 pub mod image;
@@ -26,6 +27,7 @@ pub mod seed;
 pub mod sheet;
 pub mod simulate;
 pub mod solve;
+pub mod stats;
 pub mod target;
 
 pub use error::{Error, Result};

@@ -27,6 +27,7 @@ mod parameter;
 pub use gain::{PointUncertainty, RESPONSES, Response, SheetUncertainty, StereoSheet};
 pub use homography::{HeldCameras, Homography, PairFeatures, fit_homography, transfer_residuals, triangulated_plane};
 pub use joint::joint_sheet;
+pub(crate) use parameter::{Parameter, stepped_camera, stepped_motion};
 
 use crate::frames::{Rig, Sheet};
 use crate::rigid::Motion;

@@ -10,6 +10,7 @@ use crate::bitangent::{ExternalUse, POINTS, bitangents};
 use crate::bundle::{
     AdjustOptions, Adjustment, Iteration, Model, NamedCovariance, PairObservation, adjust, named_covariance,
 };
+use crate::diagnosis::{Findings, Subject, diagnose};
 use crate::error::{Error, Result};
 use crate::record::{Record, ResidualTable};
 use crate::report::OverlayShapes;
@@ -50,6 +51,7 @@ pub(super) struct Solved<'a> {
     /// The same state against the contours, for residuals.
     pub(super) contours: &'a Model,
     pub(super) covariance: &'a NamedCovariance,
+    pub(super) findings: &'a Findings,
 }
 
 /// Calibrates cameras, rig, target and sheet from images.
@@ -99,6 +101,14 @@ fn run(
     }
     let covariance =
         named_covariance(&adjustment).ok_or_else(|| Error::Bug("the adjustment gave no covariance".into()))?;
+    let findings = diagnose(&Subject {
+        adjustment: &adjustment,
+        covariance: &covariance,
+        assumed: &built.assumed,
+        labels: &built.labels,
+        sizes_px: &sizes,
+        options: &options.adjust,
+    });
     let solved = Solved {
         job,
         images: &images,
@@ -106,6 +116,7 @@ fn run(
         adjustment: &adjustment,
         contours: &contours,
         covariance: &covariance,
+        findings: &findings,
     };
     let (residuals, overlays, fits) = residual_rows(&solved)?;
     let sheet = sheet_part(&solved)?;

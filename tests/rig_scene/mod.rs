@@ -166,7 +166,7 @@ impl Scene {
         let ellipse = |d: &DiscObservation| fit_direct(&d.edge.u_px, &d.edge.v_px).unwrap();
         let mut values = [None; 10];
         (values[1], values[7], values[8], values[9]) = (Some(1.0), Some(0.0), Some(0.0), Some(1.0));
-        let start = CameraStart { size_px: [1024.0, 768.0], nominal_f_px: None, values };
+        let start = CameraStart { size_px: [1024.0, 768.0], nominal_f_px: None, values, design: None };
         let lattice = matches!(self.model.target.shape, TargetShape::Lattice(_));
         let spacing = (!self.model.target.per_view()).then_some(self.truth.shape_mm[0]);
         RigProblem {
