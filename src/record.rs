@@ -22,7 +22,8 @@ mod schema;
 mod sigma;
 
 pub use diagnosis::{
-    Diagnosis, KeyQuantity, MappingMap, MappingSigma, MappingUncertainty, ModelTest, OutlierReason, Prior, ViewInfluence,
+    Diagnosis, KeyQuantity, MappingMap, MappingSigma, MappingUncertainty, ModelTest, OutlierReason, Prior,
+    ViewInfluence,
 };
 pub use residuals::{FeatureKind, Residual, ResidualTable};
 pub use schema::{

@@ -100,7 +100,8 @@ mod tests {
             assert!((normal_beyond(z) / p - 1.0).abs() < 1e-11, "{z} {}", normal_beyond(z));
         }
         // Upper points of the usual tables; even degrees also in closed form.
-        for (c, n, p) in [(3.841458820694124, 1, 0.05), (18.307038053275146, 10, 0.05), (124.34211340400407, 100, 0.05)] {
+        for (c, n, p) in [(3.841458820694124, 1, 0.05), (18.307038053275146, 10, 0.05), (124.34211340400407, 100, 0.05)]
+        {
             assert!((chi_square_above(c, n) / p - 1.0).abs() < 1e-10, "{n} {}", chi_square_above(c, n));
         }
         for x in [0.1, 2.0, 7.0, 40.0] {

@@ -105,9 +105,8 @@ mod tests {
         let conjugate = |u: f64, v: f64| {
             let xy = camera.ideal_of_pixel(&Vector2::new(u, v)).unwrap();
             let (tx, ty) = ((u - 500.0) * DRAWING.pixel_pitch_mm, (v - 400.0) * DRAWING.pixel_pitch_mm);
-            let behind = i.f_px * DRAWING.pixel_pitch_mm
-                + tx * i.beta_rad.sin()
-                + ty * i.alpha_rad.sin() * i.beta_rad.cos();
+            let behind =
+                i.f_px * DRAWING.pixel_pitch_mm + tx * i.beta_rad.sin() + ty * i.alpha_rad.sin() * i.beta_rad.cos();
             xy.push(1.0) / (1.0 / DRAWING.focal_length_mm - 1.0 / behind)
         };
         for (u, v) in [(500.0, 400.0), (0.0, 0.0), (1023.0, 100.0), (300.0, 767.0)] {

@@ -7,8 +7,8 @@
 //! e_i = misplacement of point i in a camera,  e' = e - (shift, turn) fitted to all points of both cameras,  C' = P D C D^T P^T
 //! ```
 
-use super::keys::{derivative, still};
 use super::Subject;
+use super::keys::{derivative, still};
 use crate::bundle::{NamedCovariance, Natural};
 use crate::record::{MappingMap, MappingSigma, MappingUncertainty};
 use crate::sheet::{PointUncertainty, SheetUncertainty, StereoSheet};
@@ -68,9 +68,7 @@ fn field(stereo: &StereoSheet, sizes_px: &[[f64; 2]]) -> Option<Field> {
     let inside = |q: &Vector2<f64>, size: [f64; 2]| {
         (-0.5..=size[0] - 0.5).contains(&q.x) && (-0.5..=size[1] - 0.5).contains(&q.y)
     };
-    let seen = |p: [f64; 2]| {
-        stereo.pixels(p).is_some_and(|[a, b]| inside(&a, first) && inside(&b, second))
-    };
+    let seen = |p: [f64; 2]| stereo.pixels(p).is_some_and(|[a, b]| inside(&a, first) && inside(&b, second));
     // The first camera's border on the sheet.
     let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
     for k in 0..=8 {
@@ -126,7 +124,7 @@ fn places(covariance: &NamedCovariance, names: &[&str], truth: &StereoSheet, poi
     let spread = &beside * &covariance.matrix;
     let sigma = |row: usize| {
         let own = beside.row(row).transpose();
-        if still(&own, &covariance.null_directions) { spread.row(row).dot(&beside.row(row)).max(0.0).sqrt() } else { f64::NAN }
+        if still(&own, covariance, names) { spread.row(row).dot(&beside.row(row)).max(0.0).sqrt() } else { f64::NAN }
     };
     let of = |i: usize| {
         let [a, b] = [0, 2].map(|c| sigma(4 * i + c).hypot(sigma(4 * i + c + 1)));
@@ -209,7 +207,9 @@ fn undetermined(all: &[&MappingSigma]) -> Vec<String> {
         out.push("nothing determines how the two cameras' images lie on each other in the sheet: record the target in the sheet with both cameras".into());
     }
     if lost(&|m| m.in_plane_px) {
-        out.push("nothing determines where in the sheet a pixel looks: dewarped images have no sure scale or shape".into());
+        out.push(
+            "nothing determines where in the sheet a pixel looks: dewarped images have no sure scale or shape".into(),
+        );
     }
     if lost(&|m| m.out_of_plane_gain) {
         out.push(

@@ -73,9 +73,10 @@ fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f
                 format!("{what} is not needed"),
             )
         }
-        Extension::BentTarget => {
-            (format!("the plate is bent by {found} (peak to valley)"), "the plate is flat as far as the images show".into())
-        }
+        Extension::BentTarget => (
+            format!("the plate is bent by {found} (peak to valley)"),
+            "the plate is flat as far as the images show".into(),
+        ),
         Extension::DisplacedDiscs => (
             format!("the dots lie {} um (rms) off their nominal places", digits(1e3 * t.size, 2)),
             "the dots lie where they should as far as the images show".into(),
@@ -85,7 +86,10 @@ fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f
         return no;
     }
     if !felt {
-        return format!("{yes}; adding it would move no result by more than {} of its standard deviations", digits(bias.0, 2));
+        return format!(
+            "{yes}; adding it would move no result by more than {} of its standard deviations",
+            digits(bias.0, 2)
+        );
     }
     let advice = match t.extension {
         Extension::Intrinsic { parameter: parameter @ 6..=8, .. } => {
@@ -93,7 +97,9 @@ fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f
         }
         Extension::Intrinsic { parameter, .. } => {
             let key = crate::camera::INTRINSIC_NAMES[parameter];
-            format!("if lens or sensor give a reason, estimate it: {key} = {{ value = 1.0, sigma = ... }} in [camera.known]")
+            format!(
+                "if lens or sensor give a reason, estimate it: {key} = {{ value = 1.0, sigma = ... }} in [camera.known]"
+            )
         }
         Extension::BentTarget | Extension::DisplacedDiscs => "write adjust = \"points\" in [target]".into(),
     };

@@ -18,7 +18,10 @@ pub(super) fn outliers(s: &Subject<'_>) -> Vec<OutlierReason> {
         } else if here > 0 {
             format!("{off}, in both cameras: the dot is misplaced on the target, or the target is bent there")
         } else if in_image > 2 {
-            format!("{off}, with {} more in this image: part of the image is disturbed (reflection, shadow, refraction)", in_image - 1)
+            format!(
+                "{off}, with {} more in this image: part of the image is disturbed (reflection, shadow, refraction)",
+                in_image - 1
+            )
         } else {
             format!("{off}, in this image only: a reflection, dirt or a speck at its rim, or another disc taken for it")
         }

@@ -124,15 +124,22 @@ fn known(s: &Subject<'_>, index: usize, row: usize) -> Known {
             }
         }
         Fact::Focus(focus) => {
-            let advice = "is the lens stopped down, was it refocused, is focal_length_mm right? widen [focus] or remove it";
+            let advice =
+                "is the lens stopped down, was it refocused, is focal_length_mm right? widen [focus] or remove it";
             let (what, sigma, factor, unit) = match (row, focus.distance) {
                 (2, Some((_, sigma))) => ("distance of the sheet from the plane of focus", sigma, 100.0, "%"),
-                (1, _) => {
-                    ("angle between sheet and plane of focus along sheet y", focus.tilt_sigma_rad, 1f64.to_degrees(), "deg")
-                }
-                _ => {
-                    ("angle between sheet and plane of focus along sheet x", focus.tilt_sigma_rad, 1f64.to_degrees(), "deg")
-                }
+                (1, _) => (
+                    "angle between sheet and plane of focus along sheet y",
+                    focus.tilt_sigma_rad,
+                    1f64.to_degrees(),
+                    "deg",
+                ),
+                _ => (
+                    "angle between sheet and plane of focus along sheet x",
+                    focus.tilt_sigma_rad,
+                    1f64.to_degrees(),
+                    "deg",
+                ),
             };
             Known { name: format!("{what}, camera {}", camera(focus.camera)), value: 0.0, sigma, factor, unit, advice }
         }
@@ -150,9 +157,15 @@ fn dots(s: &Subject<'_>, checks: &[PriorCheck]) -> Option<Prior> {
     let z = if testable { (chi2 - degrees) / (2.0 * degrees).sqrt() } else { f64::NAN };
     let conflict = z > 0.0 && chi_square_above(chi2, degrees.floor() as usize) < FALSE_ALARMS;
     let name = "places of the printed dots".to_string();
-    let what = format!("the dots lie {} um (rms) off their nominal places; {} um were allowed", digits(1e3 * rms, 2), digits(1e3 * sigma, 2));
+    let what = format!(
+        "the dots lie {} um (rms) off their nominal places; {} um were allowed",
+        digits(1e3 * rms, 2),
+        digits(1e3 * sigma, 2)
+    );
     let words = if conflict {
-        format!("{name}: {what}; give point_sigma_mm in [target] the size they have, and check that the plate is the one described")
+        format!(
+            "{name}: {what}; give point_sigma_mm in [target] the size they have, and check that the plate is the one described"
+        )
     } else {
         format!("{name}: {what}")
     };

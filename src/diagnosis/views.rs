@@ -2,7 +2,9 @@
 
 use super::keys::Keys;
 use super::{FALSE_ALARMS, FELT_SIGMAS, Subject, digits, listed};
-use crate::bundle::{AdjustOptions, SolveOptions, named_rows, natural_of, predicted_without_view, readjusted_without_view};
+use crate::bundle::{
+    AdjustOptions, SolveOptions, named_rows, natural_of, predicted_without_view, readjusted_without_view,
+};
 use crate::record::ViewInfluence;
 use crate::solve::Prediction;
 use crate::stats::normal_beyond;
@@ -53,7 +55,8 @@ fn left_out(s: &Subject<'_>, keys: &Keys, rows: &DMatrix<f64>, view: usize) -> O
         if lost || s.adjustment.model.views.len() > MOST_ADJUSTED {
             return None;
         }
-        let options = AdjustOptions { solve: SolveOptions { decrement: 1e-3, iterations: 40 }, rounds: 0, ..*s.options };
+        let options =
+            AdjustOptions { solve: SolveOptions { decrement: 1e-3, iterations: 40 }, rounds: 0, ..*s.options };
         let other = readjusted_without_view(s.adjustment, view, &options);
         let natural = natural_of(&other.model, &other.state).filter(|_| other.decrement < 0.1)?;
         let before = keys.values(&s.covariance.natural)?;
@@ -87,7 +90,13 @@ fn influence(keys: &Keys, full: &DMatrix<f64>, view: usize, left: &Left, tests: 
         (k, if more > TESTABLE * full[(k, k)] { shift[k] / more.sqrt() } else { f64::NAN })
     }));
     let contradicts = lost.is_empty() && z.is_some_and(|(_, z)| normal_beyond(z) * tests < FALSE_ALARMS);
-    let words = if !lost.is_empty() {
+    let metric = |name: &String| keys.list.iter().any(|k| k.name == *name && k.unit == "mm");
+    let words = if !lost.is_empty()
+        && lost.iter().all(metric)
+        && keys.list.iter().filter(|k| k.unit == "mm").count() == lost.len()
+    {
+        format!("view {view} cannot be spared: it alone sets the scale")
+    } else if !lost.is_empty() {
         format!("view {view} cannot be spared: without it nothing determines the {}", listed(&lost))
     } else if contradicts {
         format!(
@@ -98,9 +107,16 @@ fn influence(keys: &Keys, full: &DMatrix<f64>, view: usize, left: &Left, tests: 
             digits(size(z).abs(), 2)
         )
     } else if size(growth) < 1.0 + LITTLE {
-        format!("view {view} adds little: without it no standard deviation grows by more than {} %", digits(100.0 * (size(growth) - 1.0).max(0.0), 2))
+        format!(
+            "view {view} adds little: without it no standard deviation grows by more than {} %",
+            digits(100.0 * (size(growth) - 1.0).max(0.0), 2)
+        )
     } else {
-        format!("view {view} agrees with the others; without it the standard deviation of the {} would be {} times as large", name(growth), digits(size(growth), 3))
+        format!(
+            "view {view} agrees with the others; without it the standard deviation of the {} would be {} times as large",
+            name(growth),
+            digits(size(growth), 3)
+        )
     };
     ViewInfluence {
         view,

@@ -75,9 +75,16 @@ fn named(
     let moves = if parts.len() > 1 { "move together" } else { "may move" };
     let felt = gain.map_or(String::new(), |g| format!("; the out-of-plane gain changes by {} % with it", digits(g, 2)));
     let words = if sigma.is_finite() {
-        format!("the images hardly tell these apart, they {moves} within one standard deviation: {}{felt}", listed(&parts))
+        format!(
+            "the images hardly tell these apart, they {moves} within one standard deviation: {}{felt}",
+            listed(&parts)
+        )
     } else {
-        format!("nothing determines this direction, its numbers may {} as far as you like, in these proportions: {}{felt}", if parts.len() > 1 { "move together" } else { "move" }, listed(&parts))
+        format!(
+            "nothing determines this direction, its numbers may {} as far as you like, in these proportions: {}{felt}",
+            if parts.len() > 1 { "move together" } else { "move" },
+            listed(&parts)
+        )
     };
     NearNull {
         words,

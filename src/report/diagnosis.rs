@@ -28,7 +28,10 @@ pub(super) fn mapping(record: &Record) -> Table {
     let entry = |i: usize, j: usize| move |s: &MappingSigma| percent(s.displacement[i][j]);
     let rows = vec![
         ("disparity of the two cameras".into(), both(&|s| pixels(s.disparity_px))),
-        ("place in the sheet".into(), both(&|s| format!("{} ({} µm)", pixels(s.in_plane_px), plain(1000.0 * s.in_plane_mm, 2)))),
+        (
+            "place in the sheet".into(),
+            both(&|s| format!("{} ({} µm)", pixels(s.in_plane_px), plain(1000.0 * s.in_plane_mm, 2))),
+        ),
         ("in-plane scale".into(), both(&|s| percent(s.in_plane_scale))),
         ("out-of-plane gain over in-plane scale".into(), both(&|s| percent(s.out_of_plane_gain))),
         ("error of u per u".into(), both(&entry(0, 0))),

@@ -1,7 +1,6 @@
 //! The self-contained report: one page, nothing to load, no script; also well-formed XML.
 
 use super::figures::{self, Figure};
-use super::{diagnosis, maps};
 use super::number::{plain, significant};
 use super::overlay::{self, OverlayShapes};
 use super::plots::{self, COLOURS};
@@ -9,6 +8,7 @@ use super::space;
 use super::svg::escape;
 use super::tables::{self, Table};
 use super::verdict::{Level, sentence, verdict};
+use super::{diagnosis, maps};
 use crate::error::Result;
 use crate::image::GrayView;
 use crate::record::{Record, ResidualTable, View};

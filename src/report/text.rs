@@ -34,7 +34,11 @@ pub fn text(record: &Record) -> String {
         section(&mut out, "Laser sheet", &tables::sheet(sheet));
         paragraph(&mut out, "  ", &format!("Angles: {}.", sheet.angles_convention));
     }
-    section(&mut out, "What the calibration's uncertainty does to a measurement (one sigma)", &diagnosis::mapping(record));
+    section(
+        &mut out,
+        "What the calibration's uncertainty does to a measurement (one sigma)",
+        &diagnosis::mapping(record),
+    );
     section(&mut out, "Target", &tables::target(record));
     section(&mut out, "Fit", &tables::fit(record));
     section(&mut out, "Residual rms per view, px", &views(record));

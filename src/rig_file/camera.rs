@@ -75,8 +75,10 @@ fn design(item: &Item<'_>, camera: &CameraDescription) -> Result<Design> {
     };
     let focal_length_mm = camera.focal_length_mm.ok_or_else(|| missing("focal_length_mm"))?;
     let pixel_pitch_mm = camera.pixel_pitch_mm.ok_or_else(|| missing("pixel_pitch_mm"))?;
-    let distance = section.require("object_distance_mm", "give the distance from the lens to the sheet along the lens axis, mm")?;
-    let angle = section.require("viewing_angle_deg", "give the angle between the lens axis and the sheet's normal, degrees")?;
+    let distance = section
+        .require("object_distance_mm", "give the distance from the lens to the sheet along the lens axis, mm")?;
+    let angle =
+        section.require("viewing_angle_deg", "give the angle between the lens axis and the sheet's normal, degrees")?;
     let vertical_deg = section.number("viewing_angle_vertical_deg", TILT_DEG)?.unwrap_or(0.0);
     let drawing = Drawing {
         focal_length_mm,

@@ -28,6 +28,8 @@ use nalgebra::{DMatrix, DVector};
 const LARGE: usize = 400;
 /// Ridge of that factor, part of the diagonal.
 const RIDGE: f64 = 1e-13;
+/// Part of a function's own size that rounding leaves along an undetermined direction it does not touch.
+const ROUNDING: f64 = 1e-6;
 /// A direction of what is tested with less than this part of its own information left cannot be tested.
 const TESTABLE: f64 = 1e-9;
 
@@ -53,15 +55,21 @@ pub fn predict(equations: &NormalEquations, rows: &DMatrix<f64>) -> Option<Predi
         let covariance = rows * &x;
         // Held by the ridge, not by the equations.
         let held = |k: usize| x.column(k).component_mul(&x.column(k)).dot(&ridge) / covariance[(k, k)];
-        let determined = (0..rows.nrows()).map(|k| covariance[(k, k)] == 0.0 || held(k) < 1e-3).collect();
+        let determined = (0..rows.nrows()).map(|k| held(k) < 1e-3 || covariance[(k, k)] == 0.0).collect();
         return Some(Prediction { shift: x.tr_mul(&rhs), covariance, determined });
     }
     let inverse = Inverse::of(&s, &scales(equations, &(0..n).collect::<Vec<_>>()), RANK_LIMIT)?;
+    // What nothing sees has a unit diagonal instead of a null direction.
+    let unseen: Vec<usize> = (0..n).filter(|&i| equations.h_gg[(i, i)] <= 0.0).collect();
+    let scale = scales(equations, &(0..n).collect::<Vec<_>>());
     let still = |k: usize| {
-        inverse.null.column_iter().all(|d| {
-            let terms = rows.row(k).transpose().component_mul(&d);
-            terms.sum().abs() <= 1e-4 * terms.abs().sum()
-        })
+        let row = rows.row(k).transpose();
+        let size = row.component_mul(&scale).norm();
+        unseen.iter().all(|&i| row[i] == 0.0)
+            && inverse.null.column_iter().all(|d| {
+                let terms = row.component_mul(&d);
+                terms.sum().abs() <= (1e-4 * terms.abs().sum()).max(ROUNDING * size)
+            })
     };
     let x = &inverse.matrix * rows.transpose();
     Some(Prediction {
@@ -72,8 +80,8 @@ pub fn predict(equations: &NormalEquations, rows: &DMatrix<f64>) -> Option<Predi
 }
 
 fn reduced(equations: &NormalEquations) -> Option<(DMatrix<f64>, DVector<f64>)> {
-    let (s, rhs, _) = eliminate(equations, &Ridge::Relative(0.0))
-        .or_else(|| eliminate(equations, &Ridge::Relative(1e-12)))?;
+    let (s, rhs, _) =
+        eliminate(equations, &Ridge::Relative(0.0)).or_else(|| eliminate(equations, &Ridge::Relative(1e-12)))?;
     let s = DMatrix::from_fn(s.nrows(), s.nrows(), |i, j| s[(i.max(j), i.min(j))]);
     Some((s, rhs))
 }
@@ -211,9 +219,8 @@ mod tests {
             // The block's unknown by its own least squares.
             let left: Vec<f64> =
                 y.iter().enumerate().map(|(k, y)| y - (0..x.len()).map(|i| rows(k)[i] * x[i]).sum::<f64>()).collect();
-            let (num, den) = left.iter().enumerate().fold((0.0, 0.0), |(n, d), (k, l)| {
-                (n + rows(k)[3] * l, d + rows(k)[3].powi(2))
-            });
+            let (num, den) =
+                left.iter().enumerate().fold((0.0, 0.0), |(n, d), (k, l)| (n + rows(k)[3] * l, d + rows(k)[3].powi(2)));
             left.iter().enumerate().map(|(k, l)| (l - rows(k)[3] * num / den).powi(2)).sum::<f64>()
         };
         // The equations of the larger model where the smaller one ends: linear, so the right-hand side is not zero there.
@@ -243,6 +250,12 @@ mod tests {
         e.blocks[0].h_vg[(0, 1)] = e.blocks[0].h_vg[(0, 0)];
         e.b_g[1] = e.b_g[0];
         let p = predict(&e, &DMatrix::from_row_slice(2, 2, &[1.0, 1.0, 1.0, -1.0])).unwrap();
+        assert_eq!(p.determined, [true, false]);
+        // An unknown that no row sees.
+        let mut e = equations(&[1.0, 2.0, 0.5, 0.1], 2);
+        e.h_gg[(1, 1)] = 0.0;
+        (e.h_gg[(0, 1)], e.h_gg[(1, 0)], e.blocks[0].h_vg[(0, 1)], e.b_g[1]) = (0.0, 0.0, 0.0, 0.0);
+        let p = predict(&e, &DMatrix::identity(2, 2)).unwrap();
         assert_eq!(p.determined, [true, false]);
     }
 }
