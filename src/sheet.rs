@@ -23,6 +23,7 @@ mod gain;
 mod homography;
 mod joint;
 mod parameter;
+mod recorded;
 
 pub use gain::{PointUncertainty, RESPONSES, Response, SheetUncertainty, StereoSheet};
 pub use homography::{HeldCameras, Homography, PairFeatures, fit_homography, transfer_residuals, triangulated_plane};

@@ -119,6 +119,9 @@ pub(super) fn derivative(
 /// True where a function with these derivatives stands still along every undetermined direction: its terms cancel, or are rounding
 /// against what it would feel if all of its parameters moved as far as the one that moves most.
 pub(super) fn still(row: &DVector<f64>, covariance: &NamedCovariance, names: &[&str]) -> bool {
+    if covariance.nullity == 0 {
+        return true;
+    }
     let typical: Vec<f64> =
         covariance.names.iter().map(|n| typical(&covariance.natural, n, names).unwrap_or(0.0)).collect();
     covariance.null_directions.column_iter().all(|d| {
