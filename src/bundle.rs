@@ -69,4 +69,4 @@ pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
 pub use state::{State, ViewState};
 
 /// How the adjustment is steered and how it ended: rooms above speak of it without knowing the solver.
-pub use crate::solve::{Iteration, Options as SolveOptions, Termination};
+pub use crate::solve::{Iteration, Options as SolveOptions, Prediction, Termination, symmetric_eigen};

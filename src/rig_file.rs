@@ -13,11 +13,6 @@
 //! | `pixel_pitch_mm` | mm | unknown | distance of neighbouring pixels |
 //! | `focal_length_mm` | mm | unknown | nominal focal length of the lens |
 //! | `[camera.known]` | | nothing | per parameter `{ value, sigma }` (a prior) or `{ fixed }`; see [`Parameter`] |
-//! | `[camera.design]` `object_distance_mm` | mm | required there | from the lens to the sheet along the lens axis; with `focal_length_mm` and `pixel_pitch_mm` it gives f and tilts to start from |
-//! | `viewing_angle_deg` | deg | required there | inclination of the sheet along image x; positive: what is right in the image is nearer |
-//! | `viewing_angle_vertical_deg` | deg | 0 | the same along image y; positive: what is low in the image is nearer |
-//! | `f_sigma` | | no prior | relative standard deviation with which the designed f is also a prior |
-//! | `tilt_sigma_deg` | deg | no prior | standard deviation with which the designed tilts are also priors |
 //! | `[target]` `kind` | | required | `two-discs`, `bubbles`, `dot-grid`, `two-level-plate` |
 //! | `polarity` | | `"auto"` | `bright`, `dark`, `auto` |
 //! | `spacing_mm` | mm | unknown | two discs: distance of the centres; grid: pitch; plate: pitch on one level (required) |
@@ -34,6 +29,11 @@
 //! | `plane_z_mm` | mm | `true` | `true` or `{ sigma }`: the steps between the views' `plane_z_mm`; may be left out where nothing else sets the scale |
 //! | `[focus]` `tilt_sigma_deg` | deg | 0.5 | tolerance of the sheet's tilt against the plane of focus |
 //! | `distance_sigma` | | 0.005 | relative tolerance of its distance; used where every camera has `focal_length_mm` |
+//! | `[camera.design]` `object_distance_mm` | mm | required there | from the lens to the sheet along the lens axis; with `focal_length_mm` and `pixel_pitch_mm` it gives f and tilts to start from |
+//! | `viewing_angle_deg` | deg | required there | inclination of the sheet along image x; positive: what is right in the image is nearer |
+//! | `viewing_angle_vertical_deg` | deg | 0 | the same along image y; positive: what is low in the image is nearer |
+//! | `f_sigma` | | no prior | relative standard deviation with which the designed f is also a prior |
+//! | `tilt_sigma_deg` | deg | no prior | standard deviation with which the designed tilts are also priors |
 //! | `[solve]` `observations` | | `"contour"` | `contour` or `bitangent` |
 //! | `loss` | | `"huber"` | `none`, `huber`, `cauchy` |
 //! | `estimate` | | `["k1"]` | distortion terms that are free: `k1`, `k2`, `k3`; a parameter with a prior is free too |

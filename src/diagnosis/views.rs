@@ -3,10 +3,9 @@
 use super::keys::Keys;
 use super::{FALSE_ALARMS, FELT_SIGMAS, Subject, digits, listed};
 use crate::bundle::{
-    AdjustOptions, SolveOptions, named_rows, natural_of, predicted_without_view, readjusted_without_view,
+    AdjustOptions, Prediction, SolveOptions, named_rows, natural_of, predicted_without_view, readjusted_without_view,
 };
 use crate::record::ViewInfluence;
-use crate::solve::Prediction;
 use crate::stats::normal_beyond;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;

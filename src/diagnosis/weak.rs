@@ -5,9 +5,8 @@
 
 use super::keys::{Keys, parameter_words, typical};
 use super::{digits, listed};
-use crate::bundle::NamedCovariance;
+use crate::bundle::{NamedCovariance, symmetric_eigen};
 use crate::record::NearNull;
-use crate::solve::symmetric_eigen;
 use nalgebra::{DMatrix, DVector};
 
 /// Weak directions named at most, beside those that nothing determines.
