@@ -37,9 +37,12 @@
 mod adjust;
 mod assemble;
 mod chart;
+mod conflict;
 mod contour;
+mod extension;
 mod facts;
 mod focus;
+mod influence;
 mod layout;
 mod model;
 mod posterior;
@@ -50,16 +53,20 @@ mod state;
 mod tangent;
 
 pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, problem};
+pub use conflict::{PriorCheck, PriorOf, prior_checks};
+pub use extension::{Extension, ExtensionTest, extension_tests};
 pub use facts::Fact;
 pub use focus::Focus;
+pub use influence::{named_rows, natural_of, predicted_without_view, readjusted_without_view};
 pub use model::{
     CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, PairObservation,
     PlanePosition, TargetModel, TargetShape, ViewModel, ViewPlace,
 };
+pub(crate) use posterior::intrinsic_words;
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};
 pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
 pub use state::{State, ViewState};
 
 /// How the adjustment is steered and how it ended: rooms above speak of it without knowing the solver.
-pub use crate::solve::{Iteration, Options as SolveOptions, Termination};
+pub use crate::solve::{Iteration, Options as SolveOptions, Prediction, Termination, symmetric_eigen};

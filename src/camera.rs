@@ -36,9 +36,11 @@
 //! beyond the radius where `r g(r^2)` stops growing (at most 1e3); where numbers overflow.
 
 mod convert;
+mod design;
 mod radial;
 
 pub use convert::{EffectivePinhole, HalconTilt, OpenCvTilted};
+pub use design::Drawing;
 
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Direction, Pixel, Point};

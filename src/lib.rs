@@ -14,6 +14,7 @@ pub mod cli;
 pub mod conic;
 pub mod detect;
 pub mod dewarp;
+pub mod diagnosis;
 pub mod error;
 pub mod exchange;
 pub mod frames;
@@ -28,6 +29,7 @@ pub mod seed;
 pub mod sheet;
 pub mod simulate;
 pub mod solve;
+pub mod stats;
 pub mod target;
 
 pub use error::{Error, Result};

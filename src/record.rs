@@ -14,12 +14,17 @@
 //!   [`Parameter::prior_share`] how much of what is known comes from the prior (1: the images say nothing).
 
 mod check;
+mod diagnosis;
 mod json;
 mod number;
 mod residuals;
 mod schema;
 mod sigma;
 
+pub use diagnosis::{
+    Diagnosis, KeyQuantity, MappingMap, MappingSigma, MappingUncertainty, ModelTest, OutlierReason, Prior,
+    ViewInfluence,
+};
 pub use residuals::{FeatureKind, Residual, ResidualTable};
 pub use schema::{
     ANGLES_CONVENTION, Camera, Covariance, Effective, FORMAT, Fit, Homography, ImageFile, Known, NearNull, Parameter,

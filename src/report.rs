@@ -20,9 +20,11 @@
 mod canvas;
 mod csv;
 mod detection;
+mod diagnosis;
 mod figures;
 mod grey;
 mod html;
+mod maps;
 mod number;
 mod overlay;
 mod plots;

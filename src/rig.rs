@@ -51,6 +51,8 @@ pub struct CameraStart {
     /// Values at which fixed intrinsics are held, in the order of [`crate::camera::INTRINSIC_NAMES`]; for free ones where to
     /// start, if not in closed form.
     pub values: [Option<f64>; INTRINSICS],
+    /// f (px), alpha and beta (rad) of the drawing, tried first.
+    pub design: Option<[f64; 3]>,
     /// Direction of the radial polynomial.
     pub radial: Radial,
 }

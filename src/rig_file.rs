@@ -32,6 +32,11 @@
 //! | `[sheet]` `origin` | | the first camera's axis | `{ view, column, row, level }` (a disc or mark in a view) or `{ point_mm }` (rig frame), dropped onto the sheet |
 //! | `x_axis` | | the rig's x axis | `{ view }`: along the target's x axis in that view, laid into the sheet |
 //! | `flip_x` | | `false` | x and y turned over; z (and so w) stays towards the first camera |
+//! | `[camera.design]` `object_distance_mm` | mm | required there | from the lens to the sheet along the lens axis; with `focal_length_mm` and `pixel_pitch_mm` it gives f and tilts to start from |
+//! | `viewing_angle_deg` | deg | required there | inclination of the sheet along image x; positive: what is right in the image is nearer |
+//! | `viewing_angle_vertical_deg` | deg | 0 | the same along image y; positive: what is low in the image is nearer |
+//! | `f_sigma` | | no prior | relative standard deviation with which the designed f is also a prior |
+//! | `tilt_sigma_deg` | deg | no prior | standard deviation with which the designed tilts are also priors |
 //! | `[solve]` `observations` | | `"contour"` | `contour` or `bitangent` |
 //! | `loss` | | `"huber"` | `none`, `huber`, `cauchy` |
 //! | `estimate` | | `["k1"]` | distortion terms that are free: `k1`, `k2`, `k3`; a parameter with a prior is free too |
@@ -96,6 +101,23 @@ pub struct CameraDescription {
     pub radial: Radial,
     /// What is known beforehand, at most once per parameter.
     pub known: Vec<(Parameter, Knowledge)>,
+    /// Focal length and tilts by the drawing of the rig.
+    pub design: Option<Design>,
+}
+
+/// Focal length and tilts that follow from the drawing of the rig, see [`crate::camera::Drawing`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Design {
+    /// Image distance over pixel pitch, px.
+    pub f_px: f64,
+    /// Tilt about the u axis, rad.
+    pub alpha_rad: f64,
+    /// Tilt about the v axis, rad.
+    pub beta_rad: f64,
+    /// Standard deviation of `f_px` as a prior, px; none: a start only.
+    pub f_sigma_px: Option<f64>,
+    /// Standard deviation of both tilts as a prior, rad; none: a start only.
+    pub tilt_sigma_rad: Option<f64>,
 }
 
 impl CameraDescription {

@@ -36,6 +36,7 @@ pub use homography::{
     triangulated_plane,
 };
 pub use joint::{joint_sheet, placed_joint_sheet};
+pub(crate) use parameter::{Parameter, stepped_camera, stepped_motion};
 
 use crate::frames::{Rig, Sheet};
 use crate::rigid::Motion;

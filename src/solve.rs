@@ -36,9 +36,11 @@
 mod factor;
 mod posterior;
 mod reduced;
+mod score;
 
 pub use factor::{SymmetricEigen, symmetric_eigen};
 pub use posterior::{BlockPosterior, Posterior, posterior};
+pub use score::{Prediction, Score, ScoreTests, predict};
 
 use nalgebra::{DMatrix, DVector};
 use reduced::{Reduced, Ridge};

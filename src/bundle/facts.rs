@@ -62,7 +62,8 @@ pub(super) struct Row {
     pub(super) slots: Vec<(Slot, f64)>,
 }
 
-fn rows(model: &Model, places: &Places, state: &State) -> Option<Vec<Row>> {
+/// The rows of all facts in their order, then those of the discs' offsets.
+pub(super) fn rows(model: &Model, places: &Places, state: &State) -> Option<Vec<Row>> {
     let mut out = vec![];
     for fact in &model.facts {
         match fact {

@@ -98,9 +98,9 @@ impl NamedCovariance {
 }
 
 /// One natural parameter as a linear function of all unknowns.
-struct Row {
-    name: String,
-    terms: Vec<(usize, f64)>,
+pub(super) struct Row {
+    pub(super) name: String,
+    pub(super) terms: Vec<(usize, f64)>,
 }
 
 /// The estimate and its covariance in natural parameters; `None` after a bad start.
@@ -138,7 +138,7 @@ pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
     Some(out)
 }
 
-fn natural(model: &Model, state: &State) -> Option<Natural> {
+pub(super) fn natural(model: &Model, state: &State) -> Option<Natural> {
     let solver: Option<Vec<SolverCamera>> =
         model.cameras.iter().zip(&state.cameras).map(|(m, i)| SolverCamera::of(m, i)).collect();
     let solver = solver?;
@@ -158,7 +158,7 @@ fn natural(model: &Model, state: &State) -> Option<Natural> {
 
 const STEP_NAMES: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
 
-fn rows(model: &Model, places: &Places, state: &State, natural: &Natural) -> Option<Vec<Row>> {
+pub(super) fn rows(model: &Model, places: &Places, state: &State, natural: &Natural) -> Option<Vec<Row>> {
     let mut out = vec![];
     let mut turns: Vec<SMatrix<f64, 3, INTRINSICS>> = vec![];
     let chart_at = |c: usize, k: usize| places.charts[c][k];
@@ -315,7 +315,8 @@ fn words(model: &Model, covariance: &NamedCovariance) -> Vec<String> {
     out
 }
 
-fn intrinsic_words(k: usize) -> &'static str {
+/// An intrinsic parameter in words, by its index in [`INTRINSIC_NAMES`].
+pub(crate) fn intrinsic_words(k: usize) -> &'static str {
     [
         "focal length f",
         "pixel aspect",

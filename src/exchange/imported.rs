@@ -51,6 +51,7 @@ pub(super) fn record(found: Found, files: &[NamedText]) -> Result<Conversion<Rec
         scale: None,
         views: Vec::new(),
         fit: no_fit(program, &losses),
+        mapping_uncertainty: None,
         provenance: Provenance {
             program: format!("spivcal {}", env!("CARGO_PKG_VERSION")),
             rig_file: files.iter().map(|f| f.name.as_str()).collect::<Vec<_>>().join(", "),
@@ -132,5 +133,6 @@ fn no_fit(program: &str, losses: &[Loss]) -> Fit {
         sigma_scale: 1.0,
         parameters: Vec::new(),
         near_null: Vec::new(),
+        diagnosis: None,
     }
 }

@@ -8,6 +8,7 @@ use super::sheet_part::sheet_part;
 use super::{Progress, Source};
 use crate::bundle::{AdjustOptions, Adjustment, Iteration, Model, NamedCovariance, adjust_tangents, named_covariance};
 use crate::detect::pattern::Relabelling;
+use crate::diagnosis::{Findings, Subject, diagnose};
 use crate::error::{Error, Result};
 use crate::record::{Record, ResidualTable};
 use crate::report::OverlayShapes;
@@ -47,6 +48,7 @@ pub(super) struct Solved<'a> {
     /// The same state against the contours, for residuals.
     pub(super) contours: &'a Model,
     pub(super) covariance: &'a NamedCovariance,
+    pub(super) findings: &'a Findings,
     /// What the images do not decide about the labels.
     pub(super) undecided: &'a [String],
 }
@@ -100,6 +102,14 @@ fn run(
     }
     let covariance =
         named_covariance(&adjustment).ok_or_else(|| Error::Bug("the adjustment gave no covariance".into()))?;
+    let findings = diagnose(&Subject {
+        adjustment: &adjustment,
+        covariance: &covariance,
+        assumed: &built.assumed,
+        labels: &built.labels,
+        sizes_px: &sizes,
+        options: &options.adjust,
+    });
     let solved = Solved {
         job,
         images: &images,
@@ -107,6 +117,7 @@ fn run(
         adjustment: &adjustment,
         contours: &contours,
         covariance: &covariance,
+        findings: &findings,
         undecided: &undecided,
     };
     let (residuals, overlays, fits) = residual_rows(&solved)?;

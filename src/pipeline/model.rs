@@ -32,6 +32,8 @@ pub(super) struct Built {
     pub(super) problem: RigProblem,
     /// Label of each disc of the target.
     pub(super) labels: Vec<DotId>,
+    /// Facts that the rig file does not state.
+    pub(super) assumed: Vec<usize>,
 }
 
 /// Builds the adjustment of all images that show the target; `sizes_px` per camera.
@@ -41,9 +43,13 @@ pub(super) fn build(job: &RigDescription, images: &[SeenImage], sizes_px: &[[f64
     let (target, shape_mm, mut facts) = target(job, &labels)?;
     let mut cameras = vec![];
     let mut starts = vec![];
+    let mut assumed = vec![];
     for (c, description) in job.cameras.iter().enumerate() {
         let (model, start) = camera(job, description, sizes_px[c]);
-        facts.extend(camera_facts(c, description, &model, sizes_px[c]));
+        facts.extend(stated_facts(c, description));
+        let own = axis_point_facts(c, description, &model, sizes_px[c]);
+        assumed.extend(facts.len()..facts.len() + own.len());
+        facts.extend(own);
         facts.extend(focus(job, c)?);
         cameras.push(model);
         starts.push(start);
@@ -62,8 +68,9 @@ pub(super) fn build(job: &RigDescription, images: &[SeenImage], sizes_px: &[[f64
         },
     };
     let image_names = images.iter().map(|i| i.name.clone()).collect();
-    let open = OpenLabels { step_pitches: label_step(&job.target.target), images: images.iter().map(|i| i.open.clone()).collect() };
-    Ok(Built { problem: RigProblem { model, ellipses, starts, shape_mm, image_names, open }, labels })
+    let step_pitches = label_step(&job.target.target);
+    let open = OpenLabels { step_pitches, images: images.iter().map(|i| i.open.clone()).collect() };
+    Ok(Built { problem: RigProblem { model, ellipses, starts, shape_mm, image_names, open }, labels, assumed })
 }
 
 /// Length of a step of a label, pitches.
@@ -221,8 +228,12 @@ fn camera(job: &RigDescription, d: &CameraDescription, size_px: [f64; 2]) -> (Ca
     }
     // The image distance of a lens is a little longer than its focal length: 10 % at ten focal lengths.
     let from_lens = d.focal_length_mm.zip(d.pixel_pitch_mm).map(|(f, pitch)| 1.1 * f / pitch);
-    let nominal_f_px = values[0].or(from_lens);
-    (CameraModel { name: d.name.clone(), free }, CameraStart { size_px, nominal_f_px, values, radial: d.radial })
+    let nominal_f_px = values[0].or(d.design.map(|d| d.f_px)).or(from_lens);
+    let design = d.design.map(|d| [d.f_px, d.alpha_rad, d.beta_rad]);
+    (
+        CameraModel { name: d.name.clone(), free },
+        CameraStart { size_px, nominal_f_px, values, design, radial: d.radial },
+    )
 }
 
 /// The sheet as the plane on which a camera is focused, where the rig file says so.
@@ -237,13 +248,27 @@ fn focus(job: &RigDescription, camera: usize) -> Result<Option<Fact>> {
     Ok(Some(Fact::Focus(Focus { camera, pixel_pitch_mm, tilt_sigma_rad: focus.tilt_sigma_rad, distance })))
 }
 
-fn camera_facts(camera: usize, d: &CameraDescription, model: &CameraModel, size_px: [f64; 2]) -> Vec<Fact> {
-    let mut out = vec![];
-    for (p, knowledge) in &d.known {
-        if let Knowledge::Prior { value, sigma } = *knowledge {
-            out.push(Fact::Intrinsic { camera, parameter: index(*p), value, sigma });
-        }
+/// What the rig file says of a camera.
+fn stated_facts(camera: usize, d: &CameraDescription) -> Vec<Fact> {
+    let fact = |(p, knowledge): &(Parameter, Knowledge)| match *knowledge {
+        Knowledge::Prior { value, sigma } => Some(Fact::Intrinsic { camera, parameter: index(*p), value, sigma }),
+        Knowledge::Fixed { .. } => None,
+    };
+    let mut out: Vec<Fact> = d.known.iter().filter_map(fact).collect();
+    if let Some(design) = &d.design {
+        let mut add = |p: Parameter, value: f64, sigma: Option<f64>| {
+            out.extend(sigma.map(|sigma| Fact::Intrinsic { camera, parameter: index(p), value, sigma }));
+        };
+        add(Parameter::F, design.f_px, design.f_sigma_px);
+        add(Parameter::Alpha, design.alpha_rad, design.tilt_sigma_rad);
+        add(Parameter::Beta, design.beta_rad, design.tilt_sigma_rad);
     }
+    out
+}
+
+/// The weak prior on an axis point of which the rig file says nothing.
+fn axis_point_facts(camera: usize, d: &CameraDescription, model: &CameraModel, size_px: [f64; 2]) -> Vec<Fact> {
+    let mut out = vec![];
     for (parameter, size) in [(2, size_px[0]), (3, size_px[1])] {
         let stated = d.known.iter().any(|(p, _)| index(*p) == parameter);
         if model.free[parameter] && !stated {

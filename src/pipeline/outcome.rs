@@ -32,6 +32,7 @@ pub(super) fn record(s: &Solved, fits: &[ImageFit], sheet: Option<Sheet>) -> Res
         scale: Some(scale(s)),
         views: (0..s.job.views.len()).map(|v| view(s, fits, v)).collect(),
         fit: fit(s, fits),
+        mapping_uncertainty: s.findings.mapping.clone(),
         provenance: provenance(s),
         covariance: Covariance {
             names: s.covariance.names.clone(),
@@ -294,6 +295,7 @@ fn fit(s: &Solved, fits: &[ImageFit]) -> Fit {
             adjustment.decrement
         ));
     }
+    flags.extend(s.findings.flags.iter().cloned());
     flags.extend(s.undecided.iter().cloned());
     flags.extend(s.images.iter().flat_map(|i| i.warnings.iter().map(|w| format!("{}: {w}", i.name))));
     let scales = adjustment.model.images.iter().map(|i| i.sigma_scale);
@@ -324,7 +326,8 @@ fn fit(s: &Solved, fits: &[ImageFit]) -> Fit {
         .into(),
         sigma_scale: scales.fold(1.0, f64::max),
         parameters: parameters(s),
-        near_null: vec![],
+        near_null: s.findings.near_null.clone(),
+        diagnosis: Some(s.findings.diagnosis.clone()),
     }
 }
 

@@ -1,5 +1,6 @@
 //! The structs of `calibration.json`, in the order of its keys.
 
+use super::diagnosis::{Diagnosis, MappingUncertainty};
 use super::number::{label, maybe, maybe_array, maybe_list, maybe_map, maybe_rows};
 use super::sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, TargetSigma};
 use crate::camera::{self, Intrinsics};
@@ -47,6 +48,9 @@ pub struct Record {
     pub views: Vec<View>,
     /// How well it fits and what is not determined.
     pub fit: Fit,
+    /// What the uncertainty of the calibration does to measurements in the sheet.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mapping_uncertainty: Option<MappingUncertainty>,
     /// Where it comes from.
     #[serde(default)]
     pub provenance: Provenance,
@@ -481,6 +485,9 @@ pub struct Fit {
     /// Directions that the images hardly determine.
     #[serde(default)]
     pub near_null: Vec<NearNull>,
+    /// Priors, model, views and outliers tested.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub diagnosis: Option<Diagnosis>,
 }
 
 /// An image that took part.

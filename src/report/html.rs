@@ -8,6 +8,7 @@ use super::space;
 use super::svg::escape;
 use super::tables::{self, Table};
 use super::verdict::{Level, sentence, verdict};
+use super::{diagnosis, maps};
 use crate::error::Result;
 use crate::image::GrayView;
 use crate::record::{Record, ResidualTable, View};
@@ -45,7 +46,9 @@ pub fn write_html(record: &Record, overlays: &[OverlayInput<'_>], residuals: &Re
     verdict_box(&mut out, record);
     space_section(&mut out, record);
     sheet_section(&mut out, record);
+    mapping_section(&mut out, record);
     camera_section(&mut out, record);
+    diagnosis_section(&mut out, record);
     residual_section(&mut out, record, residuals);
     outlier_section(&mut out, record, residuals);
     overlay_section(&mut out, record, overlays)?;
@@ -145,6 +148,64 @@ fn sheet_section(out: &mut String, r: &Record) {
             |words| escape(words)
         )
     );
+}
+
+fn mapping_section(out: &mut String, r: &Record) {
+    let Some(m) = &r.mapping_uncertainty else { return };
+    out.push_str("<h2>What you will feel of it</h2>\n<p class=\"note\">What the uncertainty of the calibration adds to a measurement in the sheet: one standard \
+         deviation each, the noise of your particle images comes on top. u, v, w are the components along sheet x, y and out of the sheet. A leak is the part of \
+         one component that appears in another.</p>\n");
+    write_table(out, &diagnosis::mapping(r));
+    let drawn = maps::maps(m);
+    if !drawn.is_empty() {
+        out.push_str("<h3>Over the part of the sheet that both cameras see</h3>\n<div class=\"maps\">");
+        for map in drawn {
+            let _ = writeln!(out, "<figure>{}<figcaption>{}</figcaption></figure>", map.svg, escape(map.caption));
+        }
+        out.push_str("</div>\n");
+    }
+}
+
+fn diagnosis_section(out: &mut String, r: &Record) {
+    let tables = [
+        (
+            "Known beforehand, against the images",
+            diagnosis::priors(r),
+            "\"The images alone\" is what the adjustment would say without that line of the rig file. More than about 3 sigmas apart is a conflict: one of the \
+             two is wrong. Where the last but one column is near 1, only the prior speaks.",
+        ),
+        (
+            "Is something missing in the model?",
+            diagnosis::model_tests(r),
+            "Each line asks whether one more unknown would explain the images significantly better. Where the answer is yes but no result \
+             would change by much, it may be left out.",
+        ),
+        (
+            "Each view left out once",
+            diagnosis::views(r),
+            "The change of the results without a view should be of the size that chance allows (last column but one, below about 3). A view without which a \
+             result is lost is the only one that fixes it: record a second one.",
+        ),
+    ];
+    if tables.iter().all(|(_, t, _)| t.rows.is_empty()) {
+        return;
+    }
+    out.push_str("<h2>Can it be trusted?</h2>\n");
+    for (title, table, note) in tables.iter().filter(|(_, t, _)| !t.rows.is_empty()) {
+        let _ = writeln!(out, "<h3>{title}</h3>");
+        write_table(out, table);
+        let _ = writeln!(out, "<p class=\"note\">{}</p>", escape(note));
+    }
+    let reasons = r.fit.diagnosis.iter().flat_map(|d| &d.outliers).take(LONGEST_LIST);
+    let reasons: Vec<String> = reasons
+        .map(|o| {
+            let [column, row, level] = o.disc;
+            format!("View {}, camera {}, disc {column}, {row}, {level}: {}.", o.view, o.camera, o.reason)
+        })
+        .collect();
+    if !reasons.is_empty() {
+        list(out, "Discs set aside", &reasons);
+    }
 }
 
 fn camera_section(out: &mut String, r: &Record) {

@@ -1,5 +1,6 @@
 //! A calibration in plain words, for a terminal.
 
+use super::diagnosis;
 use super::tables::{self, Table};
 use super::verdict::{Level, verdict};
 use crate::record::Record;
@@ -7,6 +8,8 @@ use std::fmt::Write;
 
 /// Longest line of running text.
 const WIDTH: usize = 100;
+/// Longest list of discs.
+const LONGEST_LIST: usize = 40;
 
 /// The calibration in plain words: verdict, cameras, rig, sheet, target, fit, views.
 ///
@@ -31,9 +34,25 @@ pub fn text(record: &Record) -> String {
         section(&mut out, "Laser sheet", &tables::sheet(sheet));
         paragraph(&mut out, "  ", &format!("Angles: {}.", sheet.angles_convention));
     }
+    section(
+        &mut out,
+        "What the calibration's uncertainty does to a measurement (one sigma)",
+        &diagnosis::mapping(record),
+    );
     section(&mut out, "Target", &tables::target(record));
     section(&mut out, "Fit", &tables::fit(record));
     section(&mut out, "Residual rms per view, px", &views(record));
+    section(&mut out, "Known beforehand, against the images", &diagnosis::priors(record));
+    section(&mut out, "Is something missing in the model?", &diagnosis::model_tests(record));
+    section(&mut out, "Each view left out once", &diagnosis::views(record));
+    if let Some(d) = record.fit.diagnosis.as_ref().filter(|d| !d.outliers.is_empty()) {
+        let _ = writeln!(out, "\nDiscs set aside");
+        for o in d.outliers.iter().take(LONGEST_LIST) {
+            let [column, row, level] = o.disc;
+            let words = format!("view {}, camera {}, disc {column},{row},{level}: {}", o.view, o.camera, o.reason);
+            paragraph(&mut out, "  - ", &words);
+        }
+    }
     // Line ends are ours; everything else that steers a terminal came with a name.
     out.chars().map(|c| if c.is_control() && c != '\n' { '\u{fffd}' } else { c }).collect()
 }

@@ -129,6 +129,7 @@ fn determined(r: &Record) -> Vec<String> {
             with_unit(s.angle_to_baseline_deg, s.sigma.angle_to_baseline_deg, "°")
         ));
     }
+    out.extend(r.mapping_uncertainty.as_ref().and_then(felt));
     if let Some(scale) = &r.scale {
         let given = if scale.sigma_mm > 0.0 || scale.sigma_mm.is_nan() {
             with_unit(scale.value_mm, scale.sigma_mm, "mm")
@@ -138,6 +139,24 @@ fn determined(r: &Record) -> Vec<String> {
         out.push(format!("The scale comes from one given length: {} = {given}.", scale.fact));
     }
     out
+}
+
+/// What the calibration alone adds to a measured displacement.
+fn felt(m: &crate::record::MappingUncertainty) -> Option<String> {
+    let (l, percent) = (&m.largest, |x: f64| format!("{} %", plain(100.0 * x, 2)));
+    let all = [l.displacement[0][0], l.displacement[1][1], l.displacement[2][2], l.displacement[0][2], l.disparity_px];
+    let [u, v, w, leak, disparity_px] = all;
+    all.iter().all(|x| x.is_finite()).then(|| {
+        format!(
+            "To a measured displacement the calibration adds, at worst over the sheet, {} of u, {} of v, {} of w, and {} of w that leaks into u; the \
+             two cameras' images lie on each other to {} px (one sigma each).",
+            percent(u),
+            percent(v),
+            percent(w),
+            percent(leak),
+            plain(disparity_px, 2)
+        )
+    })
 }
 
 /// The words with a capital first letter and a full stop.

@@ -55,7 +55,8 @@ pub(super) fn calibrate_camera(problem: &RigProblem, c: usize) -> Result<Mono> {
     refuse_mirrored(problem, name, &seeds)?;
     let points: Vec<CircularPoint> = seeds.iter().map(|s| s.circular).collect();
     let start = &problem.starts[c];
-    let candidates = pinholes(&points, start.size_px, start.nominal_f_px);
+    let mut candidates: Vec<EffectivePinhole> = designed(start).into_iter().collect();
+    candidates.extend(pinholes(&points, start.size_px, start.nominal_f_px));
     let model = mono_model(problem, c, &seeds);
     let quick =
         AdjustOptions { solve: SolveOptions { decrement: 1.0, iterations: 25 }, rounds: 0, outlier_sigmas: 6.0 };
@@ -244,6 +245,16 @@ fn start_intrinsics(start: &CameraStart, free: &[bool; 10], pinhole: &EffectiveP
         }
     }
     Intrinsics::from_array(&p, start.radial)
+}
+
+/// The effective pinhole of the drawing, where there is one.
+fn designed(start: &CameraStart) -> Option<EffectivePinhole> {
+    let [f_px, alpha_rad, beta_rad] = start.design?;
+    let cx = start.values[2].unwrap_or((start.size_px[0] - 1.0) / 2.0);
+    let cy = start.values[3].unwrap_or((start.size_px[1] - 1.0) / 2.0);
+    let aspect = start.values[1].unwrap_or(1.0);
+    let camera = Camera::new(Intrinsics { alpha_rad, beta_rad, aspect, ..Intrinsics::pinhole(f_px, cx, cy) });
+    Some(camera.ok()?.effective_pinhole())
 }
 
 fn mono_start(problem: &RigProblem, c: usize, seeds: &[SeededImage], pinhole: &EffectivePinhole) -> Option<State> {

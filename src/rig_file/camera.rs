@@ -1,13 +1,15 @@
-//! `[[camera]]` and `[camera.known]`.
+//! `[[camera]]`, `[camera.known]` and `[camera.design]`.
 
-use super::reader::{FINITE, Item, Limits, POSITIVE, SIGMA, Section};
-use super::{CameraDescription, Knowledge, Parameter};
-use crate::camera::Radial;
+use super::reader::{FINITE, Item, LENGTH_MM, Limits, POSITIVE, SIGMA, Section};
+use super::{CameraDescription, Design, Knowledge, Parameter};
+use crate::camera::{Drawing, Radial};
 use crate::error::Result;
 
 const PIXEL_PITCH_MM: Limits =
     Limits::new(1e-4, 1.0, "a pixel pitch in mm between 0.0001 and 1 (6.25 micrometres are 0.00625)");
 const FOCAL_LENGTH_MM: Limits = Limits::new(0.1, 1e5, "a focal length in mm between 0.1 and 100000");
+const F_SIGMA: Limits = Limits::new(0.0, 1.0, "a relative standard deviation above 0 and below 1 (1 percent is 0.01)");
+const TILT_SIGMA_DEG: Limits = Limits::new(0.0, 90.0, "a standard deviation in degrees above 0 and below 90");
 /// Directions of the radial polynomial.
 const RADIAL: [(&str, Radial); 2] =
     [("ideal-to-distorted", Radial::IdealToDistorted), ("distorted-to-ideal", Radial::DistortedToIdeal)];
@@ -47,15 +49,71 @@ pub(super) fn read_all(root: &Section<'_>) -> Result<Vec<CameraDescription>> {
 }
 
 fn read(section: &Section<'_>) -> Result<CameraDescription> {
-    section.only(&["name", "pixel_pitch_mm", "focal_length_mm", "radial", "known"], |key| {
+    section.only(&["name", "pixel_pitch_mm", "focal_length_mm", "radial", "known", "design"], |key| {
         Parameter::ALL.iter().any(|p| p.key() == key).then(|| "belongs under [camera.known]".to_string())
     })?;
-    Ok(CameraDescription {
+    let mut camera = CameraDescription {
         name: name(&section.require("name", "give the camera a name, such as name = \"left\"")?)?,
         pixel_pitch_mm: section.number("pixel_pitch_mm", PIXEL_PITCH_MM)?,
         focal_length_mm: section.number("focal_length_mm", FOCAL_LENGTH_MM)?,
         radial: section.find("radial").map_or(Ok(Radial::default()), |item| item.choice(&RADIAL))?,
         known: section.find("known").map_or(Ok(Vec::new()), |item| known(&item))?,
+        design: None,
+    };
+    if let Some(item) = section.find("design") {
+        camera.design = Some(design(&item, &camera)?);
+    }
+    Ok(camera)
+}
+
+/// Focal length and tilts from the drawing; what it gives must not be stated a second time.
+fn design(item: &Item<'_>, camera: &CameraDescription) -> Result<Design> {
+    let section = item.section("a table of keys")?.named("[camera.design]");
+    let keys = ["object_distance_mm", "viewing_angle_deg", "viewing_angle_vertical_deg", "f_sigma", "tilt_sigma_deg"];
+    section.only(&keys, |key| {
+        let of_camera = ["focal_length_mm", "pixel_pitch_mm"].contains(&key);
+        of_camera.then(|| "stands in [[camera]] itself".to_string())
+    })?;
+    let missing = |key: &str| {
+        item.refuse(format!("needs {key} of camera \"{}\"; add it to [[camera]], above [camera.design]", camera.name))
+    };
+    let focal_length_mm = camera.focal_length_mm.ok_or_else(|| missing("focal_length_mm"))?;
+    let pixel_pitch_mm = camera.pixel_pitch_mm.ok_or_else(|| missing("pixel_pitch_mm"))?;
+    let distance = section
+        .require("object_distance_mm", "give the distance from the lens to the sheet along the lens axis, mm")?;
+    let angle =
+        section.require("viewing_angle_deg", "give the angle between the lens axis and the sheet's normal, degrees")?;
+    let vertical_deg = section.number("viewing_angle_vertical_deg", TILT_DEG)?.unwrap_or(0.0);
+    let drawing = Drawing {
+        focal_length_mm,
+        pixel_pitch_mm,
+        object_distance_mm: distance.number(LENGTH_MM)?,
+        angle_rad: angle.number(TILT_DEG)?.to_radians(),
+        angle_vertical_rad: vertical_deg.to_radians(),
+    };
+    if drawing.object_distance_mm <= focal_length_mm {
+        return Err(distance.refuse(format!(
+            "expected a distance above the focal length of {focal_length_mm} mm, found {}; nothing nearer can be in focus",
+            drawing.object_distance_mm
+        )));
+    }
+    let i = drawing.intrinsics([0.0; 2])?;
+    let sigmas = [("f_sigma", &[Parameter::F][..]), ("tilt_sigma_deg", &[Parameter::Alpha, Parameter::Beta])];
+    for (key, parameters) in sigmas {
+        let stated = parameters.iter().find(|p| camera.knowledge(**p).is_some());
+        if let (Some(item), Some(parameter)) = (section.find(key), stated) {
+            return Err(item.refuse(format!(
+                "makes a prior of what [camera.known] already states as {}; remove one of the two",
+                parameter.key()
+            )));
+        }
+    }
+    Ok(Design {
+        f_px: i.f_px,
+        alpha_rad: i.alpha_rad,
+        beta_rad: i.beta_rad,
+        f_sigma_px: section.number("f_sigma", F_SIGMA)?.map(|s| s * i.f_px),
+        tilt_sigma_rad: section.number("tilt_sigma_deg", TILT_SIGMA_DEG)?.map(f64::to_radians),
     })
 }
 

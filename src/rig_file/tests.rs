@@ -196,6 +196,36 @@ fn a_scale_on_two_discs_belongs_to_the_plate() {
 }
 
 #[test]
+fn a_drawing_gives_focal_length_and_tilts() {
+    let design = "[camera.design]\nobject_distance_mm = 500\nviewing_angle_deg = 45";
+    // Without what [camera.known] says of f and alpha.
+    let bare = FULL.replace("f_px = { value = 8889, sigma = 90 }\nalpha_deg = { value = 2.0, sigma = 1.0 }\n", "");
+    let known = "[camera.known]\n";
+    let with = |more: &str| bare.replacen(known, &format!("{design}{more}\n{known}"), 1);
+    let found = parse(&with("")).cameras[0].design.unwrap();
+    assert!((found.f_px - 8888.89).abs() < 0.01 && (found.beta_rad.to_degrees() - 6.340).abs() < 0.001, "{found:?}");
+    assert_eq!((found.alpha_rad, found.f_sigma_px, found.tilt_sigma_rad), (0.0, None, None));
+    let found = parse(&with("\nviewing_angle_vertical_deg = -10\nf_sigma = 0.01\ntilt_sigma_deg = 0.5")).cameras[0]
+        .design
+        .unwrap();
+    assert!(found.alpha_rad < 0.0 && (found.f_sigma_px.unwrap() - 88.8889).abs() < 1e-3);
+    assert_eq!(found.tilt_sigma_rad, Some(0.5f64.to_radians()));
+    refused(&with(""), "object_distance_mm = 500\n", "", 6, &["[camera.design]", "object_distance_mm", "missing"]);
+    refused(&with(""), "object_distance_mm = 500", "object_distance_mm = 49", 7, &["above the focal length of 50 mm"]);
+    refused(&with(""), "viewing_angle_deg = 45", "viewing_angle_deg = 90", 8, &["between -89 and 89"]);
+    refused(&with(""), "viewing_angle_deg = 45", "angle_deg = 45", 8, &["unknown key", "viewing_angle_deg"]);
+    refused(&with(""), "focal_length_mm = 50\n", "", 5, &["needs focal_length_mm of camera \"left\""]);
+    refused(
+        &with("\nf_sigma = 0.01"),
+        known,
+        "[camera.known]\nf_px = { value = 8889, sigma = 9 }\n",
+        9,
+        &["f_px", "remove one"],
+    );
+    refused(&with("\nf_sigma = 1"), "f_sigma = 1", "f_sigma = 1", 9, &["relative standard deviation"]);
+}
+
+#[test]
 fn text_that_is_no_toml_is_refused_at_its_line() {
     refused(FULL, "name = \"left\"", "name = left", 3, &["not valid TOML"]);
     refused(FULL, "name = \"left\"", "name = \"left\"\nname = \"again\"", 4, &["not valid TOML", "duplicate"]);

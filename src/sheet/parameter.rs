@@ -5,11 +5,11 @@ use crate::rigid::Motion;
 use nalgebra::SVector;
 
 /// Ends of the names of a left step (see [`crate::rigid`]).
-pub(super) const STEP_NAMES: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
+pub(crate) const STEP_NAMES: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
 
 /// One adjusted number.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Parameter {
+pub(crate) enum Parameter {
     /// Camera and index of the intrinsic.
     Intrinsic(usize, usize),
     /// Part of a left step of the motion of the second camera against the rig.
@@ -20,7 +20,7 @@ pub(super) enum Parameter {
 
 impl Parameter {
     /// The number of this name; `None` for one that belongs to neither the two cameras nor the sheet.
-    pub(super) fn of(name: &str, camera_names: [&str; 2]) -> Option<Self> {
+    pub(crate) fn of(name: &str, camera_names: [&str; 2]) -> Option<Self> {
         let step = |rest: &str| STEP_NAMES.iter().position(|n| *n == rest);
         if let Some(rest) = name.strip_prefix("sheet.rig_from_sheet.") {
             return step(rest).map(Parameter::Sheet);
@@ -35,7 +35,7 @@ impl Parameter {
 }
 
 /// The camera after a change of one intrinsic; `None` where there is no such camera.
-pub(super) fn stepped_camera(camera: &Camera, k: usize, h: f64) -> Option<Camera> {
+pub(crate) fn stepped_camera(camera: &Camera, k: usize, h: f64) -> Option<Camera> {
     let old = camera.intrinsics();
     let mut p = old.to_array();
     p[k] += h;
@@ -43,7 +43,7 @@ pub(super) fn stepped_camera(camera: &Camera, k: usize, h: f64) -> Option<Camera
 }
 
 /// The motion after a left step of one part.
-pub(super) fn stepped_motion<A, B>(motion: &Motion<A, B>, k: usize, h: f64) -> Motion<A, B> {
+pub(crate) fn stepped_motion<A, B>(motion: &Motion<A, B>, k: usize, h: f64) -> Motion<A, B> {
     let mut d = SVector::<f64, 6>::zeros();
     d[k] = h;
     motion.retract(&d)

@@ -11,7 +11,7 @@ use super::reduced::{Ridge, damped, eliminate};
 use nalgebra::{DMatrix, DVector};
 
 /// Share of information below which a direction counts as undetermined.
-const RANK_LIMIT: f64 = 1e-12;
+pub(super) const RANK_LIMIT: f64 = 1e-12;
 
 /// Covariance parts of one block.
 #[derive(Debug, Clone, PartialEq)]

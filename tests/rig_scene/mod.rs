@@ -288,12 +288,34 @@ impl Scene {
         Parts::of(seed, cameras, points.then_some(THREE_BY_THREE), per_view, points, position).scene()
     }
 
+    /// The same scene with its discs moved by offsets (dx, dy, dz, dr), mm.
+    pub(crate) fn with_offsets(&self, offsets: &[[f64; 4]]) -> Self {
+        let mut out = self.clone();
+        out.truth.offsets_mm = offsets.to_vec();
+        let e: Vec<Motion<Cam, Cam>> =
+            self.cameras.iter().map(|c| Motion::new(c.cam_from_pinhole(), Vector3::zeros())).collect();
+        for seen in &mut out.model.images {
+            let (v, c) = (seen.view, seen.camera);
+            let view = &self.truth.views[v];
+            let cam_from_target = e[c] * self.truth.camera_from_first[c] * view.first_from_target;
+            let own = if self.model.target.per_view() { view.shape_mm } else { self.truth.shape_mm };
+            *seen = image(&self.model.target, &self.cameras[c], &cam_from_target, &own, offsets, v, c);
+        }
+        out
+    }
+
     /// What a calibration from nothing but contours has to start from.
     pub(crate) fn problem(&self) -> RigProblem {
         let ellipse = |d: &DiscObservation| fit_direct(&d.edge.u_px, &d.edge.v_px).unwrap();
         let mut values = [None; 10];
         (values[1], values[7], values[8], values[9]) = (Some(1.0), Some(0.0), Some(0.0), Some(1.0));
-        let start = CameraStart { size_px: [1024.0, 768.0], nominal_f_px: None, values, radial: Radial::default() };
+        let start = CameraStart {
+            size_px: [1024.0, 768.0],
+            nominal_f_px: None,
+            values,
+            radial: Radial::default(),
+            design: None,
+        };
         let lattice = matches!(self.model.target.shape, TargetShape::Lattice(_));
         let spacing = (!self.model.target.per_view()).then_some(self.truth.shape_mm[0]);
         RigProblem {

@@ -262,6 +262,7 @@ fn fit() -> Fit {
             components: vec![0.71, 0.70],
             sigma: 18.2,
         }],
+        diagnosis: None,
     }
 }
 
@@ -307,6 +308,7 @@ pub fn record() -> Record {
         scale: Some(Scale { fact: "spacing".into(), value_mm: 26.0, sigma_mm: 0.0 }),
         views: (0..VIEWS).map(view).collect(),
         fit: fit(),
+        mapping_uncertainty: None,
         provenance,
         covariance: covariance(),
     }

@@ -1,0 +1,167 @@
+//! Whether the model lacks something: score tests of further unknowns at the minimum, without adjusting them.
+//!
+//! | question | further unknowns | degrees of freedom |
+//! |---|---|---|
+//! | a lens term, pixel aspect, pupil ratio | one intrinsic of one camera | 1 |
+//! | is the plate bent? | `dz = (a x^2 + b x y + c y^2) / L^2`, L half the extent, common to all views | 3 |
+//! | are the dots displaced? | (dx, dy) of every disc, common to all views | 2 per disc less what a shift, turn and scale take up |
+//!
+//! The further unknowns are those the adjustment has anyway, so their derivatives are the ones that are tested elsewhere; the test itself
+//! is [`crate::solve::ScoreTests`]. With a robust loss its size is right to a percent (Huber at 3 sigma).
+
+use super::adjust::{Adjustment, problem};
+use super::layout::Places;
+use super::model::{Model, TargetShape};
+use super::state::State;
+use crate::solve::{Problem, ScoreTests};
+use nalgebra::{DMatrix, DVector};
+
+/// Discs beyond which single displacements are not tested together: the matrix would outgrow the adjustment.
+const MOST_DISCS: usize = 600;
+/// Prior of an offset that leaves it free, mm.
+const FREE_MM: f64 = 1e4;
+
+/// What might be missing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Extension {
+    /// An intrinsic parameter that is held.
+    Intrinsic {
+        /// Camera.
+        camera: usize,
+        /// Index in [`crate::camera::INTRINSIC_NAMES`].
+        parameter: usize,
+    },
+    /// The plate is bent.
+    BentTarget,
+    /// The dots are not at their nominal places.
+    DisplacedDiscs,
+}
+
+/// Result of one test.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ExtensionTest {
+    /// What was tested.
+    pub extension: Extension,
+    /// Chi-square where the model lacks nothing.
+    pub statistic: f64,
+    /// Its degrees of freedom.
+    pub degrees: usize,
+    /// Estimate: change of the intrinsic (its unit); peak to valley of the bend beside a plane, mm; root mean square displacement of
+    /// the dots beside noise, mm.
+    pub size: f64,
+    /// Its standard deviation; `NaN` where it has none in this form.
+    pub sigma: f64,
+    /// Change of the global unknowns if it were added.
+    pub shift: DVector<f64>,
+}
+
+/// All tests that the adjustment allows; those about which the images say nothing are left out. `None` where nothing can be said.
+pub fn extension_tests(adjustment: &Adjustment) -> Option<Vec<ExtensionTest>> {
+    let base = Places::of(&adjustment.model);
+    let (model, state) = extended(adjustment);
+    let places = Places::of(&model);
+    let equations = problem(&model).linearise(&state)?;
+    let tests = ScoreTests::of(&equations, shared(&base, &places))?;
+    let mut out = vec![];
+    for (camera, old) in base.charts.iter().enumerate() {
+        for parameter in 0..old.len() {
+            let (None, Some(at)) = (old[parameter], places.charts[camera][parameter]) else { continue };
+            let Some(score) = tests.test(&[at], &DMatrix::identity(1, 1)) else { continue };
+            out.push(ExtensionTest {
+                extension: Extension::Intrinsic { camera, parameter },
+                statistic: score.statistic,
+                degrees: score.degrees,
+                size: score.estimate[0],
+                sigma: score.covariance[(0, 0)].sqrt(),
+                shift: score.shift,
+            });
+        }
+    }
+    if let (None, Some(first)) = (base.offsets, places.offsets) {
+        out.extend(bent(&tests, &model, &state, first));
+        out.extend(displaced(&tests, model.target.disc_count(), first));
+    }
+    Some(out)
+}
+
+/// Model and state with everything that is tested made free.
+fn extended(adjustment: &Adjustment) -> (Model, State) {
+    let (mut model, mut state) = (adjustment.model.clone(), adjustment.state.clone());
+    for camera in &mut model.cameras {
+        // k3 alone says no more than k2 alone.
+        let k3 = camera.free[7];
+        for (parameter, wanted) in [(1, true), (6, true), (7, true), (8, k3), (9, true)] {
+            camera.free[parameter] |= wanted;
+        }
+    }
+    let lattice = matches!(model.target.shape, TargetShape::Lattice(_));
+    let contours = model.images.iter().all(|i| i.pairs.is_empty());
+    let discs = model.target.disc_count();
+    if lattice && contours && model.target.offset_sigma_mm.is_none() && (4..=MOST_DISCS).contains(&discs) {
+        model.target.offset_sigma_mm = Some([FREE_MM; 4]);
+        state.offsets_mm = vec![[0.0; 4]; discs];
+    }
+    (model, state)
+}
+
+/// Where the global unknowns of the smaller model stand in the larger one.
+fn shared(base: &Places, places: &Places) -> Vec<usize> {
+    let mut out = vec![0; base.global];
+    let mut put = |from: Option<usize>, to: Option<usize>, n: usize| {
+        if let (Some(from), Some(to)) = (from, to) {
+            (0..n).for_each(|k| out[from + k] = to + k);
+        }
+    };
+    for (old, new) in base.charts.iter().zip(&places.charts) {
+        old.iter().zip(new).for_each(|(a, b)| put(*a, *b, 1));
+    }
+    base.motions.iter().zip(&places.motions).for_each(|(a, b)| put(*a, *b, 6));
+    put(base.plane, places.plane, 3);
+    base.shape.iter().zip(&places.shape).for_each(|(a, b)| put(*a, *b, 1));
+    let offsets = base.offsets.map_or(0, |at| base.global - at);
+    put(base.offsets, places.offsets, offsets);
+    out
+}
+
+fn bent(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> Option<ExtensionTest> {
+    let n = model.target.disc_count();
+    let at: Vec<_> = (0..n).map(|j| model.target.nominal_disc(j, &state.shape_mm).0).collect();
+    let middle = at.iter().map(|p| p.xy()).sum::<nalgebra::Vector2<f64>>() / n as f64;
+    let half_mm = at.iter().map(|p| (p.xy() - middle).amax()).fold(1e-9, f64::max);
+    let basis = DMatrix::from_fn(n, 3, |j, k| {
+        let p = (at[j].xy() - middle) / half_mm;
+        [p.x * p.x, p.x * p.y, p.y * p.y][k]
+    });
+    let tested: Vec<usize> = (0..n).map(|j| first + 4 * j + 2).collect();
+    let score = tests.test(&tested, &basis)?;
+    // Beside the plane that fits best: a constant and a tilt belong to the pose.
+    let plane = DMatrix::from_fn(n, 3, |j, k| [1.0, at[j].x, at[j].y][k]);
+    let gram = plane.tr_mul(&plane).try_inverse()?;
+    let beside = &basis - &plane * (gram * plane.tr_mul(&basis));
+    let dz = &beside * &score.estimate;
+    let (high, low) = (dz.argmax().0, dz.argmin().0);
+    let across = beside.row(high) - beside.row(low);
+    let variance = (&across * &score.covariance * across.transpose())[(0, 0)];
+    Some(ExtensionTest {
+        extension: Extension::BentTarget,
+        statistic: score.statistic,
+        degrees: score.degrees,
+        size: dz[high] - dz[low],
+        sigma: variance.max(0.0).sqrt(),
+        shift: score.shift,
+    })
+}
+
+fn displaced(tests: &ScoreTests, discs: usize, first: usize) -> Option<ExtensionTest> {
+    let tested: Vec<usize> = (0..discs).flat_map(|j| [first + 4 * j, first + 4 * j + 1]).collect();
+    let score = tests.test(&tested, &DMatrix::identity(2 * discs, 2 * discs))?;
+    let square = score.estimate.norm_squared() - score.covariance.trace();
+    Some(ExtensionTest {
+        extension: Extension::DisplacedDiscs,
+        statistic: score.statistic,
+        degrees: score.degrees,
+        size: (square.max(0.0) / discs as f64).sqrt(),
+        sigma: f64::NAN,
+        shift: score.shift,
+    })
+}

@@ -1,0 +1,113 @@
+//! What a calibration knows, what it does not, and whether its model holds: numbers and words for the record.
+//!
+//! | part | asks | by |
+//! |---|---|---|
+//! | priors | does what was known beforehand agree with the images? how much of a number is its prior? | [`crate::bundle::prior_checks`] |
+//! | weak directions | which numbers move together? | principal directions of the covariance, in parts of 0.5 % and 5 mrad |
+//! | model tests | is a lens term lacking? is the plate bent, are its dots displaced? | [`crate::bundle::extension_tests`] |
+//! | views | what does each view contribute, does it agree with the others? | [`crate::bundle::predicted_without_view`], and an adjustment without it |
+//! | mapping | what do errors of the calibration do to u, v, w and to dewarped images? | [`crate::sheet::SheetUncertainty`] |
+//!
+//! Every yes-or-no finding allows 1 % false alarms over all tests of its kind together (Bonferroni). A finding becomes a flag only where
+//! it touches a number that a user relies on.
+
+mod keys;
+mod mapping;
+mod model_tests;
+mod outliers;
+mod priors;
+mod views;
+mod weak;
+
+use crate::bundle::{AdjustOptions, Adjustment, NamedCovariance};
+use crate::record::{Diagnosis, KeyQuantity, MappingUncertainty, NearNull};
+use crate::target::DotId;
+use keys::Keys;
+
+/// False alarms allowed over all tests of a kind.
+const FALSE_ALARMS: f64 = 0.01;
+/// A key quantity that would move by more than this many of its standard deviations makes a finding a flag.
+const FELT_SIGMAS: f64 = 3.0;
+
+/// What is diagnosed.
+#[derive(Debug, Clone, Copy)]
+pub struct Subject<'a> {
+    /// The adjustment at its minimum.
+    pub adjustment: &'a Adjustment,
+    /// Its covariance.
+    pub covariance: &'a NamedCovariance,
+    /// Indices of the facts that the program assumed and the user did not state.
+    pub assumed: &'a [usize],
+    /// Label of each disc of the target.
+    pub labels: &'a [DotId],
+    /// Width and height of each camera's images, px.
+    pub sizes_px: &'a [[f64; 2]],
+    /// How views are adjusted away.
+    pub options: &'a AdjustOptions,
+}
+
+/// What was found.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Findings {
+    /// For `fit.diagnosis`.
+    pub diagnosis: Diagnosis,
+    /// For `fit.near_null`.
+    pub near_null: Vec<NearNull>,
+    /// For `mapping_uncertainty`; none without a second camera or a sheet.
+    pub mapping: Option<MappingUncertainty>,
+    /// What a user must look at before relying on the result.
+    pub flags: Vec<String>,
+}
+
+/// Diagnoses an adjustment that has reached its minimum.
+pub fn diagnose(s: &Subject<'_>) -> Findings {
+    let names: Vec<&str> = s.adjustment.model.cameras.iter().map(|c| c.name.as_str()).collect();
+    let keys = Keys::of(s.covariance, &names);
+    let mut out = Findings { near_null: weak::near_null(s.covariance, &names, &keys), ..Findings::default() };
+    out.diagnosis.key_quantities = quantities(s.covariance, &keys);
+    out.diagnosis.priors = priors::priors(s, &mut out.flags);
+    out.diagnosis.model_tests = model_tests::model_tests(s, &keys, &mut out.flags);
+    out.diagnosis.views = views::views(s, &keys, &mut out.flags);
+    out.diagnosis.outliers = outliers::outliers(s);
+    out.mapping = mapping::mapping_uncertainty(s, &names, &mut out.flags);
+    out
+}
+
+fn quantities(covariance: &NamedCovariance, keys: &Keys) -> Vec<KeyQuantity> {
+    let matrix = covariance.propagate(&keys.rows);
+    let quantity = |(k, key): (usize, &keys::Key)| KeyQuantity {
+        name: key.name.clone(),
+        unit: key.unit.into(),
+        value: key.value,
+        sigma: if keys.determined[k] { matrix[(k, k)].max(0.0).sqrt() } else { f64::NAN },
+    };
+    keys.list.iter().enumerate().map(quantity).collect()
+}
+
+/// A number with a sensible count of digits, for sentences.
+fn digits(x: f64, n: usize) -> String {
+    if x == 0.0 || !x.is_finite() {
+        return if x == 0.0 { "0".into() } else { "unknown".into() };
+    }
+    let decimals = (n as i32 - 1 - x.abs().log10().floor() as i32).clamp(0, 9);
+    format!("{x:.*}", decimals as usize)
+}
+
+/// A value and its standard deviation, rounded alike, with the unit.
+fn measured(value: f64, sigma: f64, unit: &str) -> String {
+    let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+    if !(sigma.is_finite() && sigma > 0.0) {
+        return format!("{}{unit}", digits(value, 6));
+    }
+    let decimals = (1 - sigma.log10().floor() as i32).clamp(0, 9) as usize;
+    format!("{value:.decimals$} ± {sigma:.decimals$}{unit}")
+}
+
+/// A list in words.
+fn listed(items: &[String]) -> String {
+    match items {
+        [] => String::new(),
+        [one] => one.clone(),
+        [first @ .., last] => format!("{} and {last}", first.join(", ")),
+    }
+}

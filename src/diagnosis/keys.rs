@@ -1,0 +1,217 @@
+//! The numbers that a user relies on, with their derivatives by the named parameters.
+
+use crate::bundle::{NamedCovariance, Natural};
+use crate::camera::INTRINSIC_NAMES;
+use crate::sheet::{Parameter, StereoSheet, stepped_camera, stepped_motion};
+use nalgebra::{DMatrix, DVector, Vector3};
+
+/// One number.
+pub(super) struct Key {
+    pub(super) name: String,
+    pub(super) unit: &'static str,
+    pub(super) value: f64,
+}
+
+/// All of them.
+pub(super) struct Keys {
+    pub(super) list: Vec<Key>,
+    /// Derivatives by named parameters.
+    pub(super) rows: Vec<Vec<(String, f64)>>,
+    /// Whether nothing undetermined moves them.
+    pub(super) determined: Vec<bool>,
+    reference: Option<StereoSheet>,
+}
+
+fn stereo(natural: &Natural) -> Option<StereoSheet> {
+    let cameras = [*natural.cameras.first()?, *natural.cameras.get(1)?];
+    Some(StereoSheet::new(cameras, natural.cam_from_rig[1], natural.rig_from_plane.as_ref()?))
+}
+
+impl Keys {
+    pub(super) fn of(covariance: &NamedCovariance, names: &[&str]) -> Self {
+        let natural = &covariance.natural;
+        let reference = stereo(natural).filter(|s| s.response(s, [0.0, 0.0]).is_some());
+        let mut out = Self { list: vec![], rows: vec![], determined: vec![], reference };
+        let Some(values) = out.values(natural) else { return out };
+        let labels = labels(natural, names, out.reference.is_some());
+        let derivative = derivative(covariance, names, &|n| out.values(n)).unwrap_or_else(|| DMatrix::zeros(0, 0));
+        for (k, ((name, unit), value)) in labels.into_iter().zip(values.iter()).enumerate() {
+            if k >= derivative.nrows() {
+                break;
+            }
+            let row = derivative.row(k).transpose();
+            out.determined.push(still(&row, covariance, names));
+            let terms = covariance.names.iter().zip(row.iter()).filter(|(_, v)| **v != 0.0);
+            out.rows.push(terms.map(|(n, v)| (n.clone(), *v)).collect());
+            out.list.push(Key { name, unit, value: *value });
+        }
+        out
+    }
+
+    /// The values of another estimate of the same rig, in the same order.
+    pub(super) fn values(&self, n: &Natural) -> Option<DVector<f64>> {
+        let mut out = vec![];
+        for camera in &n.cameras {
+            let e = camera.effective_pinhole();
+            out.extend([e.f_px, e.cx_px, e.cy_px]);
+        }
+        if let Some(motion) = n.cam_from_rig.get(1) {
+            out.push(motion.translation_mm.norm());
+            out.push(motion.rotation.m33.clamp(-1.0, 1.0).acos().to_degrees());
+        }
+        if let Some(plane) = &n.rig_from_plane {
+            let axis: Vector3<f64> = plane.rotation.column(2).into_owned();
+            out.push(axis.dot(&plane.translation_mm).abs());
+            if let Some(motion) = n.cam_from_rig.get(1) {
+                let b = motion.inverse().translation_mm.normalize();
+                out.push(axis.dot(&b).abs().min(1.0).asin().to_degrees());
+            }
+        }
+        if let Some(reference) = &self.reference {
+            out.push(100.0 * stereo(n)?.response(reference, [0.0, 0.0])?.relative_gain());
+        }
+        Some(DVector::from_vec(out))
+    }
+}
+
+fn labels(natural: &Natural, names: &[&str], gain: bool) -> Vec<(String, &'static str)> {
+    let mut out: Vec<(String, &'static str)> = vec![];
+    for name in names {
+        for what in ["effective focal length", "effective principal point cx", "effective principal point cy"] {
+            out.push((format!("{what} of camera {name}"), "px"));
+        }
+    }
+    if natural.cam_from_rig.len() > 1 {
+        out.push(("distance of the cameras".into(), "mm"));
+        out.push(("angle between the lens axes".into(), "deg"));
+    }
+    if natural.rig_from_plane.is_some() {
+        out.push(("distance of the sheet".into(), "mm"));
+        if natural.cam_from_rig.len() > 1 {
+            out.push(("angle of the sheet to the baseline".into(), "deg"));
+        }
+    }
+    if gain {
+        out.push(("out-of-plane gain".into(), "%"));
+    }
+    out
+}
+
+/// Derivatives of `f` (rows) by every name of the covariance (columns; zero for those that belong to views or the target), by central
+/// differences; `None` where `f` has no value.
+pub(super) fn derivative(
+    covariance: &NamedCovariance,
+    names: &[&str],
+    f: &dyn Fn(&Natural) -> Option<DVector<f64>>,
+) -> Option<DMatrix<f64>> {
+    let natural = &covariance.natural;
+    let own = [names.first().copied().unwrap_or_default(), names.get(1).copied().unwrap_or_default()];
+    let mut out = DMatrix::zeros(f(natural)?.len(), covariance.names.len());
+    for (column, name) in covariance.names.iter().enumerate() {
+        let Some(parameter) = Parameter::of(name, own) else { continue };
+        let h = step(natural, parameter);
+        let at = |h: f64| f(&stepped(natural, parameter, h)?);
+        out.set_column(column, &((at(h)? - at(-h)?) / (2.0 * h)));
+    }
+    Some(out)
+}
+
+/// True where a function with these derivatives stands still along every undetermined direction: its terms cancel, or are rounding
+/// against what it would feel if all of its parameters moved as far as the one that moves most.
+pub(super) fn still(row: &DVector<f64>, covariance: &NamedCovariance, names: &[&str]) -> bool {
+    if covariance.nullity == 0 {
+        return true;
+    }
+    let typical: Vec<f64> =
+        covariance.names.iter().map(|n| typical(&covariance.natural, n, names).unwrap_or(0.0)).collect();
+    covariance.null_directions.column_iter().all(|d| {
+        let terms = row.component_mul(&d);
+        let most = d.iter().zip(&typical).filter(|(_, t)| **t > 0.0).map(|(d, t)| d.abs() / t).fold(0.0, f64::max);
+        let size: f64 = row.iter().zip(&typical).map(|(r, t)| r.abs() * t).sum();
+        terms.sum().abs() <= (1e-4 * terms.abs().sum()).max(1e-6 * most * size)
+    })
+}
+
+/// Lengths by which shifts are measured: where the rig looks.
+pub(super) fn distance_mm(natural: &Natural) -> f64 {
+    let plane = natural.rig_from_plane.as_ref().map(|p| p.translation_mm.norm());
+    let views = natural.rig_from_target.iter().map(|v| v.translation_mm.norm());
+    plane.unwrap_or_else(|| views.fold(1.0, f64::max))
+}
+
+/// Half a percent, or 5 mrad, of a parameter: a change that a user would call large.
+pub(super) fn typical(natural: &Natural, name: &str, names: &[&str]) -> Option<f64> {
+    const PART: f64 = 0.005;
+    let own = [names.first().copied().unwrap_or_default(), names.get(1).copied().unwrap_or_default()];
+    Some(match Parameter::of(name, own)? {
+        Parameter::Intrinsic(c, k) => {
+            let i = natural.cameras[c].intrinsics();
+            // The image reaches about to the mirrored axis point.
+            let s = (i.cx_px.abs().max(i.cy_px.abs()) / i.f_px).powi(2).clamp(1e-4, 1.0);
+            match k {
+                0 | 2 | 3 => PART * i.f_px,
+                6..=8 => PART / s.powi(k as i32 - 5),
+                _ => PART,
+            }
+        }
+        Parameter::Motion(k) | Parameter::Sheet(k) => {
+            if k < 3 {
+                PART
+            } else {
+                PART * distance_mm(natural)
+            }
+        }
+    })
+}
+
+fn step(natural: &Natural, parameter: Parameter) -> f64 {
+    match parameter {
+        Parameter::Intrinsic(c, 0 | 2 | 3) => 1e-5 * natural.cameras[c].intrinsics().f_px,
+        Parameter::Intrinsic(_, 6..=8) => 1e-3,
+        Parameter::Motion(3..) | Parameter::Sheet(3..) => 1e-5 * distance_mm(natural),
+        _ => 1e-5,
+    }
+}
+
+fn stepped(natural: &Natural, parameter: Parameter, h: f64) -> Option<Natural> {
+    let mut out = natural.clone();
+    match parameter {
+        Parameter::Intrinsic(c, k) => out.cameras[c] = stepped_camera(&out.cameras[c], k, h)?,
+        Parameter::Motion(k) => out.cam_from_rig[1] = stepped_motion(&out.cam_from_rig[1], k, h),
+        Parameter::Sheet(k) => out.rig_from_plane = Some(stepped_motion(out.rig_from_plane.as_ref()?, k, h)),
+    }
+    Some(out)
+}
+
+/// `tilt alpha of camera left` for `left.alpha_rad`, and the factor and unit in which it is shown.
+pub(super) fn parameter_words(name: &str, names: &[&str]) -> (String, f64, &'static str) {
+    const DEG: f64 = 180.0 / std::f64::consts::PI;
+    let own = [names.first().copied().unwrap_or_default(), names.get(1).copied().unwrap_or_default()];
+    let step = |k: usize, what: &str| {
+        let axis = ["x", "y", "z"][k % 3];
+        if k < 3 {
+            (format!("turn of {what} about {axis}"), DEG, "deg")
+        } else {
+            (format!("shift of {what} along {axis}"), 1.0, "mm")
+        }
+    };
+    match Parameter::of(name, own) {
+        Some(Parameter::Intrinsic(c, k)) => {
+            let words = crate::bundle::intrinsic_words(k);
+            let (factor, unit) = intrinsic_unit(k);
+            (format!("{words} of camera {}", own[c]), factor, unit)
+        }
+        Some(Parameter::Motion(k)) => step(k, &format!("camera {}", own[1])),
+        Some(Parameter::Sheet(k)) => step(k, "the sheet"),
+        None => (name.into(), 1.0, ""),
+    }
+}
+
+/// Factor and unit in which an intrinsic is shown.
+pub(super) fn intrinsic_unit(k: usize) -> (f64, &'static str) {
+    match INTRINSIC_NAMES[k] {
+        n if n.ends_with("_rad") => (180.0 / std::f64::consts::PI, "deg"),
+        n if n.ends_with("_px") => (1.0, "px"),
+        _ => (1.0, ""),
+    }
+}

@@ -1,0 +1,107 @@
+//! Whether the model lacks something, in words.
+
+use super::keys::{Keys, intrinsic_unit};
+use super::{FALSE_ALARMS, FELT_SIGMAS, Subject, digits, measured};
+use crate::bundle::{Extension, ExtensionTest, extension_tests, intrinsic_words, named_rows};
+use crate::record::ModelTest;
+use crate::stats::chi_square_above;
+
+pub(super) fn model_tests(s: &Subject<'_>, keys: &Keys, flags: &mut Vec<String>) -> Vec<ModelTest> {
+    let Some(tests) = extension_tests(s.adjustment) else { return vec![] };
+    let rows = named_rows(s.adjustment, &keys.rows).unwrap_or_else(|| nalgebra::DMatrix::zeros(0, 0));
+    let matrix = s.covariance.propagate(&keys.rows);
+    let mut out = vec![];
+    for test in &tests {
+        let p_value = chi_square_above(test.statistic, test.degrees);
+        let needed = p_value * (tests.len() as f64) < FALSE_ALARMS;
+        let moved = if rows.ncols() == test.shift.len() { &rows * &test.shift } else { nalgebra::DVector::zeros(0) };
+        let mut bias = (0.0, String::new());
+        for (k, key) in keys.list.iter().enumerate().filter(|(k, _)| *k < moved.len() && keys.determined[*k]) {
+            let sigma = matrix[(k, k)].max(0.0).sqrt();
+            if sigma > 0.0 && moved[k].abs() / sigma > bias.0 {
+                bias = (moved[k].abs() / sigma, key.name.clone());
+            }
+        }
+        let felt = needed && bias.0 > FELT_SIGMAS;
+        let one = ModelTest {
+            question: question(s, test.extension),
+            statistic: test.statistic,
+            degrees_of_freedom: test.degrees,
+            p_value,
+            size: test.size * shown(test.extension).0,
+            sigma: test.sigma * shown(test.extension).0,
+            unit: shown(test.extension).1.into(),
+            words: words(s, test, needed, felt, &bias),
+            bias_sigmas: bias.0,
+            bias_of: bias.1,
+            needed,
+        };
+        if felt {
+            flags.push(one.words.clone());
+        }
+        out.push(one);
+    }
+    out
+}
+
+fn shown(e: Extension) -> (f64, &'static str) {
+    match e {
+        Extension::Intrinsic { parameter, .. } => intrinsic_unit(parameter),
+        Extension::BentTarget | Extension::DisplacedDiscs => (1.0, "mm"),
+    }
+}
+
+fn question(s: &Subject<'_>, e: Extension) -> String {
+    match e {
+        Extension::Intrinsic { camera, parameter } => {
+            format!("is {} of camera {} needed?", intrinsic_words(parameter), s.adjustment.model.cameras[camera].name)
+        }
+        Extension::BentTarget => "is the plate bent?".into(),
+        Extension::DisplacedDiscs => "are the dots displaced?".into(),
+    }
+}
+
+fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f64, String)) -> String {
+    let (factor, unit) = shown(t.extension);
+    let found = measured(t.size * factor, t.sigma * factor, unit);
+    let (yes, no) = match t.extension {
+        Extension::Intrinsic { camera, parameter } => {
+            let what = format!("{} of camera {}", intrinsic_words(parameter), s.adjustment.model.cameras[camera].name);
+            let change = if matches!(parameter, 1 | 9) { "a change by" } else { "" };
+            (
+                format!("the images ask for {what}: {} {found}", if change.is_empty() { "about" } else { change }),
+                format!("{what} is not needed"),
+            )
+        }
+        Extension::BentTarget => (
+            format!("the plate is bent by {found} (peak to valley)"),
+            "the plate is flat as far as the images show".into(),
+        ),
+        Extension::DisplacedDiscs => (
+            format!("the dots lie {} um (rms) off their nominal places", digits(1e3 * t.size, 2)),
+            "the dots lie where they should as far as the images show".into(),
+        ),
+    };
+    if !needed {
+        return no;
+    }
+    if !felt {
+        return format!(
+            "{yes}; adding it would move no result by more than {} of its standard deviations",
+            digits(bias.0, 2)
+        );
+    }
+    let advice = match t.extension {
+        Extension::Intrinsic { parameter: parameter @ 6..=8, .. } => {
+            format!("add \"{}\" to estimate in [solve]", crate::camera::INTRINSIC_NAMES[parameter])
+        }
+        Extension::Intrinsic { parameter, .. } => {
+            let key = crate::camera::INTRINSIC_NAMES[parameter];
+            format!(
+                "if lens or sensor give a reason, estimate it: {key} = {{ value = 1.0, sigma = ... }} in [camera.known]"
+            )
+        }
+        Extension::BentTarget | Extension::DisplacedDiscs => "write adjust = \"points\" in [target]".into(),
+    };
+    format!("{yes}; without it the {} is off by {} of its standard deviations; {advice}", bias.1, digits(bias.0, 2))
+}

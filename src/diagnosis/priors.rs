@@ -1,0 +1,187 @@
+//! Priors against the images, in words.
+
+use super::keys::intrinsic_unit;
+use super::{FALSE_ALARMS, Subject, digits, measured};
+use crate::bundle::{Fact, PriorCheck, PriorOf, TargetShape, intrinsic_words, prior_checks};
+use crate::record::Prior;
+use crate::stats::{chi_square_above, normal_beyond};
+
+/// Sigma of the estimate over that of the prior from which on a number is its prior.
+const ONLY_PRIOR: f64 = 0.9;
+/// The same for mostly: half of what is known.
+const MOSTLY_PRIOR: f64 = std::f64::consts::FRAC_1_SQRT_2;
+
+/// What a prior is about, how it is shown, and what to do about a conflict.
+struct Known {
+    name: String,
+    value: f64,
+    sigma: f64,
+    factor: f64,
+    unit: &'static str,
+    advice: &'static str,
+}
+
+pub(super) fn priors(s: &Subject<'_>, flags: &mut Vec<String>) -> Vec<Prior> {
+    let Some(checks) = prior_checks(s.adjustment) else { return vec![] };
+    let facts: Vec<(&PriorCheck, usize, usize)> = checks
+        .iter()
+        .filter_map(|c| if let PriorOf::Fact { index, row } = c.of { Some((c, index, row)) } else { None })
+        .collect();
+    let tested = facts.iter().filter(|(c, ..)| c.z().is_some()).count().max(1) as f64;
+    let mut out: Vec<Prior> = facts
+        .iter()
+        .map(|(check, index, row)| {
+            let known = known(s, *index, *row);
+            let stated = !s.assumed.contains(index);
+            prior(&known, check, stated, tested)
+        })
+        .collect();
+    out.extend(dots(s, &checks));
+    flags.extend(out.iter().filter(|p| p.conflict).map(|p| p.words.clone()));
+    out
+}
+
+fn prior(k: &Known, check: &PriorCheck, stated: bool, tested: f64) -> Prior {
+    let (value, sigma) = (k.value * k.factor, k.sigma * k.factor);
+    let z = check.z().unwrap_or(f64::NAN);
+    let (away, own) = check.images_alone().unwrap_or((f64::NAN, f64::NAN));
+    let ratio = check.share.sqrt();
+    let conflict = normal_beyond(z) * tested < FALSE_ALARMS;
+    let (images_alone, images_alone_sigma) = (value + away * sigma, own * sigma);
+    let said = measured(value, sigma, k.unit);
+    let words = if conflict {
+        let source = if stated { "the rig file says" } else { "where it is expected without other knowledge:" };
+        let advice = if stated {
+            k.advice
+        } else {
+            "look for what drives it there (a lens term that is lacking, a target that is bent or not as stated), or state what is known under [camera.known]"
+        };
+        format!(
+            "{}: {source} {said}, but the images alone say {}, {} standard deviations apart; {advice}",
+            k.name,
+            measured(images_alone, images_alone_sigma, k.unit),
+            digits(z.abs(), 2)
+        )
+    } else if ratio > ONLY_PRIOR {
+        format!("{} is known only from its prior {said}; the images add next to nothing", k.name)
+    } else if ratio > MOSTLY_PRIOR {
+        format!("{} is known mostly from its prior {said}; the images add less than it", k.name)
+    } else {
+        format!("{}: prior {said} and images agree; the images know more", k.name)
+    };
+    Prior {
+        name: k.name.clone(),
+        stated,
+        unit: k.unit.into(),
+        prior: value,
+        prior_sigma: sigma,
+        estimate: value + check.residual * sigma,
+        sigma_ratio: ratio,
+        images_alone,
+        images_alone_sigma,
+        z,
+        conflict,
+        words,
+    }
+}
+
+fn known(s: &Subject<'_>, index: usize, row: usize) -> Known {
+    let model = &s.adjustment.model;
+    let camera = |c: usize| &model.cameras[c].name;
+    match &model.facts[index] {
+        Fact::Intrinsic { camera: c, parameter, value, sigma } => {
+            let (factor, unit) = intrinsic_unit(*parameter);
+            Known {
+                name: format!("{} of camera {}", intrinsic_words(*parameter), camera(*c)),
+                value: *value,
+                sigma: *sigma,
+                factor,
+                unit,
+                advice: "correct the value in [camera.known] or [camera.design], give it the sigma it deserves, or remove it",
+            }
+        }
+        Fact::Baseline { value_mm, sigma_mm } => Known {
+            name: "distance of the cameras".into(),
+            value: *value_mm,
+            sigma: *sigma_mm,
+            factor: 1.0,
+            unit: "mm",
+            advice: "correct baseline_mm, or give it a larger sigma",
+        },
+        Fact::Shape { parameter, view, value_mm, sigma_mm } => {
+            let names = match model.target.shape {
+                TargetShape::Pair { .. } => ["spacing", "radius of disc 0", "radius of disc 1"],
+                TargetShape::Lattice(_) => ["spacing", "radius of the dots", "step between the levels"],
+            };
+            let place = view.map_or(String::new(), |v| format!(" in view {v}"));
+            Known {
+                name: format!("{}{place}", names[(*parameter).min(2)]),
+                value: *value_mm,
+                sigma: *sigma_mm,
+                factor: 1.0,
+                unit: "mm",
+                advice: "correct the length in the rig file, or give it a larger sigma",
+            }
+        }
+        Fact::Focus(focus) => {
+            let advice =
+                "is the lens stopped down, was it refocused, is focal_length_mm right? widen [focus] or remove it";
+            let (what, sigma, factor, unit) = match (row, focus.distance) {
+                (2, Some((_, sigma))) => ("distance of the sheet from the plane of focus", sigma, 100.0, "%"),
+                (1, _) => (
+                    "angle between sheet and plane of focus along sheet y",
+                    focus.tilt_sigma_rad,
+                    1f64.to_degrees(),
+                    "deg",
+                ),
+                _ => (
+                    "angle between sheet and plane of focus along sheet x",
+                    focus.tilt_sigma_rad,
+                    1f64.to_degrees(),
+                    "deg",
+                ),
+            };
+            Known { name: format!("{what}, camera {}", camera(focus.camera)), value: 0.0, sigma, factor, unit, advice }
+        }
+    }
+}
+
+/// The places of all dots together: departures in prior sigmas are a chi-square with as many degrees of freedom as the images decide.
+fn dots(s: &Subject<'_>, checks: &[PriorCheck]) -> Option<Prior> {
+    let sigma = s.adjustment.model.target.offset_sigma_mm?[0];
+    let own: Vec<&PriorCheck> = checks.iter().filter(|c| matches!(c.of, PriorOf::Disc { part: 0 | 1, .. })).collect();
+    let chi2: f64 = own.iter().map(|c| c.residual * c.residual).sum();
+    let degrees: f64 = own.iter().map(|c| 1.0 - c.share).sum();
+    let rms = sigma * (chi2 / own.len().max(1) as f64).sqrt();
+    let testable = degrees >= 1.0;
+    let z = if testable { (chi2 - degrees) / (2.0 * degrees).sqrt() } else { f64::NAN };
+    let conflict = z > 0.0 && chi_square_above(chi2, degrees.floor() as usize) < FALSE_ALARMS;
+    let name = "places of the printed dots".to_string();
+    let what = format!(
+        "the dots lie {} um (rms) off their nominal places; {} um were allowed",
+        digits(1e3 * rms, 2),
+        digits(1e3 * sigma, 2)
+    );
+    let words = if conflict {
+        format!(
+            "{name}: {what}; give point_sigma_mm in [target] the size they have, and check that the plate is the one described"
+        )
+    } else {
+        format!("{name}: {what}")
+    };
+    let share = own.iter().map(|c| c.share).sum::<f64>() / own.len().max(1) as f64;
+    Some(Prior {
+        name,
+        stated: true,
+        unit: "mm".into(),
+        prior: 0.0,
+        prior_sigma: sigma,
+        estimate: rms,
+        sigma_ratio: share.sqrt(),
+        images_alone: f64::NAN,
+        images_alone_sigma: f64::NAN,
+        z,
+        conflict,
+        words,
+    })
+}

@@ -1,0 +1,233 @@
+//! What a calibration says about itself beyond its sigmas: keys `fit.diagnosis` and `mapping_uncertainty`.
+
+use super::number::{maybe, maybe_array, maybe_list, maybe_rows};
+use serde::{Deserialize, Serialize};
+
+/// Tests of a calibration against its own assumptions.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Diagnosis {
+    /// The numbers that influence and bias are stated for, with their standard deviations.
+    #[serde(default)]
+    pub key_quantities: Vec<KeyQuantity>,
+    /// Every prior against the images.
+    #[serde(default)]
+    pub priors: Vec<Prior>,
+    /// Whether the model lacks something.
+    #[serde(default)]
+    pub model_tests: Vec<ModelTest>,
+    /// What each view contributes, and whether it agrees with the others.
+    #[serde(default)]
+    pub views: Vec<ViewInfluence>,
+    /// Discs that were set aside, each with a reason.
+    #[serde(default)]
+    pub outliers: Vec<OutlierReason>,
+}
+
+/// A number that a user relies on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct KeyQuantity {
+    /// What it is, in words.
+    pub name: String,
+    /// Its unit; empty: none.
+    pub unit: String,
+    /// Its value.
+    #[serde(with = "maybe")]
+    pub value: f64,
+    /// Its standard deviation.
+    #[serde(with = "maybe")]
+    pub sigma: f64,
+}
+
+/// One prior against the images.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Prior {
+    /// What it is about, in words.
+    pub name: String,
+    /// Whether the rig file states it (false: a default of the program).
+    pub stated: bool,
+    /// Unit of the numbers below.
+    pub unit: String,
+    /// What was known beforehand.
+    #[serde(with = "maybe")]
+    pub prior: f64,
+    /// Its standard deviation.
+    #[serde(with = "maybe")]
+    pub prior_sigma: f64,
+    /// The estimate.
+    #[serde(with = "maybe")]
+    pub estimate: f64,
+    /// Standard deviation of the estimate over that of the prior: near 1 only the prior speaks.
+    #[serde(with = "maybe")]
+    pub sigma_ratio: f64,
+    /// What the images say without this prior; unknown where they say nothing.
+    #[serde(with = "maybe")]
+    pub images_alone: f64,
+    /// Standard deviation of it.
+    #[serde(with = "maybe")]
+    pub images_alone_sigma: f64,
+    /// Prior less images in standard deviations of their difference: standard normal where the prior is true.
+    #[serde(with = "maybe")]
+    pub z: f64,
+    /// Whether prior and images contradict each other (1 % false alarms over all priors together).
+    pub conflict: bool,
+    /// The finding in words.
+    pub words: String,
+}
+
+/// A test whether the model lacks something.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ModelTest {
+    /// The question in words.
+    pub question: String,
+    /// Chi-square where nothing is lacking.
+    pub statistic: f64,
+    /// Its degrees of freedom.
+    pub degrees_of_freedom: usize,
+    /// Probability of so large a statistic by chance.
+    pub p_value: f64,
+    /// Estimate of what is lacking.
+    #[serde(with = "maybe")]
+    pub size: f64,
+    /// Its standard deviation.
+    #[serde(with = "maybe")]
+    pub sigma: f64,
+    /// Unit of both.
+    pub unit: String,
+    /// Largest change of a key quantity if it were added, in that quantity's standard deviations.
+    #[serde(with = "maybe")]
+    pub bias_sigmas: f64,
+    /// Which quantity.
+    #[serde(default)]
+    pub bias_of: String,
+    /// Whether the images ask for it (1 % false alarms over all tests together).
+    pub needed: bool,
+    /// The finding in words.
+    pub words: String,
+}
+
+/// What a view contributes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ViewInfluence {
+    /// View, as [`super::View::index`].
+    pub view: usize,
+    /// Largest growth of the standard deviation of a key quantity when the view is left out; unknown where it is then undetermined.
+    #[serde(with = "maybe")]
+    pub sigma_growth: f64,
+    /// Which quantity.
+    #[serde(default)]
+    pub sigma_growth_of: String,
+    /// Key quantities that nothing determines without this view.
+    #[serde(default)]
+    pub lost: Vec<String>,
+    /// Largest change of a key quantity without the view, in its standard deviations, predicted from the normal equations.
+    #[serde(with = "maybe")]
+    pub predicted_shift_sigmas: f64,
+    /// The same by an adjustment without the view.
+    #[serde(with = "maybe")]
+    pub shift_sigmas: f64,
+    /// Which quantity.
+    #[serde(default)]
+    pub shift_of: String,
+    /// The most significant change, in standard deviations of the change itself: standard normal where the view agrees.
+    #[serde(with = "maybe")]
+    pub z: f64,
+    /// Which quantity.
+    #[serde(default)]
+    pub z_of: String,
+    /// Whether the view contradicts the others (1 % false alarms over all views and quantities together).
+    pub contradicts: bool,
+    /// The finding in words.
+    pub words: String,
+}
+
+/// A disc that was set aside.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct OutlierReason {
+    /// View.
+    pub view: usize,
+    /// Camera name.
+    pub camera: String,
+    /// Lattice label: column, row, level.
+    pub disc: [i32; 3],
+    /// Distance from where the others expect it, px.
+    pub distance_px: f64,
+    /// Why, as far as the images show.
+    pub reason: String,
+}
+
+/// What the uncertainty of a calibration does to measurements in the sheet, one standard deviation each; the noise of the
+/// measurement itself comes on top.
+///
+/// `displacement[i][j]`: error of component i (u, v, w in the sheet frame) per true component j. The diagonal holds the gains, the
+/// rest the leaks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MappingUncertainty {
+    /// At the middle of what both cameras see.
+    pub middle: MappingSigma,
+    /// The largest of each over what both cameras see.
+    pub largest: MappingSigma,
+    /// The points of `map`.
+    pub map: MappingMap,
+    /// What of it is not determined, in words; empty: nothing.
+    #[serde(default)]
+    pub undetermined: Vec<String>,
+}
+
+/// Standard deviations at one point of the sheet.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MappingSigma {
+    /// Point of the sheet frame, mm; unknown for largest values.
+    #[serde(with = "maybe_array")]
+    pub point_mm: [f64; 2],
+    /// Place in the sheet that a pixel is mapped to, px of the first camera (the larger of both cameras).
+    #[serde(with = "maybe")]
+    pub in_plane_px: f64,
+    /// The same, mm.
+    #[serde(with = "maybe")]
+    pub in_plane_mm: f64,
+    /// Both cameras' maps against each other, px of the second camera.
+    #[serde(with = "maybe")]
+    pub disparity_px: f64,
+    /// In-plane scale, relative.
+    #[serde(with = "maybe")]
+    pub in_plane_scale: f64,
+    /// Out-of-plane gain over in-plane scale, relative.
+    #[serde(with = "maybe")]
+    pub out_of_plane_gain: f64,
+    /// Error of u, v, w (rows) per true u, v, w (columns).
+    #[serde(with = "maybe_rows")]
+    pub displacement: Vec<Vec<f64>>,
+}
+
+/// Standard deviations over the sheet, structure of arrays; a quantity that nothing determines has an empty list.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct MappingMap {
+    /// Columns and rows of the grid the points are taken from.
+    #[serde(default)]
+    pub spacing_mm: [f64; 2],
+    /// Sheet x, mm.
+    pub x_mm: Vec<f64>,
+    /// Sheet y, mm.
+    pub y_mm: Vec<f64>,
+    /// As [`MappingSigma::in_plane_px`].
+    #[serde(with = "maybe_list")]
+    pub in_plane_px: Vec<f64>,
+    /// As [`MappingSigma::disparity_px`].
+    #[serde(with = "maybe_list")]
+    pub disparity_px: Vec<f64>,
+    /// Error of u per u.
+    #[serde(with = "maybe_list")]
+    pub u_per_u: Vec<f64>,
+    /// Error of w per w.
+    #[serde(with = "maybe_list")]
+    pub w_per_w: Vec<f64>,
+    /// Leak of w into u.
+    #[serde(with = "maybe_list")]
+    pub u_per_w: Vec<f64>,
+    /// Leak of w into v.
+    #[serde(with = "maybe_list")]
+    pub v_per_w: Vec<f64>,
+    /// Leak of u into w.
+    #[serde(with = "maybe_list")]
+    pub w_per_u: Vec<f64>,
+}

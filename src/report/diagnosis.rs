@@ -1,0 +1,109 @@
+//! The diagnosis as tables, for the text and for the HTML alike.
+
+use super::number::{measured, plain, with_unit};
+use super::tables::{Cell, Row, Table};
+use crate::record::{MappingSigma, Record};
+
+fn cells(texts: impl IntoIterator<Item = String>) -> Vec<Cell> {
+    texts.into_iter().map(|text| Cell { text, ..Cell::default() }).collect()
+}
+
+fn table(heads: &[&str], rows: Vec<(String, Vec<String>)>) -> Table {
+    let rows = rows.into_iter().map(|(name, texts)| Row { name, cells: cells(texts) });
+    Table { heads: heads.iter().map(|h| h.to_string()).collect(), rows: rows.collect() }
+}
+
+fn percent(x: f64) -> String {
+    if x.is_finite() { format!("{} %", plain(100.0 * x, 2)) } else { "not determined".into() }
+}
+
+fn pixels(x: f64) -> String {
+    if x.is_finite() { format!("{} px", plain(x, 2)) } else { "not determined".into() }
+}
+
+/// What a user feels, in the middle and at worst.
+pub(super) fn mapping(record: &Record) -> Table {
+    let Some(m) = &record.mapping_uncertainty else { return Table::default() };
+    let both = |get: &dyn Fn(&MappingSigma) -> String| vec![get(&m.middle), get(&m.largest)];
+    let entry = |i: usize, j: usize| move |s: &MappingSigma| percent(s.displacement[i][j]);
+    let rows = vec![
+        ("disparity of the two cameras".into(), both(&|s| pixels(s.disparity_px))),
+        (
+            "place in the sheet".into(),
+            both(&|s| format!("{} ({} µm)", pixels(s.in_plane_px), plain(1000.0 * s.in_plane_mm, 2))),
+        ),
+        ("in-plane scale".into(), both(&|s| percent(s.in_plane_scale))),
+        ("out-of-plane gain over in-plane scale".into(), both(&|s| percent(s.out_of_plane_gain))),
+        ("error of u per u".into(), both(&entry(0, 0))),
+        ("error of v per v".into(), both(&entry(1, 1))),
+        ("error of w per w".into(), both(&entry(2, 2))),
+        ("leak of w into u".into(), both(&entry(0, 2))),
+        ("leak of w into v".into(), both(&entry(1, 2))),
+        ("leak of u into w".into(), both(&entry(2, 0))),
+        ("leak of v into w".into(), both(&entry(2, 1))),
+        ("leak of v into u".into(), both(&entry(0, 1))),
+    ];
+    table(&["in the middle", "at worst"], rows)
+}
+
+/// Every prior against the images.
+pub(super) fn priors(record: &Record) -> Table {
+    let Some(d) = &record.fit.diagnosis else { return Table::default() };
+    let row = |p: &crate::record::Prior| {
+        let verdict = match (p.conflict, p.sigma_ratio) {
+            (true, _) => "CONFLICT",
+            (_, r) if r > 0.9 => "only the prior speaks",
+            (_, r) if r > std::f64::consts::FRAC_1_SQRT_2 => "mostly the prior",
+            _ => "agrees",
+        };
+        let unit = if p.unit == "deg" { "°" } else { &p.unit };
+        let images = if p.images_alone.is_finite() {
+            with_unit(p.images_alone, p.images_alone_sigma, unit)
+        } else {
+            "nothing".into()
+        };
+        let z = if p.z.is_finite() { plain(p.z, 2) } else { "–".into() };
+        let name = if p.stated { p.name.clone() } else { format!("{} (assumed)", p.name) };
+        (name, vec![with_unit(p.prior, p.prior_sigma, unit), images, z, plain(p.sigma_ratio, 2), verdict.into()])
+    };
+    let heads = ["known beforehand", "the images alone", "apart, sigmas", "sigma after / before", ""];
+    table(&heads, d.priors.iter().map(row).collect())
+}
+
+/// Whether the model lacks something.
+pub(super) fn model_tests(record: &Record) -> Table {
+    let Some(d) = &record.fit.diagnosis else { return Table::default() };
+    let row = |t: &crate::record::ModelTest| {
+        let unit = if t.unit == "deg" { "°" } else { &t.unit };
+        let size = if t.sigma.is_finite() {
+            with_unit(t.size, t.sigma, unit)
+        } else {
+            format!("{} {unit}", measured(t.size, 0.0))
+        };
+        let answer = if t.needed { "yes" } else { "no" };
+        let effect = format!("{} sigma", plain(t.bias_sigmas, 2));
+        (t.question.clone(), vec![answer.into(), size, plain(t.p_value, 2), effect])
+    };
+    let heads = ["answer", "estimate if added", "chance of this by noise", "largest change of a result"];
+    table(&heads, d.model_tests.iter().map(row).collect())
+}
+
+/// What each view contributes.
+pub(super) fn views(record: &Record) -> Table {
+    let Some(d) = &record.fit.diagnosis else { return Table::default() };
+    let row = |v: &crate::record::ViewInfluence| {
+        let growth = match v.lost.as_slice() {
+            [] => format!("× {} ({})", plain(v.sigma_growth, 3), v.sigma_growth_of),
+            [one] => format!("lost: {one}"),
+            [one, more @ ..] => format!("lost: {one} and {} more", more.len()),
+        };
+        let shift = if v.shift_sigmas.is_finite() { v.shift_sigmas } else { v.predicted_shift_sigmas };
+        let shift = if v.lost.is_empty() { format!("{} sigma", plain(shift, 2)) } else { "–".into() };
+        let z = if v.z.is_finite() && v.lost.is_empty() { plain(v.z, 2) } else { "–".into() };
+        let verdict = if v.contradicts { "CONTRADICTS the others" } else { "agrees" };
+        let verdict = if v.lost.is_empty() { verdict } else { "cannot be spared" };
+        (format!("view {}", v.view), vec![growth, shift, z, verdict.into()])
+    };
+    let heads = ["largest sigma without it", "largest change", "that change in its own sigmas", ""];
+    table(&heads, d.views.iter().map(row).collect())
+}

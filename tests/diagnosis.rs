@@ -1,0 +1,333 @@
+//! The diagnosis against truth: false alarms at the stated rate, real departures found, predictions confirmed by adjustments, and
+//! the uncertainty of mapping and displacements as sampled. Exact contours of the paper's geometry with noise drawn anew.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
+
+mod rig_scene;
+
+use nalgebra::Matrix3;
+use rig_scene::{Noise, Scene};
+use spivcal::bundle::{
+    AdjustOptions, Adjustment, DiscObservation, Extension, Fact, adjust, extension_tests, named_covariance,
+    prior_checks,
+};
+use spivcal::camera::Camera;
+use spivcal::diagnosis::{Findings, Subject, diagnose};
+use spivcal::sheet::StereoSheet;
+use spivcal::stats::chi_square_above;
+use spivcal::target::DotId;
+
+fn options() -> AdjustOptions {
+    AdjustOptions { rounds: 0, ..AdjustOptions::default() }
+}
+
+fn adjusted(scene: &Scene) -> Adjustment {
+    adjust(&scene.model, scene.truth.clone(), &options(), &mut |_| true)
+}
+
+fn findings(a: &Adjustment) -> Findings {
+    let covariance = named_covariance(a).unwrap();
+    let labels: Vec<DotId> =
+        (0..9).map(|k| DotId { column: k % 3, row: k / 3, level: 0 }).take(a.model.target.disc_count()).collect();
+    diagnose(&Subject {
+        adjustment: a,
+        covariance: &covariance,
+        assumed: &[],
+        labels: &labels,
+        sizes_px: &[[1024.0, 768.0]; 2],
+        options: &options(),
+    })
+}
+
+/// Fresh noise on edges and a fresh draw of every fact.
+fn drawn(scene: &Scene, seed: u64) -> Scene {
+    let mut out = scene.with_noise(seed.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 7);
+    let mut noise = Noise::new(seed.wrapping_mul(0x9e6c_63d0_876a_3f6b) >> 5);
+    for fact in &mut out.model.facts {
+        match fact {
+            Fact::Intrinsic { value, sigma, .. } => *value += *sigma * noise.normal(),
+            Fact::Baseline { value_mm, sigma_mm } | Fact::Shape { value_mm, sigma_mm, .. } => {
+                *value_mm += *sigma_mm * noise.normal();
+            }
+            Fact::Focus(_) => unreachable!("the scenes state no focus"),
+        }
+    }
+    out
+}
+
+/// A grid whose dots are where they should be and are not estimated.
+fn plate() -> Scene {
+    let mut scene = Scene::build(5, false, true, true);
+    let mut flat = scene.truth.clone();
+    flat.offsets_mm.iter_mut().for_each(|o| *o = [0.0; 4]);
+    scene = scene.with_offsets(&flat.offsets_mm);
+    scene.truth.offsets_mm.clear();
+    scene.model.target.offset_sigma_mm = None;
+    scene
+}
+
+fn test_of(a: &Adjustment, wanted: Extension) -> spivcal::bundle::ExtensionTest {
+    extension_tests(a).unwrap().into_iter().find(|t| t.extension == wanted).expect("the test was made")
+}
+
+/// Where the model is true, p-values are uniform: as many below 0.05, 0.2 and 0.5 as chance allows, and priors have standard normal z.
+#[test]
+fn false_alarms_come_at_the_stated_rate() {
+    let truth = plate();
+    let runs = 60;
+    let (mut p_values, mut z) = (vec![], vec![]);
+    for seed in 0..runs {
+        let a = adjusted(&drawn(&truth, 7 + seed));
+        let tests = extension_tests(&a).unwrap();
+        // k2, aspect and pupil ratio of each camera, the bend, the displacements.
+        assert_eq!(tests.len(), 8);
+        // Tests of both cameras and of a plate are nearly independent of each other.
+        p_values.push(tests.iter().map(|t| chi_square_above(t.statistic, t.degrees)).collect::<Vec<_>>());
+        z.extend(prior_checks(&a).unwrap().iter().filter_map(|c| c.z()));
+    }
+    for k in 0..8 {
+        for level in [0.05, 0.2, 0.5] {
+            let n = runs as f64;
+            let below = p_values.iter().filter(|p| p[k] < level).count() as f64;
+            let sigmas = (below - n * level) / (n * level * (1.0 - level)).sqrt();
+            println!("test {k}: {below} of {n} below {level} ({sigmas:.2} sigmas)");
+            // 24 questions asked together: 3.4 sigmas are passed by chance once in 60.
+            assert!(sigmas.abs() < 3.4, "test {k}: {below} of {n} below {level}");
+        }
+    }
+    let n = z.len() as f64;
+    let square = z.iter().map(|z| z * z).sum::<f64>() / n;
+    println!("priors: mean z^2 {square:.3} over {n}");
+    // Four priors per run, correlated in pairs at worst.
+    assert!((square - 1.0).abs() < 3.0 * (2.0 * 2.0 / n).sqrt(), "{square}");
+}
+
+/// A lens with k2, a plate bent by 30 um and dots displaced by 10 um are each found, with their size.
+#[test]
+fn what_is_missing_in_the_model_is_found() {
+    let nodes = plate();
+    let pitch = nodes.truth.shape_mm[0];
+    let bent: Vec<[f64; 4]> = (0..9)
+        .map(|k| {
+            let (x, y) = (f64::from(k % 3) - 1.0, f64::from(k / 3) - 1.0);
+            [0.0, 0.0, 0.03 * x * x + 0.01 * x * y, 0.0]
+        })
+        .collect();
+    let a = adjusted(&drawn_with(&nodes, &bent, 3));
+    let t = test_of(&a, Extension::BentTarget);
+    println!("bent: {t:?}, pitch {pitch}");
+    assert!(chi_square_above(t.statistic, t.degrees) < 1e-6);
+    // 0.03 x^2 + 0.01 x y beside a plane: from -0.02 - 0.01 to 0.01 + 0.01 at the corners.
+    assert!((t.size - 0.04).abs() < 4.0 * t.sigma + 0.002, "{} {}", t.size, t.sigma);
+
+    let mut noise = Noise::new(99);
+    let moved: Vec<[f64; 4]> = (0..9).map(|_| [0.01 * noise.normal(), 0.01 * noise.normal(), 0.0, 0.0]).collect();
+    let a = adjusted(&drawn_with(&nodes, &moved, 4));
+    let t = test_of(&a, Extension::DisplacedDiscs);
+    // Two shifts, a turn (the radius and the pitch are held or separate): 18 numbers less what a pose and a scale take up.
+    assert!((13..=15).contains(&t.degrees), "{}", t.degrees);
+    assert!(chi_square_above(t.statistic, t.degrees) < 1e-6 && (0.004..0.02).contains(&t.size), "{t:?}");
+
+    let mut cameras = nodes.cameras.clone();
+    let mut i = *cameras[1].intrinsics();
+    i.k[1] = 2000.0;
+    cameras[1] = Camera::new(i).unwrap();
+    let mut scene = Scene::with_cameras(5, cameras, false, true, false);
+    let lens = scene.truth.clone();
+    scene = drawn(&scene, 11);
+    // Adjusted without k2.
+    let mut start = lens;
+    start.cameras[1].k[1] = 0.0;
+    let a = adjust(&scene.model, start.clone(), &options(), &mut |_| true);
+    let t = test_of(&a, Extension::Intrinsic { camera: 1, parameter: 7 });
+    let other = test_of(&a, Extension::Intrinsic { camera: 0, parameter: 7 });
+    println!("k2: {t:?}\nof the other: {other:?}");
+    assert!(chi_square_above(t.statistic, 1) < 1e-6, "{t:?}");
+    assert!(other.statistic < 0.25 * t.statistic, "{other:?}");
+    // The likelihood ratio of an adjustment with k2, and its estimate, agree with the score.
+    scene.model.cameras[1].free[7] = true;
+    let full = adjust(&scene.model, a.state.clone(), &options(), &mut |_| true);
+    let ratio = 2.0 * (a.cost - full.cost);
+    println!("score {}, likelihood ratio {ratio}, k2 {} and {}", t.statistic, t.size, full.state.cameras[1].k[1]);
+    assert!((t.statistic / ratio - 1.0).abs() < 0.3, "{} {ratio}", t.statistic);
+    assert!((t.size / full.state.cameras[1].k[1] - 1.0).abs() < 0.3);
+}
+
+fn drawn_with(scene: &Scene, offsets: &[[f64; 4]], seed: u64) -> Scene {
+    let mut out = scene.with_offsets(offsets);
+    out.model.target.offset_sigma_mm = None;
+    out.truth.offsets_mm.clear();
+    drawn(&out, seed)
+}
+
+/// Leaving a view out: the prediction from the normal equations is what an adjustment without it finds, z is standard normal where the
+/// view agrees, and an image shaken by half a pixel raises the alarm (in several views: six are too few to tell which one is wrong).
+#[test]
+fn views_left_out_are_predicted_and_a_wrong_one_raises_the_alarm() {
+    let truth = Scene::build(21, false, true, false);
+    let (mut z, mut alarms) = (vec![], 0);
+    for seed in 0..20 {
+        let f = findings(&adjusted(&drawn(&truth, 300 + seed)));
+        assert_eq!(f.diagnosis.views.len(), 6);
+        for v in &f.diagnosis.views {
+            assert!(v.sigma_growth > 0.999, "{v:?}");
+            // One Newton step: the problem bends within these changes of about a sigma.
+            let slack = 0.2 + 0.3 * v.shift_sigmas;
+            assert!((v.predicted_shift_sigmas - v.shift_sigmas).abs() < slack, "{v:?}");
+            z.push(v.z.abs());
+            alarms += usize::from(v.contradicts);
+        }
+    }
+    println!("{alarms} alarms in 20 rigs; largest z {:.2}", z.iter().copied().fold(0.0, f64::max));
+    assert!(alarms <= 2, "{alarms} alarms where 0.2 are expected");
+    // The largest of about eleven correlated normal numbers has its median near 1.8.
+    z.sort_by(f64::total_cmp);
+    let median = z[z.len() / 2];
+    assert!((1.0..2.6).contains(&median), "{median}");
+
+    // In view 2 the second camera was shaken: its image is turned and shifted against the others.
+    let mut wrong = drawn(&truth, 400);
+    for image in wrong.model.images.iter_mut().filter(|i| i.view == 2 && i.camera == 1) {
+        for edge in image.discs.iter_mut().map(|d: &mut DiscObservation| &mut d.edge) {
+            edge.v_px.iter_mut().for_each(|v| *v += 0.5);
+        }
+    }
+    let f = findings(&adjusted(&wrong));
+    let bad: Vec<usize> = f.diagnosis.views.iter().filter(|v| v.contradicts).map(|v| v.view).collect();
+    println!("{:#?}", f.diagnosis.views.iter().map(|v| &v.words).collect::<Vec<_>>());
+    assert!(bad.contains(&2), "{bad:?}");
+    // Without the wrong view the results change most; others seem to contradict it as long as it is there.
+    let change = |v: &spivcal::record::ViewInfluence| {
+        if v.shift_sigmas.is_finite() { v.shift_sigmas } else { v.predicted_shift_sigmas }
+    };
+    let worst = f.diagnosis.views.iter().max_by(|a, b| change(a).total_cmp(&change(b))).unwrap();
+    println!("largest change without view {}: {:.1} sigmas", worst.view, change(worst));
+    assert!(f.flags.iter().any(|w| w.contains("view 2 contradicts")), "{:?}", f.flags);
+}
+
+/// A focal length stated 5 sigmas off, and an axis point 13 sigmas off, are told in words; true ones are not.
+#[test]
+fn a_wrong_prior_is_told() {
+    let truth = Scene::build(21, false, true, false);
+    let stated = |value: f64, sigma: f64| {
+        let mut scene = drawn(&truth, 500);
+        scene.model.facts.push(Fact::Intrinsic { camera: 0, parameter: 0, value, sigma });
+        findings(&adjusted(&scene))
+    };
+    let right = stated(8889.0 + 60.0, 90.0);
+    assert!(right.flags.is_empty(), "{:?}", right.flags);
+    let wrong = stated(8889.0 + 450.0, 90.0);
+    println!("{:?}", wrong.flags);
+    assert!(
+        wrong
+            .flags
+            .iter()
+            .any(|f| f.contains("focal length f of camera left") && f.contains("standard deviations apart"))
+    );
+    let prior = wrong.diagnosis.priors.iter().find(|p| p.name.contains("focal length")).unwrap();
+    // What the images alone say is what an adjustment without the prior finds.
+    let free = named_covariance(&adjusted(&drawn(&truth, 500))).unwrap();
+    let (f, sigma) = (free.natural.cameras[0].intrinsics().f_px, free.sigma("left.f_px").unwrap());
+    println!("images alone {} ± {}, adjusted {f} ± {sigma}", prior.images_alone, prior.images_alone_sigma);
+    assert!((prior.images_alone - f).abs() < 0.3 * sigma && (prior.images_alone_sigma / sigma - 1.0).abs() < 0.1);
+    assert!((prior.z.abs() - (9339.0 - f) / 90_f64.hypot(sigma)).abs() < 0.1);
+    let mut scene = drawn(&truth, 501);
+    for fact in &mut scene.model.facts {
+        if let Fact::Intrinsic { camera: 1, parameter: 2, value, .. } = fact {
+            *value = 520.0 + 13.0 * 50.0;
+        }
+    }
+    let flags = findings(&adjusted(&scene)).flags;
+    assert!(flags.iter().any(|f| f.contains("axis point cx of camera right")), "{flags:?}");
+}
+
+/// Without a tilted view nothing but the weak prior tells tilt from axis point; without distortion the pair of numbers is named.
+#[test]
+fn weak_directions_are_named() {
+    let cameras = [-0.11, 0.11].map(|beta| {
+        let mut i = *rig_scene::tilted_camera(beta, 0.01).intrinsics();
+        i.k[0] = 0.0;
+        Camera::new(i).unwrap()
+    });
+    let mut scene = Scene::with_cameras(21, cameras.to_vec(), false, true, false);
+    scene.model.cameras.iter_mut().for_each(|c| c.free[6] = false);
+    for fact in &mut scene.model.facts {
+        if let Fact::Intrinsic { sigma, .. } = fact {
+            *sigma = 100.0;
+        }
+    }
+    let f = findings(&adjusted(&drawn(&scene, 2)));
+    let words: Vec<&String> = f.near_null.iter().map(|n| &n.words).collect();
+    println!("{words:#?}");
+    assert!(f.near_null.len() >= 4, "four exact directions, each held by its prior: {words:?}");
+    assert!(words.iter().any(|w| w.contains("tilt beta of camera left") && w.contains("axis point cx of camera left")));
+    assert!(f.diagnosis.priors.iter().all(|p| p.sigma_ratio > 0.99), "{:?}", f.diagnosis.priors);
+    // The exchange of tilt and axis point moves neither disparity nor gain.
+    let m = f.mapping.unwrap();
+    assert!(m.undetermined.is_empty() && m.largest.out_of_plane_gain.is_finite(), "{:?}", m.undetermined);
+}
+
+/// Displacements, disparity and places as sampled: mean squares over the predicted variances are 1 within their scatter.
+#[test]
+fn what_a_user_feels_is_what_repeated_calibrations_show() {
+    let truth = Scene::build(21, false, true, false);
+    let runs = 40_u32;
+    // The truth as a calibration of its own, from exact contours.
+    let exact = named_covariance(&adjusted(&truth)).unwrap();
+    let reference = StereoSheet::of(&exact).unwrap();
+    let (mut w, mut u, mut leak, mut gain, mut disparity, mut place) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    for seed in 0..runs {
+        let a = adjusted(&drawn(&truth, 900 + u64::from(seed)));
+        let covariance = named_covariance(&a).unwrap();
+        let m = findings(&a).mapping.unwrap();
+        let point = m.middle.point_mm;
+        let own = StereoSheet::of(&covariance).unwrap();
+        let r = own.response(&reference, point).unwrap();
+        let e = r.measured_from_true - Matrix3::identity();
+        let of = |i: usize, j: usize| (e[(i, j)] / m.middle.displacement[i][j]).powi(2);
+        (w, u, leak) = (w + of(2, 2), u + of(0, 0), leak + of(0, 2));
+        gain += ((r.relative_gain() - 1.0) / m.middle.out_of_plane_gain).powi(2);
+        disparity += r.disparity_px.norm_squared() / m.middle.disparity_px.powi(2);
+        place += placed(&own, &reference, &m);
+    }
+    let n = f64::from(runs);
+    for (name, sum, degrees) in [
+        ("u per u", u, 1.0),
+        ("w per w", w, 1.0),
+        ("w into u", leak, 1.0),
+        ("gain", gain, 1.0),
+        ("disparity", disparity, 1.0),
+        ("place", place, 1.0),
+    ] {
+        let mean: f64 = sum / n;
+        let z = (mean - 1.0) / (2.0 / (degrees * n)).sqrt();
+        println!("{name}: mean square over variance {mean:.3} ({z:.2} sigmas)");
+        assert!(z.abs() < 3.3, "{name}: {mean}");
+    }
+}
+
+/// Squared misplacement of the middle in the worse camera beside the common shift and turn of all points, over its variance.
+fn placed(own: &StereoSheet, truth: &StereoSheet, m: &spivcal::record::MappingUncertainty) -> f64 {
+    let mut points: Vec<[f64; 2]> = m.map.x_mm.iter().zip(&m.map.y_mm).map(|(x, y)| [*x, *y]).collect();
+    let count = points.len();
+    points.push(m.middle.point_mm);
+    let misplaced: Vec<[nalgebra::Vector2<f64>; 2]> =
+        points.iter().map(|p| own.response(truth, *p).unwrap().misplaced_mm).collect();
+    // Least squares for shift (a, b) and turn t over both cameras, written out.
+    let mut h = Matrix3::zeros();
+    let mut g = nalgebra::Vector3::zeros();
+    for (p, e) in points.iter().zip(&misplaced).take(count) {
+        for e in e {
+            for (row, value) in [([1.0, 0.0, -p[1]], e.x), ([0.0, 1.0, p[0]], e.y)] {
+                let row = nalgebra::Vector3::from(row);
+                h += row * row.transpose();
+                g += row * value;
+            }
+        }
+    }
+    let x = h.try_inverse().unwrap() * g;
+    let p = points[count];
+    let fitted = nalgebra::Vector2::new(x[0] - x[2] * p[1], x[1] + x[2] * p[0]);
+    let squares = misplaced[count].map(|e| (e - fitted).norm_squared());
+    0.5 * (squares[0] + squares[1]) / m.middle.in_plane_mm.powi(2)
+}
