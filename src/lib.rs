@@ -14,6 +14,7 @@ pub mod cli;
 pub mod conic;
 pub mod detect;
 pub mod error;
+pub mod ffi;
 pub mod frames;
 pub mod image;
 pub mod pipeline;

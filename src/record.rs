@@ -14,12 +14,14 @@
 //!   [`Parameter::prior_share`] how much of what is known comes from the prior (1: the images say nothing).
 
 mod check;
+mod geometry;
 mod json;
 mod number;
 mod residuals;
 mod schema;
 mod sigma;
 
+pub use geometry::{NoMeeting, PlacedCamera};
 pub use residuals::{FeatureKind, Residual, ResidualTable};
 pub use schema::{
     ANGLES_CONVENTION, Camera, Covariance, Effective, FORMAT, Fit, Homography, ImageFile, Known, NearNull, Parameter,
