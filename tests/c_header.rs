@@ -82,7 +82,9 @@ fn generate(files: &[PathBuf]) -> (String, Vec<String>) {
     builder.generate().unwrap().write(&mut out);
     let warnings = WARNINGS.lock().unwrap().clone();
     drop(turn);
-    (String::from_utf8(out).unwrap(), warnings)
+    // C90 knows no comments of this kind.
+    let text = String::from_utf8(out).unwrap().replace("  // __cplusplus", "").replace(" // __cplusplus", "");
+    (text.replace("}  // extern \"C\"", "}").replace("} // extern \"C\"", "}"), warnings)
 }
 
 fn header() -> String {

@@ -124,7 +124,7 @@ void truth() {
         CHECK(std::fabs(u[i] - (first ? 0.31 : 0.68) * 240) < 0.1 && std::fabs(v[i] - (first ? 0.52 : 0.47) * 160) < 0.1);
         CHECK(std::fabs(a[i] - (first ? 0.15 : 0.12) * 240) < 0.3 && std::fabs(b[i] - (first ? 0.13 : 0.10) * 240) < 0.3);
         const std::vector<double> c = d.array(SPIVCAL_DISC_COVARIANCE, i), s = d.array(SPIVCAL_DISC_SIGMA_U_PX);
-        CHECK(c.size() == 25 && std::fabs(std::sqrt(c[0]) - s[i]) <= 1e-15 && c[1] == c[5]);
+        CHECK(c.size() == 25 && std::fabs(std::sqrt(c[0]) - s[i]) <= 1e-12 * s[i] && std::fabs(c[1] - c[5]) <= 1e-12 * c[0]);
         CHECK(d.array(SPIVCAL_CONTOUR_U_PX, i).size() == d.array(SPIVCAL_CONTOUR_SIGMA_PX, i).size());
     }
     bool thrown = false;
@@ -157,7 +157,7 @@ void setters() {
         rig.set(SPIVCAL_RIG_CAMERA_FOCAL_LENGTH_MM, 50, c);
     }
     rig.set_known(0, SPIVCAL_PARAMETER_ALPHA_DEG, 0.0, 1.0);
-    rig.set_known(1, SPIVCAL_PARAMETER_K2, 0.0, 0.0);
+    rig.set_known(1, SPIVCAL_PARAMETER_K3, 0.0, 0.0);
     rig.set(SPIVCAL_RIG_TARGET_KIND, std::string("bubbles"));
     rig.set(SPIVCAL_RIG_TARGET_POLARITY, std::string("bright"));
     rig.set(SPIVCAL_RIG_SOLVE_ESTIMATE, std::string("k1 k2"));

@@ -7,6 +7,9 @@ use super::abi::{SPIVCAL_ERROR_BUFFER_TOO_SMALL, SPIVCAL_ERROR_MEMORY, SPIVCAL_E
 use super::door::{Fault, Outcome};
 use std::ffi::{CStr, c_char};
 
+/// Elements of the longest array and bytes of the largest image that are taken: what is longer is a mistaken argument, and a mistake
+/// that is found here is none in the caller's memory.
+const MAX_LENGTH: u64 = 1 << 40;
 /// Samples of the largest image that is taken: no camera has a billion, a mistaken size soon has.
 const MAX_SAMPLES: u64 = 1 << 30;
 
@@ -24,7 +27,7 @@ impl Plain for c_char {}
 /// Length in elements that a caller's array can have.
 fn checked<T>(count: u64, argument: &str) -> Result<usize, Fault> {
     let limit = isize::MAX as u64 / size_of::<T>().max(1) as u64;
-    if count > limit {
+    if count > limit.min(MAX_LENGTH) {
         return Err(Fault::argument(format!("{argument}: {count} elements are more than memory can hold")));
     }
     Ok(count as usize)
@@ -176,7 +179,7 @@ pub(super) unsafe fn rows_of<T: Plain>(
     if u64::from(width) * u64::from(height) > MAX_SAMPLES {
         return Err(Fault::argument(format!("the image is {width} x {height} px; at most {MAX_SAMPLES} are read")));
     }
-    let total = stride_bytes.checked_mul(u64::from(height)).filter(|n| isize::try_from(*n).is_ok());
+    let total = stride_bytes.checked_mul(u64::from(height)).filter(|n| *n <= MAX_LENGTH && isize::try_from(*n).is_ok());
     if total.is_none() {
         return Err(Fault::argument(format!("{height} rows of {stride_bytes} bytes are more than memory can hold")));
     }
