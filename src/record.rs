@@ -21,7 +21,7 @@ mod residuals;
 mod schema;
 mod sigma;
 
-pub use geometry::{NoMeeting, PlacedCamera};
+pub use geometry::PlacedCamera;
 pub use residuals::{FeatureKind, Residual, ResidualTable};
 pub use schema::{
     ANGLES_CONVENTION, Camera, Covariance, Effective, FORMAT, Fit, Homography, ImageFile, Known, NearNull, Parameter,

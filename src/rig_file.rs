@@ -240,7 +240,7 @@ pub enum Scale {
     },
 }
 
-/// Prior from the cameras being focused on the sheet (thin lens).
+/// Prior from the cameras being focused on the sheet; `pupil_ratio` of a camera takes part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Focus {
     /// Tolerance of the sheet's tilt against the plane of focus, rad.

@@ -1,13 +1,14 @@
 //! Many points through a calibration at once, in the calling thread.
 
-use super::abi::{SPIVCAL_OK, SPIVCAL_WARNING_POINTS};
+use super::abi::{SPIVCAL_ERROR_NOT_AVAILABLE, SPIVCAL_OK, SPIVCAL_WARNING_POINTS};
 use super::door::{Fault, Outcome, enter};
 use super::keys::*;
 use super::memory::{Filled, In};
 use super::results::state_of;
 use super::table::Kind;
 use crate::camera::Refusal;
-use crate::record::{NoMeeting, PlacedCamera};
+use crate::dewarp::{NoMeeting, SheetMap};
+use crate::record::PlacedCamera;
 use nalgebra::{Vector2, Vector3};
 
 /// Images of points of the rig frame.
@@ -91,8 +92,7 @@ pub unsafe extern "C" fn spivcal_calibration_sheet_from_pixel(
     y_mm: *mut f64,
     point_status: *mut i32,
 ) -> i32 {
-    on(calibration, camera, |camera| {
-        with_sheet(camera)?;
+    on_sheet(calibration, camera, |map_of_camera| {
         // SAFETY: the contract of the header.
         let (pixels, points, status) = unsafe {
             (
@@ -102,7 +102,7 @@ pub unsafe extern "C" fn spivcal_calibration_sheet_from_pixel(
             )
         };
         map(count, pixels, points, status, |[u, v]| {
-            camera.sheet_from_pixel(&Vector2::new(u, v)).map(|p| [p.x, p.y]).map_err(no_meeting)
+            map_of_camera.sheet_from_pixel(&Vector2::new(u, v), 0.0).map(|p| [p.x, p.y]).map_err(no_meeting)
         })
     })
 }
@@ -122,8 +122,7 @@ pub unsafe extern "C" fn spivcal_calibration_pixel_from_sheet(
     v_px: *mut f64,
     point_status: *mut i32,
 ) -> i32 {
-    on(calibration, camera, |camera| {
-        with_sheet(camera)?;
+    on_sheet(calibration, camera, |map_of_camera| {
         // SAFETY: the contract of the header.
         let (points, pixels, status) = unsafe {
             (
@@ -133,7 +132,7 @@ pub unsafe extern "C" fn spivcal_calibration_pixel_from_sheet(
             )
         };
         map(count, points, pixels, status, |[x, y]| {
-            camera.pixel_from_sheet(&Vector3::new(x, y, 0.0)).map(|q| [q.x, q.y]).map_err(no_meeting)
+            map_of_camera.pixel_from_sheet(&Vector3::new(x, y, 0.0)).map(|q| [q.x, q.y]).map_err(refusal)
         })
     })
 }
@@ -183,19 +182,23 @@ fn refusal(refusal: Refusal) -> i32 {
 fn no_meeting(why: NoMeeting) -> i32 {
     match why {
         NoMeeting::Camera(why) => refusal(why),
-        NoMeeting::OffSheet | NoMeeting::NoSheet => SPIVCAL_POINT_OFF_SHEET,
+        NoMeeting::OffSheet => SPIVCAL_POINT_OFF_SHEET,
     }
 }
 
-fn with_sheet(camera: &PlacedCamera) -> Result<(), Fault> {
-    let none = || Fault::new(super::SPIVCAL_ERROR_NOT_AVAILABLE, NoMeeting::NoSheet.to_string());
-    camera.cam_from_sheet.map(|_| ()).ok_or_else(none)
+fn on(calibration: u64, camera: u64, call: impl FnOnce(&PlacedCamera) -> Outcome) -> i32 {
+    enter(calibration, Kind::Calibration, |object| call(one(&state_of(object)?.cameras, camera)?))
 }
 
-fn on(calibration: u64, camera: u64, call: impl FnOnce(&PlacedCamera) -> Outcome) -> i32 {
+fn on_sheet(calibration: u64, camera: u64, call: impl FnOnce(&SheetMap) -> Outcome) -> i32 {
     enter(calibration, Kind::Calibration, |object| {
-        let all = &state_of(object)?.cameras;
-        let one = usize::try_from(camera).ok().and_then(|c| all.get(c));
-        call(one.ok_or_else(|| Fault::index("camera", camera, all.len()))?)
+        let state = state_of(object)?;
+        one(&state.cameras, camera)?;
+        let none = "the calibration has no sheet: no view was recorded in it (sheet = true)";
+        call(one(&state.maps, camera).map_err(|_| Fault::new(SPIVCAL_ERROR_NOT_AVAILABLE, none))?)
     })
+}
+
+fn one<T>(all: &[T], camera: u64) -> Result<&T, Fault> {
+    usize::try_from(camera).ok().and_then(|c| all.get(c)).ok_or_else(|| Fault::index("camera", camera, all.len()))
 }

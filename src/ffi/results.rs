@@ -4,6 +4,7 @@ use super::abi::{SPIVCAL_ERROR_HANDLE_TYPE, SPIVCAL_OK, SPIVCAL_WARNING_FLAGGED}
 use super::door::{Fault, Outcome};
 use super::memory::Out;
 use super::table::{self, Body, Kind, Object};
+use crate::dewarp::SheetMap;
 use crate::record::{PlacedCamera, Record, ResidualTable};
 use crate::report::{Level, verdict};
 use std::sync::Arc;
@@ -13,12 +14,16 @@ pub(super) struct CalibrationState {
     pub(super) record: Record,
     pub(super) residuals: Option<ResidualTable>,
     pub(super) cameras: Vec<PlacedCamera>,
+    /// One per camera; none without a sheet.
+    pub(super) maps: Vec<SheetMap>,
 }
 
 impl CalibrationState {
     pub(super) fn new(record: Record, residuals: Option<ResidualTable>) -> Result<Self, Fault> {
         let cameras = record.placed_cameras()?;
-        Ok(Self { record, residuals, cameras })
+        let with_sheet = if record.sheet.is_some() { cameras.len() } else { 0 };
+        let maps = (0..with_sheet).map(|c| SheetMap::from_record(&record, c)).collect::<Result<_, _>>()?;
+        Ok(Self { record, residuals, cameras, maps })
     }
 }
 
