@@ -4,6 +4,7 @@
 lint.py symbols HEADER LIBRARY      the exported symbols are those of the header, no more and no less
 lint.py types HEADER                pycparser reads it; every type is one of the list
 lint.py stub HEADER SOURCE          writes a library of empty functions with the header's types, for abidiff
+lint.py break HEADER OTHER          writes the header with one parameter's type changed: abidiff must see it
 lint.py paths LIBRARY PATH...       none of the paths is in the library
 """
 import re
@@ -81,6 +82,14 @@ def stub(header, source):
             file.write(f"{d} {{{used} return 0; }}\n")
 
 
+def break_header(header, other):
+    with open(header, encoding="utf-8") as file:
+        text = file.read()
+    assert "const double *z_mm" in text
+    with open(other, "w", encoding="utf-8") as file:
+        file.write(text.replace("const double *z_mm", "const float *z_mm"))
+
+
 def paths(library, *unwanted):
     with open(library, "rb") as file:
         content = file.read()
@@ -90,4 +99,4 @@ def paths(library, *unwanted):
 
 
 if __name__ == "__main__":
-    {"symbols": symbols, "types": types, "stub": stub, "paths": paths}[sys.argv[1]](*sys.argv[2:])
+    {"symbols": symbols, "types": types, "stub": stub, "break": break_header, "paths": paths}[sys.argv[1]](*sys.argv[2:])

@@ -1,7 +1,7 @@
 //! What every call goes through: lookup, poisoning, panics, the error text of the object.
 
 use super::abi::*;
-use super::table::{self, Kind, Object};
+use super::table::{self, Body, Kind, Object};
 use crate::error::{Error, Unusable};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -112,6 +112,12 @@ pub(super) fn enter_without_object(call: impl FnOnce() -> Outcome) -> i32 {
 pub(super) fn destroy(handle: u64, kind: Kind) -> i32 {
     enter_without_object(|| {
         let removed = table::remove(handle, kind).map_err(|status| Fault::new(status, ""))?;
+        for object in &removed {
+            // Another thread may still hold the job while it waits for it; its own thread must not outlive this call.
+            if let Body::Job(job) = &object.body {
+                job.end();
+            }
+        }
         drop(removed);
         Ok(SPIVCAL_OK)
     })

@@ -102,7 +102,7 @@ impl Shared {
 /// A job; its thread has ended when it is dropped.
 pub(super) struct Job {
     shared: Arc<Shared>,
-    thread: Option<JoinHandle<()>>,
+    thread: Mutex<Option<JoinHandle<()>>>,
 }
 
 impl Job {
@@ -118,16 +118,21 @@ impl Job {
             .name("spivcal-job".into())
             .spawn(move || own.work(&work))
             .map_err(|e| Fault::new(SPIVCAL_ERROR_INTERNAL, format!("a thread cannot be started: {e}")))?;
-        Ok(Self { shared, thread: Some(thread) })
+        Ok(Self { shared, thread: Mutex::new(Some(thread)) })
+    }
+
+    /// Stops the work and waits for its thread, also while other threads still wait for the job.
+    pub(super) fn end(&self) {
+        self.shared.cancelled.store(true, Ordering::Relaxed);
+        if let Some(thread) = lock(&self.thread).take() {
+            let _ = thread.join();
+        }
     }
 }
 
 impl Drop for Job {
     fn drop(&mut self) {
-        self.shared.cancelled.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+        self.end();
     }
 }
 
