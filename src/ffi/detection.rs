@@ -76,7 +76,7 @@ pub extern "C" fn spivcal_detection_set_number(detection: u64, key: i32, value: 
 
 /// Finds the discs of an image. What an earlier run found is replaced.
 ///
-/// Blocks for some tenths of a second per megapixel. SPIVCAL_OK also where no disc was found: see SPIVCAL_COUNT_DISCS.
+/// Blocks until it is done. SPIVCAL_OK also where no disc was found: see SPIVCAL_COUNT_DISCS.
 #[unsafe(no_mangle)]
 pub extern "C" fn spivcal_detection_run(detection: u64, image: u64) -> i32 {
     enter(detection, Kind::Detection, |object| {

@@ -136,7 +136,7 @@ impl Drop for Job {
     }
 }
 
-/// Calibrates cameras, rig, target and sheet; blocks until it is done, some seconds for some dozens of images.
+/// Calibrates cameras, rig, target and sheet; blocks until it is done.
 ///
 /// `rig`: the description with its images. `calibration`: receives the handle of the result.
 /// SPIVCAL_OK; SPIVCAL_WARNING_FLAGGED with a result that must be looked at; SPIVCAL_ERROR_INVALID_INPUT,
