@@ -207,8 +207,8 @@ impl Problem {
             "D1" => with_plate(1),
             "D3" => with_plate(3),
             "D10" => with_plate(10),
-            "two-discs" => Parts::of(21, tilted(), false, true, false),
-            "bubbles" => Parts::of(21, tilted(), true, true, false),
+            "two-discs" => Parts::of(21, tilted(), None, false, true, false),
+            "bubbles" => Parts::of(21, tilted(), None, true, true, false),
             _ => return None,
         };
         Some(Self { name: name.into(), parts, focused: name == "C" })
