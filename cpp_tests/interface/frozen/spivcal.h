@@ -35,8 +35,8 @@
      calls on two different objects             each other                             -
      reading one image, calibration or job      each other                             -
      setters and reads of one rig or detection  each other: they wait for each other   shortly
-     spivcal_calibration_run, ..._run_sheet     anything                               until done: seconds
-     spivcal_detection_run                      anything                               until done: tenths of a second
+     spivcal_calibration_run, ..._run_sheet     anything                               until it is done
+     spivcal_detection_run                      anything                               until it is done
      spivcal_job_wait                           anything                               until the job ends or the time is over
      The library keeps no global state but the table of handles. Threads that it starts for a call have ended when the call returns;
      the thread of a job has ended when the job is destroyed. Results do not depend on the number of threads, to the bit. It never
@@ -1066,10 +1066,9 @@ int32_t spivcal_detection_set_number(uint64_t detection, int32_t key, double val
 /**
  * Finds the discs of an image. What an earlier run found is replaced.
  *
- * Blocks for some tenths of a second per megapixel. SPIVCAL_OK also where no disc was found: see SPIVCAL_COUNT_DISCS.
+ * Blocks until it is done. SPIVCAL_OK also where no disc was found: see SPIVCAL_COUNT_DISCS.
  */
-int32_t spivcal_detection_run(uint64_t detection,
-                              uint64_t image);
+int32_t spivcal_detection_run(uint64_t detection, uint64_t image);
 
 /**
  * How many of something a detection holds.
@@ -1240,7 +1239,7 @@ int32_t spivcal_rig_text_copy(uint64_t rig, char *buffer, uint64_t capacity, uin
 int32_t spivcal_rig_destroy(uint64_t rig);
 
 /**
- * Calibrates cameras, rig, target and sheet; blocks until it is done, some seconds for some dozens of images.
+ * Calibrates cameras, rig, target and sheet; blocks until it is done.
  *
  * `rig`: the description with its images. `calibration`: receives the handle of the result.
  * SPIVCAL_OK; SPIVCAL_WARNING_FLAGGED with a result that must be looked at; SPIVCAL_ERROR_INVALID_INPUT,
