@@ -66,7 +66,6 @@ mod tests {
     use rayon::prelude::*;
     use std::sync::Weak;
 
-    /// Held by every thread for as long as it lives, so that its count says how many are still there.
     #[test]
     fn no_thread_outlives_the_pool() {
         for count in [1, 3] {
