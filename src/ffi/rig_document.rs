@@ -146,7 +146,7 @@ impl Document {
     pub(super) fn set_known(&mut self, camera: u64, parameter: i32, value: f64, sigma: f64) -> Result<(), Fault> {
         let name = usize::try_from(parameter).ok().and_then(|p| PARAMETERS.get(p));
         let name = *name.ok_or_else(|| super::detection::unknown_key("SPIVCAL_PARAMETER_", parameter))?;
-        if !value.is_finite() || !(sigma >= 0.0 && sigma.is_finite()) {
+        if !(value.is_finite() && sigma.is_finite() && sigma >= 0.0) {
             return Err(Fault::argument(format!(
                 "{name} = {value} with sigma {sigma}: expected a finite value and a finite sigma, 0 where the value is exact"
             )));
