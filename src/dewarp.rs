@@ -25,6 +25,6 @@ mod map;
 mod placement;
 mod soloff;
 
-pub use map::{PixelJets, Pixels, SheetJets, SheetMap, SheetPoints, ViewAngles};
+pub use map::{NoMeeting, PixelJets, Pixels, SheetJets, SheetMap, SheetPoints, ViewAngles};
 pub use placement::Placement;
 pub use soloff::{Soloff, SoloffDegrees, SoloffFit, SoloffVolume};

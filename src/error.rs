@@ -182,6 +182,9 @@ pub enum Unusable {
         /// Newton decrement wanted, in sigmas.
         wanted: f64,
     },
+    /// The caller stopped the work.
+    #[error("the work was stopped before it was done")]
+    Cancelled,
 }
 
 impl Invalid {

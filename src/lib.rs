@@ -17,6 +17,7 @@ pub mod dewarp;
 pub mod diagnosis;
 pub mod error;
 pub mod exchange;
+pub mod ffi;
 pub mod frames;
 pub mod image;
 pub mod pipeline;

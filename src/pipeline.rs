@@ -1,6 +1,7 @@
 //! The order of things: from files and rig descriptions to results.
 
 mod calibrate;
+mod files;
 mod images;
 mod load;
 mod model;
@@ -9,13 +10,16 @@ mod png;
 mod residual_rows;
 mod sheet_alone;
 mod sheet_part;
+mod workers;
 
 pub use calibrate::{CalibrateOptions, CalibrationOutput, calibrate};
+pub use files::{Output, read_text};
 pub use images::SeenImage;
 pub use load::load_image;
 pub use model::{AXIS_POINT_SIGMA, LOSS_SIGMAS, POINT_SIGMA};
 pub use png::png_bytes;
 pub use sheet_alone::{SheetOptions, SheetOutput, TRANSFER_LIMIT_PX, find_sheet};
+pub use workers::Workers;
 
 use crate::error::Result;
 use crate::image::GrayImage;

@@ -15,6 +15,7 @@
 
 mod check;
 mod diagnosis;
+mod geometry;
 mod json;
 mod number;
 mod residuals;
@@ -25,6 +26,7 @@ pub use diagnosis::{
     Diagnosis, KeyQuantity, MappingMap, MappingSigma, MappingUncertainty, ModelTest, OutlierReason, Prior,
     ViewInfluence,
 };
+pub use geometry::PlacedCamera;
 pub use residuals::{FeatureKind, Residual, ResidualTable};
 pub use schema::{
     ANGLES_CONVENTION, Camera, Covariance, Effective, FORMAT, Fit, Homography, ImageFile, Known, NearNull, Parameter,

@@ -1,6 +1,6 @@
 //! The exact map of one camera, in bulk, structure of arrays.
 
-use crate::camera::Camera;
+use crate::camera::{Camera, Refusal};
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Sheet};
 use crate::record::Record;
@@ -89,6 +89,17 @@ pub(crate) struct PlaneHit {
     pub(crate) slope: Vector2<f64>,
 }
 
+/// Why a pixel and the sheet do not meet.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum NoMeeting {
+    /// The camera refuses.
+    #[error(transparent)]
+    Camera(#[from] Refusal),
+    /// The ray runs parallel to the sheet or away from it.
+    #[error("the ray of the pixel does not meet the sheet in front of the camera")]
+    OffSheet,
+}
+
 /// The exact map between the pixels of one camera and the sheet.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SheetMap {
@@ -156,9 +167,33 @@ impl SheetMap {
         self.size_px
     }
 
+    /// Image (px) of one point (x, y, z) of the sheet frame, mm; for inner loops.
+    ///
+    /// # Errors
+    /// [`Refusal`] where the point has no image.
+    pub fn pixel_from_sheet(&self, p_mm: &Vector3<f64>) -> std::result::Result<Vector2<f64>, Refusal> {
+        self.camera.project_xyz(&self.cam_from_sheet.apply(p_mm))
+    }
+
+    /// Where one pixel sees the plane z = `z_mm`: (x, y) of the sheet frame, mm; for inner loops.
+    ///
+    /// # Errors
+    /// [`NoMeeting`] where it does not see it.
+    pub fn sheet_from_pixel(&self, q: &Vector2<f64>, z_mm: f64) -> std::result::Result<Vector2<f64>, NoMeeting> {
+        let ray = self.cam_from_sheet.rotation.tr_mul(&self.camera.ideal_of_pixel(q)?.push(1.0));
+        let depth_mm = self.depth_mm(&ray, z_mm).ok_or(NoMeeting::OffSheet)?;
+        Ok(self.center_mm.xy() + ray.xy() * depth_mm)
+    }
+
+    /// Depth along the lens axis at which a ray meets the plane z = `z_mm`; the ray has unit z in the camera.
+    fn depth_mm(&self, ray: &Vector3<f64>, z_mm: f64) -> Option<f64> {
+        let depth_mm = (z_mm - self.center_mm.z) / ray.z;
+        (depth_mm > 0.0 && depth_mm.is_finite()).then_some(depth_mm)
+    }
+
     /// Image of one point; none where it has no image.
     pub(crate) fn project(&self, p_mm: &Vector3<f64>) -> Option<Vector2<f64>> {
-        self.camera.project_xyz(&self.cam_from_sheet.apply(p_mm)).ok()
+        self.pixel_from_sheet(p_mm).ok()
     }
 
     /// Image of one point with its derivative by the point, px per mm.
@@ -172,11 +207,7 @@ impl SheetMap {
         let jet = self.camera.unproject_jet(q).ok()?;
         let r = &self.cam_from_sheet.rotation;
         let ray = r.tr_mul(&jet.xy.push(1.0));
-        // Depth along the lens axis: the ray has unit z in the camera.
-        let depth_mm = (z_mm - self.center_mm.z) / ray.z;
-        if !(depth_mm > 0.0 && depth_mm.is_finite()) {
-            return None;
-        }
+        let depth_mm = self.depth_mm(&ray, z_mm)?;
         let slope = Vector2::new(ray.x, ray.y) / ray.z;
         let xy_mm = self.center_mm.xy() + slope * (z_mm - self.center_mm.z);
         // d(ray)/d(ideal point): the first two columns of R^T; what is along z is made up for by the depth.
@@ -292,5 +323,41 @@ impl SheetJets {
         self.dy_dv.push(hit.dxy_dq.m22);
         self.dx_dz.push(hit.slope.x);
         self.dy_dz.push(hit.slope.y);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Intrinsics;
+    use crate::rigid::rotation_exp;
+
+    fn map() -> SheetMap {
+        let mut i = Intrinsics::pinhole(8000.0, 511.5, 383.5);
+        (i.alpha_rad, i.beta_rad, i.k[0]) = (0.01, 0.11, -0.2);
+        let place = Motion::new(rotation_exp(&Vector3::new(2.9, 0.1, -0.3)), Vector3::new(3.0, -8.0, 500.0));
+        SheetMap::new(Camera::new(i).unwrap(), place, [1024, 768])
+    }
+
+    #[test]
+    fn single_points_go_there_and_back_and_agree_with_the_jets() {
+        let m = map();
+        for (x, y, z) in [(0.0, 0.0, 0.0), (12.0, -7.0, 1.5), (-20.0, 15.0, -2.0)] {
+            let q = m.pixel_from_sheet(&Vector3::new(x, y, z)).unwrap();
+            let p = m.sheet_from_pixel(&q, z).unwrap();
+            assert!((p - Vector2::new(x, y)).norm() < 1e-10, "{p:?}");
+            assert!((m.hit(&q, z).unwrap().xy_mm - p).norm() < 1e-11);
+        }
+    }
+
+    #[test]
+    fn a_sheet_behind_the_camera_is_not_met() {
+        let m = map();
+        let place = m.cam_from_sheet();
+        let behind = SheetMap::new(*m.camera(), Motion::new(place.rotation, -place.translation_mm), [1024, 768]);
+        let q = Vector2::new(511.5, 383.5);
+        assert_eq!(behind.sheet_from_pixel(&q, 0.0), Err(NoMeeting::OffSheet));
+        assert!(matches!(behind.pixel_from_sheet(&Vector3::zeros()), Err(Refusal::BehindCamera { .. })));
+        assert!(matches!(m.sheet_from_pixel(&Vector2::new(f64::NAN, 0.0), 0.0), Err(NoMeeting::Camera(_))));
     }
 }

@@ -5,6 +5,7 @@ use super::model::{Built, build};
 use super::outcome::record;
 use super::residual_rows::residual_rows;
 use super::sheet_part::sheet_part;
+use super::workers::Workers;
 use super::{Progress, Source};
 use crate::bundle::{AdjustOptions, Adjustment, Iteration, Model, NamedCovariance, adjust_tangents, named_covariance};
 use crate::detect::pattern::Relabelling;
@@ -55,21 +56,18 @@ pub(super) struct Solved<'a> {
 
 /// Calibrates cameras, rig, target and sheet from images.
 ///
-/// `progress` sees what happens and returns false to stop early.
+/// `progress` sees what happens and returns false to stop early. All threads have ended when this returns.
 ///
 /// # Errors
-/// Whatever is wrong with an image, the pattern, the views or the adjustment, each in its family.
+/// Whatever is wrong with an image, the pattern, the views or the adjustment, each in its family;
+/// [`crate::error::Unusable::Cancelled`] where `progress` stopped it before the adjustment (stopped there, it gives what it has).
 pub fn calibrate(
     job: &RigDescription,
     source: &Source,
     options: &CalibrateOptions,
     progress: &mut (dyn FnMut(Progress) -> bool + Send),
 ) -> Result<CalibrationOutput> {
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(options.threads)
-        .build()
-        .map_err(|e| Error::Bug(format!("no threads: {e}")))?;
-    pool.install(|| run(job, source, options, &Mutex::new(progress)))
+    Workers::new(options.threads)?.install(|| run(job, source, options, &Mutex::new(progress)))
 }
 
 fn run(

@@ -3,12 +3,13 @@
 use super::{Progress, Source};
 use crate::detect::pattern::{Labelling, label_discs};
 use crate::detect::{DetectOptions, Detection, LabelledDisc, find_discs};
-use crate::error::{Insufficient, Invalid, Result};
+use crate::error::{Insufficient, Invalid, Result, Unusable};
 use crate::image::GrayImage;
 use crate::rig::OpenImage;
 use crate::rig_file::RigDescription;
 use rayon::prelude::*;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// One image with what was found in it.
 #[derive(Debug, Clone)]
@@ -45,18 +46,27 @@ pub(super) fn see_all(
     }
     let total = wanted.len();
     let done = Mutex::new(0usize);
+    let stopped = AtomicBool::new(false);
     // Every image is looked at even after one failed: the error told is the first in the order of the file.
     let all: Vec<Result<SeenImage>> = wanted
         .into_par_iter()
         .map(|(view, camera, name)| {
+            if stopped.load(Ordering::Relaxed) {
+                return Err(Unusable::Cancelled.into());
+            }
             let seen = see(job, source, view, camera, &name);
             if let (Ok(mut n), Ok(mut tell)) = (done.lock(), progress.lock()) {
                 *n += 1;
-                tell(Progress::Image { done: *n, total, name: &name });
+                if !tell(Progress::Image { done: *n, total, name: &name }) {
+                    stopped.store(true, Ordering::Relaxed);
+                }
             }
             seen
         })
         .collect();
+    if stopped.load(Ordering::Relaxed) {
+        return Err(Unusable::Cancelled.into());
+    }
     let images: Vec<SeenImage> = all.into_iter().collect::<Result<_>>()?;
     check_sizes(job, &images)?;
     Ok(images)

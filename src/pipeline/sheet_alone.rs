@@ -7,6 +7,7 @@
 use super::images::{SeenImage, see_all};
 use super::residual_rows::found_shapes;
 use super::sheet_part::common_features;
+use super::workers::Workers;
 use super::{Progress, Source};
 use crate::camera::{Camera, INTRINSIC_NAMES};
 use crate::detect::EdgePoints;
@@ -71,11 +72,7 @@ pub fn find_sheet(
 ) -> Result<SheetOutput> {
     let held = held_cameras(job, calibration)?;
     let wanted = sheet_views_alone(job)?;
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(options.threads)
-        .build()
-        .map_err(|e| Error::Bug(format!("no threads: {e}")))?;
-    let images = pool.install(|| see_all(&wanted, source, &Mutex::new(progress)))?;
+    let images = Workers::new(options.threads)?.install(|| see_all(&wanted, source, &Mutex::new(progress)))?;
     check_sizes(&images, calibration)?;
     let pair = matches!(job.target.target, Target::TwoDiscs(_) | Target::Bubbles(_));
     let views = features(&wanted, &images, &held, pair);

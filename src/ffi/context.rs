@@ -1,0 +1,55 @@
+//! Contexts: what objects are made in.
+
+use super::abi::*;
+use super::door::{destroy, enter_without_object};
+use super::memory::Out;
+use super::table::{self, Body, Kind};
+
+/// How calls on the objects of a context work.
+pub(super) struct Context {
+    /// Threads of each piece of work; 0: as many as the machine has.
+    pub(super) threads: usize,
+}
+
+/// More threads than any machine has come from a mistaken argument.
+const MAX_THREADS: i32 = 1024;
+
+/// Makes a context. All other objects are made in one, and end with it.
+///
+/// `threads`: threads that each calibration or detection may use, 1 to 1024; 0: as many as the machine has. They are started by the
+/// call or job that needs them and have ended when it returns or is destroyed. Results do not depend on their number, to the bit.
+/// `context`: receives the handle. Any thread.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn spivcal_context_create(threads: i32, context: *mut u64) -> i32 {
+    enter_without_object(|| {
+        stay_silent();
+        // SAFETY: the contract of the header.
+        let out = unsafe { Out::new(context, "context") }?;
+        let Some(threads) = usize::try_from(threads).ok().filter(|_| threads <= MAX_THREADS) else {
+            return Err(super::door::Fault::argument("threads"));
+        };
+        out.set(table::insert(0, Body::Context(Context { threads }))?);
+        Ok(SPIVCAL_OK)
+    })
+}
+
+/// Destroys a context and everything that was made in it; jobs that still run are stopped and waited for.
+///
+/// All those handles are stale afterwards. Calls that are under way in other threads end first or fail with SPIVCAL_ERROR_HANDLE.
+/// Destroy every context before the library is unloaded.
+#[unsafe(no_mangle)]
+pub extern "C" fn spivcal_context_destroy(context: u64) -> i32 {
+    destroy(context, Kind::Context)
+}
+
+/// A panic is caught and becomes a status; its message goes to the object, not to the host's standard error.
+///
+/// The program and Rust tests link the same code, and there a panic must be seen.
+#[cfg(not(feature = "cli"))]
+fn stay_silent() {
+    static ONCE: std::sync::Once = std::sync::Once::new();
+    ONCE.call_once(|| std::panic::set_hook(Box::new(|_| {})));
+}
+
+#[cfg(feature = "cli")]
+fn stay_silent() {}

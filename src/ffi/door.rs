@@ -1,0 +1,124 @@
+//! What every call goes through: lookup, poisoning, panics, the error text of the object.
+
+use super::abi::*;
+use super::table::{self, Body, Kind, Object};
+use crate::error::{Error, Unusable};
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// A call that did not do what it was asked for: status and words.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Fault {
+    pub(super) status: i32,
+    pub(super) text: String,
+}
+
+impl Fault {
+    pub(super) fn new(status: i32, text: impl Into<String>) -> Self {
+        Self { status, text: text.into() }
+    }
+
+    pub(super) fn null(argument: &str) -> Self {
+        Self::new(SPIVCAL_ERROR_NULL, format!("{argument} is a null pointer"))
+    }
+
+    pub(super) fn argument(text: impl Into<String>) -> Self {
+        Self::new(SPIVCAL_ERROR_ARGUMENT, text)
+    }
+
+    pub(super) fn index(what: &str, index: u64, count: usize) -> Self {
+        Self::new(SPIVCAL_ERROR_INDEX, format!("{what} {index} does not exist: there are {count}, counted from 0"))
+    }
+
+    /// A handle that came as a further argument.
+    pub(super) fn handle(argument: &str, status: i32) -> Self {
+        let what = if status == SPIVCAL_ERROR_HANDLE_TYPE { "names another type of object" } else { "names no object" };
+        Self::new(status, format!("{argument} {what}"))
+    }
+}
+
+impl From<Error> for Fault {
+    fn from(error: Error) -> Self {
+        let status = match &error {
+            Error::Invalid(_) => SPIVCAL_ERROR_INVALID_INPUT,
+            Error::Insufficient(_) => SPIVCAL_ERROR_INSUFFICIENT,
+            Error::Unusable(Unusable::Cancelled) => SPIVCAL_ERROR_CANCELLED,
+            Error::Unusable(_) => SPIVCAL_ERROR_UNUSABLE,
+            Error::Bug(_) => SPIVCAL_ERROR_INTERNAL,
+        };
+        Self::new(status, error.to_string())
+    }
+}
+
+/// What a call gives: a status that is no error, or a fault.
+pub(super) type Outcome = Result<i32, Fault>;
+
+/// A lock whose holder cannot have left it half done: what panicked is poisoned as an object.
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Words of a panic.
+pub(super) fn panic_text(payload: &(dyn Any + Send)) -> String {
+    let words = payload
+        .downcast_ref::<&str>()
+        .map(|s| (*s).to_string())
+        .or_else(|| payload.downcast_ref::<String>().cloned())
+        .unwrap_or_else(|| "no message".into());
+    format!("internal error (panic): {words}; this object can only be destroyed now; please report it")
+}
+
+/// Runs a call on an object of type `kind`.
+pub(super) fn enter(handle: u64, kind: Kind, call: impl FnOnce(&Object) -> Outcome) -> i32 {
+    let object = match table::find_kind(handle, kind) {
+        Ok(object) => object,
+        Err(status) => return status,
+    };
+    let status = run(&object, call);
+    // The last user of an object that was destroyed meanwhile ends it here.
+    if catch_unwind(AssertUnwindSafe(|| drop(object))).is_err() { SPIVCAL_ERROR_PANIC } else { status }
+}
+
+pub(super) fn run(object: &Arc<Object>, call: impl FnOnce(&Object) -> Outcome) -> i32 {
+    if object.poisoned.load(Ordering::Acquire) {
+        return SPIVCAL_ERROR_POISONED;
+    }
+    match catch_unwind(AssertUnwindSafe(|| call(object))) {
+        Ok(Ok(status)) => status,
+        Ok(Err(fault)) => {
+            *lock(&object.error) = fault.text;
+            fault.status
+        }
+        Err(payload) => {
+            object.poisoned.store(true, Ordering::Release);
+            *lock(&object.error) = panic_text(&*payload);
+            SPIVCAL_ERROR_PANIC
+        }
+    }
+}
+
+/// Runs a call that has no object to keep its error text.
+pub(super) fn enter_without_object(call: impl FnOnce() -> Outcome) -> i32 {
+    match catch_unwind(AssertUnwindSafe(call)) {
+        Ok(Ok(status)) => status,
+        Ok(Err(fault)) => fault.status,
+        Err(_) => SPIVCAL_ERROR_PANIC,
+    }
+}
+
+/// Destroys an object; with a context everything that was made in it.
+pub(super) fn destroy(handle: u64, kind: Kind) -> i32 {
+    enter_without_object(|| {
+        let removed = table::remove(handle, kind).map_err(|status| Fault::new(status, ""))?;
+        for object in &removed {
+            // Another thread may still hold the job while it waits for it; its own thread must not outlive this call.
+            if let Body::Job(job) = &object.body {
+                job.end();
+            }
+        }
+        drop(removed);
+        Ok(SPIVCAL_OK)
+    })
+}

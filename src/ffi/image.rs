@@ -1,0 +1,115 @@
+//! Images from memory and from files.
+
+use super::abi::SPIVCAL_OK;
+use super::door::{Fault, Outcome, destroy, enter};
+use super::memory::{Out, rows_of, text_of};
+use super::table::{self, Body, Kind};
+use crate::image::{GrayImage, Pixels};
+use crate::pipeline::load_image;
+use std::ffi::c_char;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Image of 8-bit grey levels from memory; see spivcal_image_create_u16.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn spivcal_image_create_u8(
+    context: u64,
+    data: *const u8,
+    width: u32,
+    height: u32,
+    stride_bytes: u64,
+    image: *mut u64,
+) -> i32 {
+    // SAFETY: the contract of the header.
+    enter(context, Kind::Context, |_| unsafe {
+        let out = Out::new(image, "image")?;
+        keep(context, Pixels::U8(rows_of(data, width, height, stride_bytes)?), width, height, out)
+    })
+}
+
+/// Image of 16-bit grey levels from memory (10, 12 and 14 bit cameras deliver them too), in the machine's byte order.
+///
+/// `data`: first sample of the first row; rows follow from top to bottom, samples from left to right. Any alignment. Copied: the
+/// memory may be used again when the call returns.
+/// `width`, `height`: px, at least 1 each.
+/// `stride_bytes`: bytes from one row to the next, at least those of a row; larger where rows are padded.
+/// `image`: receives the handle.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn spivcal_image_create_u16(
+    context: u64,
+    data: *const u16,
+    width: u32,
+    height: u32,
+    stride_bytes: u64,
+    image: *mut u64,
+) -> i32 {
+    // SAFETY: the contract of the header.
+    enter(context, Kind::Context, |_| unsafe {
+        let out = Out::new(image, "image")?;
+        keep(context, Pixels::U16(rows_of(data, width, height, stride_bytes)?), width, height, out)
+    })
+}
+
+/// Image of floating-point grey levels from memory, all finite; see spivcal_image_create_u16.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn spivcal_image_create_f32(
+    context: u64,
+    data: *const f32,
+    width: u32,
+    height: u32,
+    stride_bytes: u64,
+    image: *mut u64,
+) -> i32 {
+    // SAFETY: the contract of the header.
+    enter(context, Kind::Context, |_| unsafe {
+        let out = Out::new(image, "image")?;
+        let pixels = rows_of(data, width, height, stride_bytes)?;
+        if let Some(i) = pixels.iter().position(|x| !x.is_finite()) {
+            let (u, v) = (i % width as usize, i / width as usize);
+            return Err(Fault::argument(format!(
+                "the grey level at ({u}, {v}) px is {}; expected finite numbers",
+                pixels[i]
+            )));
+        }
+        keep(context, Pixels::F32(pixels), width, height, out)
+    })
+}
+
+/// Image from a file: PNG, TIFF (8, 16 bit, floating point), BMP, PGM, JPEG. Colours become grey.
+///
+/// `path_utf8`: zero-terminated. `image`: receives the handle.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn spivcal_image_load(context: u64, path_utf8: *const c_char, image: *mut u64) -> i32 {
+    enter(context, Kind::Context, |_| {
+        // SAFETY: the contract of the header.
+        let (out, path) = unsafe { (Out::new(image, "image")?, text_of(path_utf8, "path_utf8")?) };
+        let loaded = load_image(Path::new(&path))?;
+        out.set(table::insert(context, Body::Image(Arc::new(loaded)))?);
+        Ok(SPIVCAL_OK)
+    })
+}
+
+/// Width and height of an image, px.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn spivcal_image_size(image: u64, width: *mut u32, height: *mut u32) -> i32 {
+    enter(image, Kind::Image, |object| {
+        // SAFETY: the contract of the header.
+        let (w, h) = unsafe { (Out::new(width, "width")?, Out::new(height, "height")?) };
+        let Body::Image(image) = &object.body else { return Err(Fault::argument("image")) };
+        w.set(u32::try_from(image.width()).unwrap_or(u32::MAX));
+        h.set(u32::try_from(image.height()).unwrap_or(u32::MAX));
+        Ok(SPIVCAL_OK)
+    })
+}
+
+/// Destroys an image. Rigs it was given to keep it.
+#[unsafe(no_mangle)]
+pub extern "C" fn spivcal_image_destroy(image: u64) -> i32 {
+    destroy(image, Kind::Image)
+}
+
+fn keep(context: u64, pixels: Pixels, width: u32, height: u32, out: Out<u64>) -> Outcome {
+    let image = GrayImage::new(pixels, width as usize, height as usize)?;
+    out.set(table::insert(context, Body::Image(Arc::new(image)))?);
+    Ok(SPIVCAL_OK)
+}

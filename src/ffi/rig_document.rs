@@ -1,0 +1,238 @@
+//! A rig description under construction: the tables of a rig file.
+//!
+//! Setters write what a user would write into the file, and [`RigDescription::parse`] is the one judge of both.
+
+use super::abi::SPIVCAL_ERROR_INTERNAL;
+use super::door::Fault;
+use super::rig_keys::*;
+use crate::rig_file::RigDescription;
+use toml::{Table, Value};
+
+/// Name of a description that was not read from a file, in messages.
+pub(super) const UNNAMED: &str = "rig description";
+
+/// A rig file as text and as tables.
+#[derive(Default)]
+pub(super) struct Document {
+    /// Name for messages.
+    name: String,
+    /// As it was read; `None` once something was set.
+    text: Option<String>,
+    tables: Table,
+}
+
+impl Document {
+    pub(super) fn new() -> Self {
+        Self { name: UNNAMED.into(), ..Self::default() }
+    }
+
+    /// A rig file; refused where it has no meaning.
+    pub(super) fn read(text: &str, name: &str) -> Result<Self, Fault> {
+        RigDescription::parse(text, name)?;
+        let tables = text.parse().map_err(|e| Fault::new(SPIVCAL_ERROR_INTERNAL, format!("{name}: {e}")))?;
+        Ok(Self { name: name.into(), text: Some(text.into()), tables })
+    }
+
+    /// The text of the rig file.
+    pub(super) fn text(&self) -> Result<String, Fault> {
+        match &self.text {
+            Some(text) => Ok(text.clone()),
+            None => toml::to_string(&self.tables)
+                .map_err(|e| Fault::new(SPIVCAL_ERROR_INTERNAL, format!("the description cannot be written: {e}"))),
+        }
+    }
+
+    /// The description, checked for sense.
+    pub(super) fn description(&self) -> Result<RigDescription, Fault> {
+        Ok(RigDescription::parse(&self.text()?, &self.name)?)
+    }
+
+    pub(super) fn camera_names(&self) -> Vec<String> {
+        let name = |c: &Value| c.get("name").and_then(Value::as_str).unwrap_or_default().to_string();
+        self.list("camera").iter().map(name).collect()
+    }
+
+    fn list(&self, key: &str) -> &[Value] {
+        self.tables.get(key).and_then(Value::as_array).map_or(&[], Vec::as_slice)
+    }
+
+    /// Appends a camera or a view and gives its index.
+    pub(super) fn append(&mut self, list: &str, entry: Table) -> u64 {
+        self.text = None;
+        let all = self.tables.entry(list).or_insert_with(|| Value::Array(Vec::new()));
+        match all {
+            Value::Array(all) => {
+                all.push(Value::Table(entry));
+                all.len() as u64 - 1
+            }
+            _ => 0,
+        }
+    }
+
+    /// Entry `index` of `[[camera]]` or `[[view]]`.
+    pub(super) fn entry(&mut self, list: &str, index: u64) -> Result<&mut Table, Fault> {
+        let count = self.list(list).len();
+        let place = usize::try_from(index).ok().filter(|i| *i < count);
+        let place = place.ok_or_else(|| Fault::index(list, index, count))?;
+        self.text = None;
+        let found = self.tables.get_mut(list).and_then(|l| l.get_mut(place)).and_then(Value::as_table_mut);
+        found.ok_or_else(|| Fault::argument(format!("{list} {place} is no table")))
+    }
+
+    /// A table of the file, made where it is missing.
+    pub(super) fn table(&mut self, key: &str) -> Result<&mut Table, Fault> {
+        self.text = None;
+        let table = self.tables.entry(key).or_insert_with(|| Value::Table(Table::new()));
+        table.as_table_mut().ok_or_else(|| Fault::argument(format!("{key} is no table")))
+    }
+
+    fn place(&mut self, place: Place, index: u64) -> Result<&mut Table, Fault> {
+        match place {
+            Place::Camera => self.entry("camera", index),
+            Place::View => self.entry("view", index),
+            Place::Target | Place::Radius => self.table("target"),
+            Place::Focus => self.table("focus"),
+            Place::Solve => self.table("solve"),
+        }
+    }
+
+    /// `spivcal_rig_set_number`.
+    pub(super) fn set_number(&mut self, key: i32, index: u64, value: f64) -> Result<(), Fault> {
+        let Some((_, place, name, form)) = NUMBERS.into_iter().find(|n| n.0 == key) else {
+            return Err(super::detection::unknown_key("SPIVCAL_RIG_", key));
+        };
+        let refused = |expected: &str| Err(Fault::argument(format!("{name} = {value}: expected {expected}")));
+        if !value.is_finite() {
+            return refused("a finite number");
+        }
+        let whole = value.fract() == 0.0 && value.abs() < 1e9;
+        let written = match form {
+            Form::Real => Value::Float(value),
+            Form::Whole if whole => Value::Integer(value as i64),
+            Form::Whole => return refused("a whole number"),
+            Form::Truth if value == 0.0 || value == 1.0 => Value::Boolean(value == 1.0),
+            Form::Truth => return refused("0 or 1"),
+        };
+        let table = self.place(place, index)?;
+        if place != Place::Radius {
+            table.insert(name.into(), written);
+            return Ok(());
+        }
+        let radii = table.entry(name).or_insert_with(|| Value::Array(Vec::new()));
+        let Some(radii) = radii.as_array_mut() else { return Err(Fault::argument("radii_mm is no list")) };
+        match usize::try_from(index) {
+            Ok(i) if i < radii.len() => radii[i] = written,
+            Ok(i) if i == radii.len() && i < 2 => radii.push(written),
+            _ => return Err(Fault::index("radius (set them in order)", index, radii.len())),
+        }
+        Ok(())
+    }
+
+    /// `spivcal_rig_set_text`.
+    pub(super) fn set_word(&mut self, key: i32, index: u64, word: String) -> Result<(), Fault> {
+        let Some((_, place, name)) = WORDS.into_iter().find(|w| w.0 == key) else {
+            return Err(super::detection::unknown_key("SPIVCAL_RIG_", key));
+        };
+        let value = if key == SPIVCAL_RIG_SOLVE_ESTIMATE {
+            Value::Array(word.split_whitespace().map(Value::from).collect())
+        } else {
+            Value::String(word)
+        };
+        self.place(place, index)?.insert(name.into(), value);
+        Ok(())
+    }
+
+    /// `spivcal_rig_set_known`.
+    pub(super) fn set_known(&mut self, camera: u64, parameter: i32, value: f64, sigma: f64) -> Result<(), Fault> {
+        let name = usize::try_from(parameter).ok().and_then(|p| PARAMETERS.get(p));
+        let name = *name.ok_or_else(|| super::detection::unknown_key("SPIVCAL_PARAMETER_", parameter))?;
+        if !(value.is_finite() && sigma.is_finite() && sigma >= 0.0) {
+            return Err(Fault::argument(format!(
+                "{name} = {value} with sigma {sigma}: expected a finite value and a finite sigma, 0 where the value is exact"
+            )));
+        }
+        let mut known = Table::new();
+        if sigma == 0.0 {
+            known.insert("fixed".into(), Value::Float(value));
+        } else {
+            known.insert("value".into(), Value::Float(value));
+            known.insert("sigma".into(), Value::Float(sigma));
+        }
+        let camera = self.entry("camera", camera)?;
+        let all = camera.entry("known").or_insert_with(|| Value::Table(Table::new()));
+        if let Some(all) = all.as_table_mut() {
+            all.insert(name.into(), Value::Table(known));
+        }
+        Ok(())
+    }
+
+    /// `spivcal_rig_set_scale`.
+    pub(super) fn set_scale(&mut self, fact: i32, view: u64, disc: u64, value: f64, sigma: f64) -> Result<(), Fault> {
+        let number = |n: u64| Value::Integer(i64::try_from(n).unwrap_or(i64::MAX));
+        if !(sigma >= 0.0 && sigma.is_finite()) {
+            return Err(Fault::argument(format!(
+                "sigma = {sigma}: expected a finite length in mm, 0 where it is exact"
+            )));
+        }
+        let mut length = Table::new();
+        if fact != SPIVCAL_SCALE_TRAVERSE {
+            length.insert("value".into(), Value::Float(value));
+        }
+        if sigma > 0.0 {
+            length.insert("sigma".into(), Value::Float(sigma));
+        }
+        let (key, entry) = match fact {
+            SPIVCAL_SCALE_BASELINE => ("baseline_mm", Value::Table(length)),
+            SPIVCAL_SCALE_SPACING | SPIVCAL_SCALE_RADIUS => {
+                length.insert("view".into(), number(view));
+                if fact == SPIVCAL_SCALE_RADIUS {
+                    length.insert("disc".into(), number(disc));
+                }
+                (if fact == SPIVCAL_SCALE_RADIUS { "radius_mm" } else { "spacing_mm" }, Value::Table(length))
+            }
+            SPIVCAL_SCALE_TRAVERSE if sigma > 0.0 => ("plane_z_mm", Value::Table(length)),
+            SPIVCAL_SCALE_TRAVERSE => ("plane_z_mm", Value::Boolean(true)),
+            _ => return Err(super::detection::unknown_key("SPIVCAL_SCALE_", fact)),
+        };
+        // There is one fact: a new one takes the place of the old.
+        let scale = self.table("scale")?;
+        scale.clear();
+        scale.insert(key.into(), entry);
+        Ok(())
+    }
+
+    /// `spivcal_rig_add_mark`.
+    pub(super) fn add_mark(&mut self, kind: String, column: i32, row: i32, level: i32) -> Result<(), Fault> {
+        let mut mark = Table::new();
+        mark.insert("kind".into(), Value::String(kind));
+        mark.insert("column".into(), Value::Integer(column.into()));
+        mark.insert("row".into(), Value::Integer(row.into()));
+        if level != 0 {
+            mark.insert("level".into(), Value::Integer(level.into()));
+        }
+        let marks = self.table("target")?.entry("marks").or_insert_with(|| Value::Array(Vec::new()));
+        if let Some(marks) = marks.as_array_mut() {
+            marks.push(Value::Table(mark));
+        }
+        Ok(())
+    }
+
+    /// Names the image of a camera in a view.
+    pub(super) fn set_image(&mut self, view: u64, camera: u64, name: &str) -> Result<(), Fault> {
+        let names = self.camera_names();
+        let camera_name = usize::try_from(camera).ok().and_then(|c| names.get(c));
+        let camera_name = camera_name.ok_or_else(|| Fault::index("camera", camera, names.len()))?;
+        self.entry("view", view)?.insert(camera_name.clone(), Value::String(name.into()));
+        Ok(())
+    }
+
+    /// Whether a camera of a view has an image already.
+    pub(super) fn has_image(&self, view: u64, camera: u64) -> bool {
+        let names = self.camera_names();
+        let entry = || {
+            let view = self.list("view").get(usize::try_from(view).ok()?)?;
+            view.get(names.get(usize::try_from(camera).ok()?)?)
+        };
+        entry().is_some()
+    }
+}

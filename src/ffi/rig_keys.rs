@@ -1,0 +1,135 @@
+//! Keys of a rig description, and where each stands in the rig file.
+
+// Keys of spivcal_rig_set_number; lengths and tolerances are as in the rig file.
+
+/// Index: camera. Distance of neighbouring pixels, mm.
+pub const SPIVCAL_RIG_CAMERA_PIXEL_PITCH_MM: i32 = 1;
+/// Index: camera. Nominal focal length of the lens, mm.
+pub const SPIVCAL_RIG_CAMERA_FOCAL_LENGTH_MM: i32 = 2;
+/// Two discs: distance of the centres; grid: pitch; plate: pitch on one level, mm.
+pub const SPIVCAL_RIG_TARGET_SPACING_MM: i32 = 11;
+/// Index: disc (0 or 1; 0 for grids and plates). Radius, mm.
+pub const SPIVCAL_RIG_TARGET_RADIUS_MM: i32 = 12;
+/// With SPIVCAL_RIG_TARGET_ADJUST "points": how far a dot may be from its nominal place, mm.
+pub const SPIVCAL_RIG_TARGET_POINT_SIGMA_MM: i32 = 13;
+/// Grid: columns of dots.
+pub const SPIVCAL_RIG_TARGET_COLUMNS: i32 = 14;
+/// Grid: rows of dots.
+pub const SPIVCAL_RIG_TARGET_ROWS: i32 = 15;
+/// Plate: depth of the back level below the front level, mm.
+pub const SPIVCAL_RIG_TARGET_STEP_MM: i32 = 16;
+/// The sheet is where the cameras are focused: tolerance of its tilt, degrees.
+pub const SPIVCAL_RIG_FOCUS_TILT_SIGMA_DEG: i32 = 21;
+/// The same: relative tolerance of its distance.
+pub const SPIVCAL_RIG_FOCUS_DISTANCE_SIGMA: i32 = 22;
+/// Index: view. 1: recorded in the laser sheet that is to be measured, 0: not (default).
+pub const SPIVCAL_RIG_VIEW_SHEET: i32 = 31;
+/// Index: view. Known position along a traverse, mm.
+pub const SPIVCAL_RIG_VIEW_PLANE_Z_MM: i32 = 32;
+
+// Keys of spivcal_rig_set_text.
+
+/// two-discs, bubbles, dot-grid or two-level-plate.
+pub const SPIVCAL_RIG_TARGET_KIND: i32 = 51;
+/// bright, dark or auto (default).
+pub const SPIVCAL_RIG_TARGET_POLARITY: i32 = 52;
+/// none, shape (default) or points.
+pub const SPIVCAL_RIG_TARGET_ADJUST: i32 = 53;
+/// contour (default) or bitangent.
+pub const SPIVCAL_RIG_SOLVE_OBSERVATIONS: i32 = 54;
+/// none, huber (default) or cauchy.
+pub const SPIVCAL_RIG_SOLVE_LOSS: i32 = 55;
+/// Distortion terms that are free, separated by spaces: "k1" (default), "k1 k2", "".
+pub const SPIVCAL_RIG_SOLVE_ESTIMATE: i32 = 56;
+
+// Parameters of a camera for spivcal_rig_set_known.
+
+/// Image distance over pixel pitch, px.
+pub const SPIVCAL_PARAMETER_F_PX: i32 = 0;
+/// Pixel pitch in u over pixel pitch in v.
+pub const SPIVCAL_PARAMETER_ASPECT: i32 = 1;
+/// Where the lens axis meets the sensor, u, px.
+pub const SPIVCAL_PARAMETER_CX_PX: i32 = 2;
+/// Where the lens axis meets the sensor, v, px.
+pub const SPIVCAL_PARAMETER_CY_PX: i32 = 3;
+/// Tilt about the u axis, degrees.
+pub const SPIVCAL_PARAMETER_ALPHA_DEG: i32 = 4;
+/// Tilt about the v axis, degrees.
+pub const SPIVCAL_PARAMETER_BETA_DEG: i32 = 5;
+/// Radial distortion, r^2 term.
+pub const SPIVCAL_PARAMETER_K1: i32 = 6;
+/// Radial distortion, r^4 term.
+pub const SPIVCAL_PARAMETER_K2: i32 = 7;
+/// Radial distortion, r^6 term.
+pub const SPIVCAL_PARAMETER_K3: i32 = 8;
+/// Exit over entrance pupil.
+pub const SPIVCAL_PARAMETER_PUPIL_RATIO: i32 = 9;
+
+// Facts for spivcal_rig_set_scale.
+
+/// Distance of the projection centres, mm.
+pub const SPIVCAL_SCALE_BASELINE: i32 = 1;
+/// Distance of the centres of the two discs in one view, mm.
+pub const SPIVCAL_SCALE_SPACING: i32 = 2;
+/// Radius of one disc in one view, mm.
+pub const SPIVCAL_SCALE_RADIUS: i32 = 3;
+/// The steps between the views' SPIVCAL_RIG_VIEW_PLANE_Z_MM; its value is not looked at.
+pub const SPIVCAL_SCALE_TRAVERSE: i32 = 4;
+
+/// Where a key stands in the rig file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Place {
+    /// `[[camera]]`, by index.
+    Camera,
+    /// `[target]`.
+    Target,
+    /// `radii_mm` of `[target]`, by index.
+    Radius,
+    /// `[focus]`.
+    Focus,
+    /// `[solve]`.
+    Solve,
+    /// `[[view]]`, by index.
+    View,
+}
+
+/// How a number is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Form {
+    /// Any finite number.
+    Real,
+    /// A whole number.
+    Whole,
+    /// 0 or 1, written false or true.
+    Truth,
+}
+
+/// Numbers: key of the interface, place and key of the rig file, form.
+pub(super) const NUMBERS: [(i32, Place, &str, Form); 12] = [
+    (SPIVCAL_RIG_CAMERA_PIXEL_PITCH_MM, Place::Camera, "pixel_pitch_mm", Form::Real),
+    (SPIVCAL_RIG_CAMERA_FOCAL_LENGTH_MM, Place::Camera, "focal_length_mm", Form::Real),
+    (SPIVCAL_RIG_TARGET_SPACING_MM, Place::Target, "spacing_mm", Form::Real),
+    (SPIVCAL_RIG_TARGET_RADIUS_MM, Place::Radius, "radii_mm", Form::Real),
+    (SPIVCAL_RIG_TARGET_POINT_SIGMA_MM, Place::Target, "point_sigma_mm", Form::Real),
+    (SPIVCAL_RIG_TARGET_COLUMNS, Place::Target, "columns", Form::Whole),
+    (SPIVCAL_RIG_TARGET_ROWS, Place::Target, "rows", Form::Whole),
+    (SPIVCAL_RIG_TARGET_STEP_MM, Place::Target, "step_mm", Form::Real),
+    (SPIVCAL_RIG_FOCUS_TILT_SIGMA_DEG, Place::Focus, "tilt_sigma_deg", Form::Real),
+    (SPIVCAL_RIG_FOCUS_DISTANCE_SIGMA, Place::Focus, "distance_sigma", Form::Real),
+    (SPIVCAL_RIG_VIEW_SHEET, Place::View, "sheet", Form::Truth),
+    (SPIVCAL_RIG_VIEW_PLANE_Z_MM, Place::View, "plane_z_mm", Form::Real),
+];
+
+/// Words: key of the interface, place and key of the rig file.
+pub(super) const WORDS: [(i32, Place, &str); 6] = [
+    (SPIVCAL_RIG_TARGET_KIND, Place::Target, "kind"),
+    (SPIVCAL_RIG_TARGET_POLARITY, Place::Target, "polarity"),
+    (SPIVCAL_RIG_TARGET_ADJUST, Place::Target, "adjust"),
+    (SPIVCAL_RIG_SOLVE_OBSERVATIONS, Place::Solve, "observations"),
+    (SPIVCAL_RIG_SOLVE_LOSS, Place::Solve, "loss"),
+    (SPIVCAL_RIG_SOLVE_ESTIMATE, Place::Solve, "estimate"),
+];
+
+/// Parameters of a camera in the order of their numbers.
+pub(super) const PARAMETERS: [&str; 10] =
+    ["f_px", "aspect", "cx_px", "cy_px", "alpha_deg", "beta_deg", "k1", "k2", "k3", "pupil_ratio"];

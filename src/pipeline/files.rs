@@ -1,0 +1,181 @@
+//! Files read and written: all results of a command or none, each under a temporary name first.
+
+use crate::error::{Error, Invalid, Result};
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Reads a text file; `what` it should be is said where it cannot be read.
+pub fn read_text(path: &Path, what: &str) -> Result<String> {
+    let bytes = fs::read(path).map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound => fault(path, format!("there is no such file; expected {what}")),
+        _ if path.is_dir() => fault(path, format!("this is a folder; expected {what}")),
+        _ => fault(path, format!("cannot be read: {e}")),
+    })?;
+    String::from_utf8(bytes).map_err(|_| fault(path, format!("this is not text in UTF-8; expected {what}")))
+}
+
+fn fault(path: &Path, message: impl Into<String>) -> Error {
+    Invalid::File { path: path.display().to_string(), message: message.into() }.into()
+}
+
+/// Results on their way to a folder.
+///
+/// Nothing is seen under its name until [`Output::commit`]: it writes every file under a temporary name beside its
+/// place, and only then renames them all. An error or a crash before leaves the old files.
+#[derive(Default)]
+pub struct Output {
+    files: Vec<(String, Vec<u8>)>,
+}
+
+impl Output {
+    /// Adds a file; `name` is relative to the folder.
+    pub fn add(&mut self, name: impl Into<String>, bytes: impl Into<Vec<u8>>) {
+        self.files.push((name.into(), bytes.into()));
+    }
+    /// Names of the files added so far.
+    pub fn names(&self) -> Vec<&str> {
+        self.files.iter().map(|(n, _)| n.as_str()).collect()
+    }
+    /// Writes all files into `folder`, which is made where it is missing.
+    ///
+    /// # Errors
+    /// [`Invalid::File`] where a file cannot be written; what was there before is unchanged then.
+    pub fn commit(self, folder: &Path) -> Result<()> {
+        let mut staged = Staged::new(folder)?;
+        for (name, bytes) in &self.files {
+            staged.write(name, bytes)?;
+        }
+        staged.publish()
+    }
+}
+
+/// Temporary files that vanish unless they are published.
+struct Staged {
+    folder: PathBuf,
+    /// The outermost folder that was made for them.
+    made: Option<PathBuf>,
+    files: Vec<(PathBuf, PathBuf)>,
+    published: bool,
+}
+
+impl Staged {
+    fn new(folder: &Path) -> Result<Self> {
+        let made =
+            folder.ancestors().filter(|p| !p.as_os_str().is_empty() && !p.exists()).last().map(Path::to_path_buf);
+        let staged = Self { folder: folder.to_path_buf(), made, files: Vec::new(), published: false };
+        fs::create_dir_all(folder)
+            .map_err(|e| fault(folder, format!("this folder for the results cannot be made: {e}")))?;
+        Ok(staged)
+    }
+    fn write(&mut self, name: &str, bytes: &[u8]) -> Result<()> {
+        let place = self.folder.join(name);
+        if place.is_dir() {
+            return Err(fault(&place, "there is a folder where a result must be written; remove or rename it"));
+        }
+        let temporary = self.folder.join(format!(".{name}.{}.tmp", std::process::id()));
+        self.files.push((temporary.clone(), place.clone()));
+        let written = fs::File::create(&temporary).and_then(|mut f| {
+            f.write_all(bytes)?;
+            // Without it a power failure could leave the new name with nothing in it.
+            f.sync_all()
+        });
+        written.map_err(|e| fault(&place, format!("cannot be written: {e}")))
+    }
+    fn publish(mut self) -> Result<()> {
+        for (temporary, place) in &self.files {
+            fs::rename(temporary, place).map_err(|e| fault(place, format!("cannot be written: {e}")))?;
+        }
+        self.published = true;
+        Ok(())
+    }
+}
+
+impl Drop for Staged {
+    fn drop(&mut self) {
+        if self.published {
+            return;
+        }
+        for (temporary, _) in &self.files {
+            let _ = fs::remove_file(temporary);
+        }
+        // Only folders made here, and only as far as they are empty.
+        let Some(outermost) = &self.made else { return };
+        for folder in self.folder.ancestors().take_while(|p| p.starts_with(outermost)) {
+            let _ = fs::remove_dir(folder);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn listing(folder: &Path) -> Vec<String> {
+        let mut names: Vec<String> =
+            fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn all_files_appear_and_replace_old_ones() {
+        let scratch = tempfile::tempdir().unwrap();
+        let folder = scratch.path().join("a/b");
+        for content in ["old", "new"] {
+            let mut out = Output::default();
+            out.add("x.txt", content);
+            out.add("y.bin", [0u8, 1]);
+            assert_eq!(out.names(), ["x.txt", "y.bin"]);
+            out.commit(&folder).unwrap();
+            assert_eq!(listing(&folder), ["x.txt", "y.bin"]);
+            assert_eq!(fs::read_to_string(folder.join("x.txt")).unwrap(), content);
+        }
+    }
+
+    #[test]
+    fn a_failure_leaves_the_old_files_and_nothing_else() {
+        let scratch = tempfile::tempdir().unwrap();
+        let folder = scratch.path();
+        fs::write(folder.join("x.txt"), "old").unwrap();
+        fs::create_dir(folder.join("y.txt")).unwrap();
+        let mut out = Output::default();
+        out.add("x.txt", "new");
+        out.add("y.txt", "new");
+        let message = out.commit(folder).unwrap_err().to_string();
+        assert!(message.contains("y.txt"), "{message}");
+        assert_eq!(listing(folder), ["x.txt", "y.txt"]);
+        assert_eq!(fs::read_to_string(folder.join("x.txt")).unwrap(), "old");
+    }
+
+    #[test]
+    fn a_folder_made_for_nothing_is_removed() {
+        let scratch = tempfile::tempdir().unwrap();
+        let folder = scratch.path().join("a/b/c");
+        let mut out = Output::default();
+        out.add("missing/x.txt", "new");
+        assert!(out.commit(&folder).is_err());
+        assert_eq!(listing(scratch.path()), Vec::<String>::new());
+    }
+
+    #[test]
+    fn a_file_in_the_place_of_the_folder_is_refused() {
+        let scratch = tempfile::tempdir().unwrap();
+        let folder = scratch.path().join("file");
+        fs::write(&folder, "mine").unwrap();
+        let message = Output::default().commit(&folder).unwrap_err().to_string();
+        assert!(message.contains("cannot be made"), "{message}");
+        assert_eq!(fs::read_to_string(&folder).unwrap(), "mine");
+    }
+
+    #[test]
+    fn text_that_cannot_be_read_says_what_was_expected() {
+        let scratch = tempfile::tempdir().unwrap();
+        let message = |p: &Path| read_text(p, "a rig file").unwrap_err().to_string();
+        assert!(message(&scratch.path().join("none")).contains("no such file; expected a rig file"));
+        assert!(message(scratch.path()).contains("folder"));
+        let binary = scratch.path().join("b");
+        fs::write(&binary, [0xff, 0xfe, 0x00]).unwrap();
+        assert!(message(&binary).contains("UTF-8"));
+    }
+}

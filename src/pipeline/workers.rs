@@ -1,0 +1,93 @@
+//! Threads of one piece of work: started for it, ended before it returns.
+
+use crate::error::{Error, Result};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+
+/// A thread pool of its own whose threads have ended when it is dropped.
+///
+/// A pool of rayon tells its threads to end but does not wait for them; in a host that unloads the library they would
+/// go on in code that is no longer there.
+pub struct Workers {
+    pool: Option<rayon::ThreadPool>,
+    threads: Arc<Mutex<Vec<JoinHandle<()>>>>,
+}
+
+impl Workers {
+    /// `threads` threads; 0 takes as many as the machine has.
+    ///
+    /// # Errors
+    /// [`Error::Bug`] where the system gives no threads.
+    pub fn new(threads: usize) -> Result<Self> {
+        let handles = Arc::new(Mutex::new(Vec::new()));
+        let kept = Arc::clone(&handles);
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .spawn_handler(move |worker| {
+                let handle = std::thread::Builder::new().name("spivcal".into()).spawn(|| worker.run())?;
+                kept.lock().unwrap_or_else(PoisonError::into_inner).push(handle);
+                Ok(())
+            })
+            .build();
+        let workers = |pool| Self { pool, threads: handles };
+        match pool {
+            Ok(pool) => Ok(workers(Some(pool))),
+            Err(e) => {
+                // Those that were started before the system refused end here.
+                drop(workers(None));
+                Err(Error::Bug(format!("{threads} threads cannot be started: {e}")))
+            }
+        }
+    }
+
+    /// Runs `work` with parallel iterators on these threads.
+    pub fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
+        match &self.pool {
+            Some(pool) => pool.install(work),
+            None => work(),
+        }
+    }
+}
+
+impl Drop for Workers {
+    fn drop(&mut self) {
+        drop(self.pool.take());
+        let threads = std::mem::take(&mut *self.threads.lock().unwrap_or_else(PoisonError::into_inner));
+        for thread in threads {
+            // A panic of the work has been handed to whoever installed it.
+            let _ = thread.join();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rayon::prelude::*;
+    use std::sync::Weak;
+
+    #[test]
+    fn no_thread_outlives_the_pool() {
+        for count in [1, 3] {
+            let workers = Workers::new(count).unwrap();
+            let sum: u64 = workers.install(|| {
+                assert_eq!(rayon::current_num_threads(), count);
+                (0..1000u64).into_par_iter().sum()
+            });
+            assert_eq!(sum, 499_500);
+            let threads: Weak<_> = Arc::downgrade(&workers.threads);
+            assert_eq!(workers.threads.lock().unwrap().len(), count);
+            drop(workers);
+            assert!(threads.upgrade().is_none(), "the pool's own closure still lives");
+        }
+    }
+
+    #[test]
+    fn a_panic_reaches_the_caller_and_the_threads_still_end() {
+        let workers = Workers::new(2).unwrap();
+        let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            workers.install(|| (0..10).into_par_iter().for_each(|i| assert!(i != 7, "seven")));
+        }));
+        assert!(caught.is_err());
+    }
+}

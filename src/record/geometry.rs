@@ -1,0 +1,78 @@
+//! A calibration as geometry: cameras at their places in the rig. What belongs to the sheet is in `dewarp`.
+
+use super::schema::Record;
+use crate::camera::{Camera, Refusal};
+use crate::error::Result;
+use crate::frames::{Cam, Rig};
+use crate::rigid::Motion;
+use nalgebra::{Vector2, Vector3};
+
+/// A camera at its place in the rig.
+#[derive(Debug, Clone, Copy)]
+pub struct PlacedCamera {
+    /// The camera.
+    pub camera: Camera,
+    /// Pose: camera coordinates from rig coordinates.
+    pub cam_from_rig: Motion<Cam, Rig>,
+}
+
+impl PlacedCamera {
+    /// Image (px) of a point of the rig frame (mm).
+    ///
+    /// # Errors
+    /// [`Refusal`] where the point has no image.
+    pub fn pixel_from_rig(&self, p_in_rig: &Vector3<f64>) -> std::result::Result<Vector2<f64>, Refusal> {
+        self.camera.project_xyz(&self.cam_from_rig.apply(p_in_rig))
+    }
+
+    /// Ray of a pixel: unit direction in the rig frame, from [`PlacedCamera::center_in_rig`].
+    ///
+    /// # Errors
+    /// [`Refusal`] where no ray reaches the pixel.
+    pub fn ray_in_rig(&self, pixel: &Vector2<f64>) -> std::result::Result<Vector3<f64>, Refusal> {
+        let xy = self.camera.ideal_of_pixel(pixel)?;
+        Ok((self.cam_from_rig.rotation.transpose() * Vector3::new(xy.x, xy.y, 1.0)).normalize())
+    }
+
+    /// Projection centre in the rig frame, mm.
+    pub fn center_in_rig(&self) -> Vector3<f64> {
+        self.cam_from_rig.inverse().translation_mm
+    }
+}
+
+impl Record {
+    /// The cameras at their places.
+    ///
+    /// # Errors
+    /// [`crate::error::Invalid::Value`] where a parameter is none of a camera.
+    pub fn placed_cameras(&self) -> Result<Vec<PlacedCamera>> {
+        let placed = |c: &super::schema::Camera| {
+            Ok(PlacedCamera { camera: Camera::new(c.intrinsics())?, cam_from_rig: c.cam_from_rig.motion() })
+        };
+        self.cameras.iter().map(placed).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Intrinsics;
+    use crate::rigid::rotation_exp;
+
+    fn placed() -> PlacedCamera {
+        let mut i = Intrinsics::pinhole(8000.0, 511.5, 383.5);
+        (i.alpha_rad, i.beta_rad, i.k[0]) = (0.01, 0.11, -0.2);
+        PlacedCamera {
+            camera: Camera::new(i).unwrap(),
+            cam_from_rig: Motion::new(rotation_exp(&Vector3::new(0.1, 0.7, -0.2)), Vector3::new(30.0, -5.0, 40.0)),
+        }
+    }
+
+    #[test]
+    fn a_point_on_the_ray_has_the_pixel_as_its_image() {
+        let c = placed();
+        let q = Vector2::new(100.0, 700.0);
+        let p = c.center_in_rig() + 321.0 * c.ray_in_rig(&q).unwrap();
+        assert!((c.pixel_from_rig(&p).unwrap() - q).norm() < 1e-9);
+    }
+}
