@@ -6,6 +6,7 @@
 mod arguments;
 mod calibrate;
 mod detect;
+mod dewarp;
 mod files;
 mod progress;
 mod sheet;
@@ -62,6 +63,7 @@ fn dispatch(arguments: &Arguments) -> crate::Result<Done> {
         Command::Calibrate(c) => calibrate::run(c, arguments.threads, &progress),
         Command::Detect(c) => detect::run(c, arguments.threads, &progress),
         Command::Sheet(c) => sheet::run(c, arguments.threads, &progress),
+        Command::Dewarp(c) => dewarp::run(c, arguments.threads, &progress),
         Command::Simulate(c) => simulate::run(c, &progress),
         Command::Show(c) => show::run(c),
     }

@@ -9,6 +9,7 @@ mod png;
 mod residual_rows;
 mod sheet_alone;
 mod sheet_part;
+mod tiff_file;
 
 pub use calibrate::{CalibrateOptions, CalibrationOutput, calibrate};
 pub use images::SeenImage;
@@ -16,6 +17,7 @@ pub use load::load_image;
 pub use model::{AXIS_POINT_SIGMA, LOSS_SIGMAS, POINT_SIGMA};
 pub use png::png_bytes;
 pub use sheet_alone::{SheetOptions, SheetOutput, TRANSFER_LIMIT_PX, find_sheet};
+pub use tiff_file::{ImageScale, tiff_bytes};
 
 use crate::error::Result;
 use crate::image::GrayImage;

@@ -1,5 +1,6 @@
 //! Commands and options.
 
+use crate::dewarp::Kernel;
 use crate::target::Polarity;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::num::NonZeroUsize;
@@ -33,6 +34,8 @@ pub(super) enum Command {
     Detect(Detect),
     /// Find the laser plane alone from views recorded in it, with the cameras of a calibration held
     Sheet(Sheet),
+    /// Rectify images on a grid of the laser sheet that both cameras see (TIFF with scale and origin)
+    Dewarp(Dewarp),
     /// Render synthetic images with their truth, and a rig file ready to calibrate
     Simulate(Simulate),
     /// Say a calibration in words
@@ -101,6 +104,65 @@ impl From<PolarityWord> for Polarity {
             PolarityWord::Auto => Polarity::Auto,
             PolarityWord::Bright => Polarity::Bright,
             PolarityWord::Dark => Polarity::Dark,
+        }
+    }
+}
+
+#[derive(Debug, Args)]
+pub(super) struct Dewarp {
+    /// A calibration.json with a laser sheet
+    #[arg(value_name = "C.json")]
+    pub(super) calibration: PathBuf,
+    /// Images (PNG, TIFF, BMP, PGM, JPEG)
+    #[arg(required = true, value_name = "IMAGE")]
+    pub(super) images: Vec<PathBuf>,
+    /// Folder for the results, made where it is missing
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) output: PathBuf,
+    /// Camera of all these images [default: the one whose name is in the file's name]
+    #[arg(long, value_name = "NAME")]
+    pub(super) camera: Option<String>,
+    /// Interpolation between pixels
+    #[arg(long, value_enum, default_value_t = KernelWord::BSpline)]
+    pub(super) kernel: KernelWord,
+    /// Side of a pixel of the result, mm [default: the finest that a camera has in the common field]
+    #[arg(long, value_name = "MM")]
+    pub(super) mm_per_px: Option<f64>,
+    /// Field in the sheet frame, mm [default: the field that all cameras see]
+    #[arg(long, value_name = "XMIN,YMIN,XMAX,YMAX", value_parser = four_numbers, allow_hyphen_values = true)]
+    pub(super) extent_mm: Option<[f64; 4]>,
+    /// Plane parallel to the sheet; positive towards the first camera
+    #[arg(long, value_name = "MM", default_value_t = 0.0, allow_hyphen_values = true)]
+    pub(super) z_mm: f64,
+    /// Write 32-bit floats whatever the depth of the images
+    #[arg(long)]
+    pub(super) float: bool,
+}
+
+/// Four numbers with commas between.
+fn four_numbers(text: &str) -> Result<[f64; 4], String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|n| n.trim().parse::<f64>()).collect();
+    let four = numbers.ok().and_then(|n| <[f64; 4]>::try_from(n).ok());
+    four.ok_or_else(|| "expected four numbers with commas between, such as -20,-15,20,15".into())
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(super) enum KernelWord {
+    Nearest,
+    Linear,
+    Cubic,
+    Lanczos,
+    BSpline,
+}
+
+impl From<KernelWord> for Kernel {
+    fn from(word: KernelWord) -> Self {
+        match word {
+            KernelWord::Nearest => Kernel::Nearest,
+            KernelWord::Linear => Kernel::Linear,
+            KernelWord::Cubic => Kernel::Cubic,
+            KernelWord::Lanczos => Kernel::Lanczos,
+            KernelWord::BSpline => Kernel::BSpline,
         }
     }
 }
