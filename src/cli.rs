@@ -9,6 +9,7 @@ mod detect;
 mod dewarp;
 mod files;
 mod progress;
+mod reconstruct;
 mod sheet;
 mod show;
 mod simulate;
@@ -64,6 +65,7 @@ fn dispatch(arguments: &Arguments) -> crate::Result<Done> {
         Command::Detect(c) => detect::run(c, arguments.threads, &progress),
         Command::Sheet(c) => sheet::run(c, arguments.threads, &progress),
         Command::Dewarp(c) => dewarp::run(c, arguments.threads, &progress),
+        Command::Reconstruct(c) => reconstruct::run(c, arguments.threads, &progress),
         Command::Simulate(c) => simulate::run(c, &progress),
         Command::Show(c) => show::run(c),
     }

@@ -18,6 +18,7 @@ pub mod error;
 pub mod frames;
 pub mod image;
 pub mod pipeline;
+pub mod reconstruct;
 pub mod record;
 pub mod report;
 pub mod rig;

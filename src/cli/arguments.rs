@@ -1,6 +1,7 @@
 //! Commands and options.
 
 use crate::dewarp::Kernel;
+use crate::reconstruct::{FieldUnit, Reference};
 use crate::target::Polarity;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::num::NonZeroUsize;
@@ -36,6 +37,8 @@ pub(super) enum Command {
     Sheet(Sheet),
     /// Rectify images on a grid of the laser sheet that both cameras see (TIFF with scale and origin)
     Dewarp(Dewarp),
+    /// Two planar displacement fields to three components with standard deviations
+    Reconstruct(Reconstruct),
     /// Render synthetic images with their truth, and a rig file ready to calibrate
     Simulate(Simulate),
     /// Say a calibration in words
@@ -163,6 +166,77 @@ impl From<KernelWord> for Kernel {
             KernelWord::Cubic => Kernel::Cubic,
             KernelWord::Lanczos => Kernel::Lanczos,
             KernelWord::BSpline => Kernel::BSpline,
+        }
+    }
+}
+
+#[derive(Debug, Args)]
+pub(super) struct Reconstruct {
+    /// A calibration.json with two cameras and a laser sheet
+    #[arg(value_name = "C.json")]
+    pub(super) calibration: PathBuf,
+    /// Displacements seen by the first camera (CSV, or a text export of OpenPIV or PIVlab)
+    #[arg(value_name = "LEFT.csv")]
+    pub(super) left: PathBuf,
+    /// Displacements seen by the second camera
+    #[arg(value_name = "RIGHT.csv")]
+    pub(super) right: PathBuf,
+    /// CSV file for the result
+    #[arg(short, long, value_name = "OUT")]
+    pub(super) output: PathBuf,
+    /// Unit of both fields [default: what their headers say]
+    #[arg(long, value_enum)]
+    pub(super) unit: Option<UnitWord>,
+    /// The dewarp.json of the images whose fields these are: displacements are then in their pixels
+    #[arg(long, value_name = "dewarp.json")]
+    pub(super) dewarped: Option<PathBuf>,
+    /// Where on its path a planar vector belongs
+    #[arg(long, value_enum, default_value_t = ReferenceWord::Center)]
+    pub(super) reference: ReferenceWord,
+    /// Standard deviation of one component of a planar vector, in the unit of the fields [default: estimated from the residuals]
+    #[arg(long, value_name = "S", allow_hyphen_values = true)]
+    pub(super) sigma: Option<f64>,
+    /// Distance of the vectors of the result, mm [default: that of the finer field]
+    #[arg(long, value_name = "MM")]
+    pub(super) spacing_mm: Option<f64>,
+    /// Leave the calibration's covariance out of the result
+    #[arg(long)]
+    pub(super) no_calibration_sigma: bool,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(super) enum UnitWord {
+    /// Pixels of the raw images
+    Px,
+    /// Pixels of dewarped images (with --dewarped)
+    Dewarped,
+    /// mm in the sheet
+    Mm,
+}
+
+impl From<UnitWord> for FieldUnit {
+    fn from(word: UnitWord) -> Self {
+        match word {
+            UnitWord::Px => FieldUnit::RawPixels,
+            UnitWord::Dewarped => FieldUnit::DewarpedPixels,
+            UnitWord::Mm => FieldUnit::Millimetres,
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(super) enum ReferenceWord {
+    /// The middle (central differences)
+    Center,
+    /// The beginning (windows fixed in the first frame)
+    Start,
+}
+
+impl From<ReferenceWord> for Reference {
+    fn from(word: ReferenceWord) -> Self {
+        match word {
+            ReferenceWord::Center => Reference::Center,
+            ReferenceWord::Start => Reference::Start,
         }
     }
 }
