@@ -5,6 +5,7 @@
 
 mod arguments;
 mod calibrate;
+mod check;
 mod detect;
 mod dewarp;
 mod files;
@@ -64,6 +65,7 @@ fn dispatch(arguments: &Arguments) -> crate::Result<Done> {
         Command::Calibrate(c) => calibrate::run(c, arguments.threads, &progress),
         Command::Detect(c) => detect::run(c, arguments.threads, &progress),
         Command::Sheet(c) => sheet::run(c, arguments.threads, &progress),
+        Command::Check(c) => check::run(c, arguments.threads, &progress),
         Command::Dewarp(c) => dewarp::run(c, arguments.threads, &progress),
         Command::Reconstruct(c) => reconstruct::run(c, arguments.threads, &progress),
         Command::Simulate(c) => simulate::run(c, &progress),

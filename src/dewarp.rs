@@ -32,5 +32,6 @@ pub use grid::SheetGrid;
 pub use kernel::{Kernel, Sampler};
 pub use map::{PixelJets, Pixels, SheetJets, SheetMap, SheetPoints, ViewAngles};
 pub use placement::Placement;
+pub(crate) use resample::resample;
 pub use resample::{Dewarped, dewarp};
 pub use soloff::{Soloff, SoloffDegrees, SoloffFit, SoloffVolume};

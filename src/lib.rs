@@ -14,6 +14,7 @@ pub mod cli;
 pub mod conic;
 pub mod detect;
 pub mod dewarp;
+pub mod disparity;
 pub mod error;
 pub mod frames;
 pub mod image;

@@ -18,6 +18,7 @@ mod json;
 mod number;
 mod residuals;
 mod schema;
+mod sheet_check;
 mod sigma;
 
 pub use residuals::{FeatureKind, Residual, ResidualTable};
@@ -25,4 +26,5 @@ pub use schema::{
     ANGLES_CONVENTION, Camera, Covariance, Effective, FORMAT, Fit, Homography, ImageFile, Known, NearNull, Parameter,
     Pose, Provenance, Radial, Record, Rig, Scale, Sheet, Target, TargetPoint, VERSION, View, ViewTarget,
 };
+pub use sheet_check::{CheckRound, DisparityMap, SheetCheck};
 pub use sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, TargetSigma};

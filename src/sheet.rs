@@ -19,8 +19,10 @@
 //! leaves the tilt out, worth 2.2 px of transfer error at the paper's geometry; here points go through both cameras whole.
 //! Not valid for a plane through a projection centre.
 
+mod as_record;
 mod homography;
 mod joint;
+mod measured;
 
 pub use homography::{HeldCameras, Homography, PairFeatures, fit_homography, transfer_residuals, triangulated_plane};
 pub use joint::joint_sheet;

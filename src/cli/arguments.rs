@@ -35,6 +35,8 @@ pub(super) enum Command {
     Detect(Detect),
     /// Find the laser plane alone from views recorded in it, with the cameras of a calibration held
     Sheet(Sheet),
+    /// Check the laser sheet on particle images of both cameras, and correct it
+    Check(Check),
     /// Rectify images on a grid of the laser sheet that both cameras see (TIFF with scale and origin)
     Dewarp(Dewarp),
     /// Two planar displacement fields to three components with standard deviations
@@ -109,6 +111,31 @@ impl From<PolarityWord> for Polarity {
             PolarityWord::Dark => Polarity::Dark,
         }
     }
+}
+
+#[derive(Debug, Args)]
+pub(super) struct Check {
+    /// A calibration.json with two cameras
+    #[arg(value_name = "C.json")]
+    pub(super) calibration: PathBuf,
+    /// Images of the first and of the second camera: two patterns with * and ?, in quotes; sorted by name they are pairs
+    #[arg(long, required = true, num_args = 2, value_names = ["L*.tif", "R*.tif"])]
+    pub(super) pairs: Vec<String>,
+    /// Folder for the results, made where it is missing
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) output: PathBuf,
+    /// Correct the sheet and write the corrected calibration.json
+    #[arg(long)]
+    pub(super) refine: bool,
+    /// Side of a window of the disparity map, px of the dewarped image
+    #[arg(long, value_name = "PX", default_value_t = 64)]
+    pub(super) window_px: usize,
+    /// Largest offset of the light that is looked for, mm [default: a tenth of the field]
+    #[arg(long, value_name = "MM")]
+    pub(super) search_mm: Option<f64>,
+    /// Start from the plane of the target of this view instead of the calibration's sheet
+    #[arg(long, value_name = "N")]
+    pub(super) plane_of_view: Option<usize>,
 }
 
 #[derive(Debug, Args)]

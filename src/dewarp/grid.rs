@@ -117,6 +117,17 @@ impl SheetGrid {
         let [x1, y0] = self.point_mm((self.width_px - 1) as f64, (self.height_px - 1) as f64);
         [self.origin_mm[0], y0, x1, self.origin_mm[1]]
     }
+    /// The same field with pixels `factor` times as large.
+    pub(crate) fn coarser(&self, factor: usize) -> Self {
+        let size = |n: usize| (n / factor).max(1);
+        let middle = 0.5 * (factor as f64 - 1.0);
+        Self {
+            origin_mm: self.point_mm(middle, middle),
+            mm_per_px: self.mm_per_px * factor as f64,
+            width_px: size(self.width_px),
+            height_px: size(self.height_px),
+        }
+    }
 }
 
 /// Smallest length in the sheet that one pixel of movement in the image makes, mm per px; none where the camera does not see the
