@@ -6,6 +6,7 @@
 mod arguments;
 mod calibrate;
 mod check;
+mod convert;
 mod detect;
 mod dewarp;
 mod files;
@@ -70,6 +71,7 @@ fn dispatch(arguments: &Arguments) -> crate::Result<Done> {
         Command::Reconstruct(c) => reconstruct::run(c, arguments.threads, &progress),
         Command::Simulate(c) => simulate::run(c, &progress),
         Command::Show(c) => show::run(c),
+        Command::Convert(c) => convert::run(c),
     }
 }
 

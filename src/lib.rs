@@ -16,6 +16,7 @@ pub mod detect;
 pub mod dewarp;
 pub mod disparity;
 pub mod error;
+pub mod exchange;
 pub mod frames;
 pub mod image;
 pub mod pipeline;

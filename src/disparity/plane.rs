@@ -132,7 +132,7 @@ pub(super) fn moved_sheet(record: &Record, abc: &Vector3<f64>, covariance: &Matr
     let old = record.sheet.as_ref()?;
     let center = record.cameras.get(1).map(|c| c.cam_from_rig.motion::<Cam, Rig>().inverse().translation_mm);
     let estimate = SheetEstimate::from_plane(&old.rig_from_sheet.motion(), abc, covariance, center);
-    out.sheet = Some(estimate.as_record("self-calibration", old.views.clone()));
+    out.sheet = Some(estimate.to_record("self-calibration", old.views.clone()));
     Some(out)
 }
 
@@ -153,5 +153,5 @@ pub fn sheet_of_view(record: &Record, view: usize) -> Result<record::Sheet> {
     let target: Motion<Rig, Target> = pose.motion();
     let frame = Motion::<Rig, Sheet>::new(target.rotation, target.translation_mm);
     let unknown = Matrix3::repeat(f64::NAN);
-    Ok(SheetEstimate::from_plane(&frame, &Vector3::zeros(), &unknown, center).as_record("target plane", vec![view]))
+    Ok(SheetEstimate::from_plane(&frame, &Vector3::zeros(), &unknown, center).to_record("target plane", vec![view]))
 }

@@ -19,7 +19,7 @@ pub(super) fn sheet_part(s: &Solved) -> Result<Option<Sheet>> {
     };
     let names: Vec<&str> = s.job.cameras.iter().map(|c| c.name.as_str()).collect();
     let joint = joint_sheet(s.covariance, &plane, names.get(1).copied());
-    let mut sheet = joint.as_record("joint", views.clone());
+    let mut sheet = joint.to_record("joint", views.clone());
     if let [first, second] = names[..] {
         let held = HeldCameras::of(s.covariance, [first, second]);
         let features: Vec<PairFeatures> = views.iter().flat_map(|v| features_of_view(s, &held, *v)).collect();
@@ -40,7 +40,7 @@ pub(super) fn homography_of(h: &crate::sheet::Homography) -> Homography {
         distance_mm: h.estimate.distance_mm,
         angles_deg: h.estimate.angles_rad.map(f64::to_degrees),
         angle_to_baseline_deg: h.estimate.angle_to_baseline_rad.to_degrees(),
-        sigma: h.estimate.sigma_record(),
+        sigma: h.estimate.record_sigma(),
         transfer_rms_px: h.transfer_rms_px,
     }
 }

@@ -1,11 +1,20 @@
 //! A plane as the record holds it.
 
-use super::SheetEstimate;
+use super::{SheetEstimate, plane_geometry};
 use crate::record::{ANGLES_CONVENTION, Pose, Sheet, SheetSigma};
+use nalgebra::Vector3;
 
 impl SheetEstimate {
-    /// The sheet of a calibration, found by `method` from `views`.
-    pub fn as_record(&self, method: &str, views: Vec<usize>) -> Sheet {
+    /// The plane `normal . p = distance` of the rig frame, its sigmas unknown; `second_center_mm` is the second projection
+    /// centre in the rig frame.
+    pub fn of_plane(normal: Vector3<f64>, distance_mm: f64, second_center_mm: Option<Vector3<f64>>) -> Self {
+        let mut estimate = plane_geometry(normal, distance_mm, second_center_mm).estimate;
+        estimate.sigmas.fill(f64::NAN);
+        estimate
+    }
+
+    /// The part `sheet` of a record; `method` says how it was found, `views` from which views.
+    pub fn to_record(&self, method: &str, views: Vec<usize>) -> Sheet {
         Sheet {
             normal_in_rig: self.normal.into(),
             distance_mm: self.distance_mm,
@@ -13,7 +22,7 @@ impl SheetEstimate {
             angles_deg: self.angles_rad.map(f64::to_degrees),
             angles_convention: ANGLES_CONVENTION.into(),
             angle_to_baseline_deg: self.angle_to_baseline_rad.to_degrees(),
-            sigma: self.sigma_record(),
+            sigma: self.record_sigma(),
             rig_from_sheet: Pose::from(&self.rig_from_sheet),
             method: method.into(),
             views,
@@ -22,8 +31,8 @@ impl SheetEstimate {
         }
     }
 
-    /// The sigmas in the units of the file.
-    pub fn sigma_record(&self) -> SheetSigma {
+    /// Its standard deviations in the units of the file.
+    pub fn record_sigma(&self) -> SheetSigma {
         let s = &self.sigmas;
         SheetSigma {
             distance_mm: s[0],
