@@ -5,10 +5,13 @@
 
 mod arguments;
 mod calibrate;
+mod check;
 mod convert;
 mod detect;
+mod dewarp;
 mod files;
 mod progress;
+mod reconstruct;
 mod sheet;
 mod show;
 mod simulate;
@@ -63,6 +66,9 @@ fn dispatch(arguments: &Arguments) -> crate::Result<Done> {
         Command::Calibrate(c) => calibrate::run(c, arguments.threads, &progress),
         Command::Detect(c) => detect::run(c, arguments.threads, &progress),
         Command::Sheet(c) => sheet::run(c, arguments.threads, &progress),
+        Command::Check(c) => check::run(c, arguments.threads, &progress),
+        Command::Dewarp(c) => dewarp::run(c, arguments.threads, &progress),
+        Command::Reconstruct(c) => reconstruct::run(c, arguments.threads, &progress),
         Command::Simulate(c) => simulate::run(c, &progress),
         Command::Show(c) => show::run(c),
         Command::Convert(c) => convert::run(c),

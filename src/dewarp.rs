@@ -21,10 +21,17 @@
 //! (1997) 1441, for the polynomial map; Willert, Meas. Sci. Technol. 8 (1997) 1465. Not valid for a camera that looks along
 //! the sheet, where `d_z = 0`: such pixels have no place (`NaN`).
 
+mod grid;
+mod kernel;
 mod map;
 mod placement;
+mod resample;
 mod soloff;
 
 pub use map::{NoMeeting, PixelJets, Pixels, SheetJets, SheetMap, SheetPoints, ViewAngles};
+pub use grid::SheetGrid;
+pub use kernel::{Kernel, Sampler};
 pub use placement::Placement;
+pub(crate) use resample::resample;
+pub use resample::{Dewarped, dewarp};
 pub use soloff::{Soloff, SoloffDegrees, SoloffFit, SoloffVolume};

@@ -20,6 +20,7 @@ mod json;
 mod number;
 mod residuals;
 mod schema;
+mod sheet_check;
 mod sigma;
 
 pub use diagnosis::{
@@ -32,4 +33,5 @@ pub use schema::{
     ANGLES_CONVENTION, Camera, Covariance, Effective, FORMAT, Fit, Homography, ImageFile, Known, NearNull, Parameter,
     Pose, Provenance, Radial, Record, Rig, Scale, Sheet, Target, TargetPoint, VERSION, View, ViewTarget,
 };
+pub use sheet_check::{CheckRound, DisparityMap, SheetCheck};
 pub use sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, TargetSigma};

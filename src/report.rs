@@ -7,6 +7,7 @@
 //! |---|---|
 //! | [`text`] | the calibration in plain words, for a terminal |
 //! | [`write_html`] | one HTML file without scripts or anything to load, also well-formed XML |
+//! | [`check_html`] | the check of the sheet on particle images as one HTML file |
 //! | [`residuals_csv`] | one row per observation |
 //! | [`discs_csv`], [`contours_csv`], [`features_csv`], [`detection_json`] | what was found in one image |
 //! | [`overlay_png`] | the image with what was found in it, at full resolution |
@@ -18,6 +19,7 @@
 //! Standard deviations are rounded to two significant digits, and values to the same decimal.
 
 mod canvas;
+mod check_page;
 mod csv;
 mod detection;
 mod diagnosis;
@@ -34,6 +36,7 @@ mod tables;
 mod text;
 mod verdict;
 
+pub use check_page::check_html;
 pub use csv::{csv_field, residuals_csv};
 pub use detection::{
     contours_csv, detection_json, detection_shapes, discs_csv, features_csv, reason_kind, reason_words,

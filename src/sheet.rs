@@ -27,6 +27,7 @@
 mod gain;
 mod homography;
 mod joint;
+mod measured;
 mod parameter;
 mod recorded;
 

@@ -8,11 +8,14 @@
 //! Bubbles stand here for what a laser sheet shows of soap bubbles or droplets filled with smoke: bright circles in the plane
 //! of the sheet, each pair with radii and a spacing of its own.
 //!
+//! With a table `[particles]` the scene also gives images of particles in a sheet of finite thickness (`particles.rs`).
+//!
 //! Not modelled: defocus (one point spread for the whole image), refraction, occlusion by other bodies, the
-//! thickness of the sheet.
+//! thickness of the sheet where targets stand in it.
 
 mod check;
 mod light;
+mod particles;
 mod pattern;
 mod preset;
 mod random;
@@ -30,6 +33,7 @@ use crate::image::GrayImage;
 use check::Lines;
 use light::{Smoke, Uneven};
 use nalgebra::Vector2;
+use particles::Particles;
 use render::Figure;
 use scene::{Kind, SceneFile, syntax};
 use setup::Setup;
@@ -126,7 +130,28 @@ pub fn simulate(scene: &Scene) -> Result<Simulation> {
             images.push((name, image(scene, view, camera)?));
         }
     }
+    images.extend(simulate_particles(scene)?);
     Ok(Simulation { images, rig_toml: scene.rig_toml(), truth_json: scene.truth_json()? })
+}
+
+/// Images of the particles alone, with their names: of every moment one per camera; empty without a table `[particles]`.
+///
+/// # Errors
+/// [`crate::Error::Bug`] only: a scene that was read can be rendered.
+pub fn simulate_particles(scene: &Scene) -> Result<Vec<(String, GrayImage)>> {
+    let Some(keys) = &scene.file.particles else { return Ok(Vec::new()) };
+    let (setup, seed) = (&scene.setup, scene.file.seed);
+    let mut images = Vec::new();
+    for moment in 0..keys.pairs {
+        let all = Particles::new(keys, &setup.cameras, &setup.bench_from_sheet, seed, moment);
+        for (i, c) in setup.cameras.iter().enumerate() {
+            let grey = all.image(c, &setup.bench_from_sheet, &scene.file.image);
+            // The noise of a moment is apart from that of the views.
+            let image = sensor::expose(&grey, c.size_px, &scene.file.image, seed, [10_000 + moment, i])?;
+            images.push((format!("p{:02}_{}.png", moment + 1, c.name), image));
+        }
+    }
+    Ok(images)
 }
 
 /// One image, digitised.

@@ -1,5 +1,7 @@
 //! Commands and options.
 
+use crate::dewarp::Kernel;
+use crate::reconstruct::{FieldUnit, Reference};
 use crate::target::Polarity;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::num::NonZeroUsize;
@@ -33,6 +35,12 @@ pub(super) enum Command {
     Detect(Detect),
     /// Find the laser plane alone from views recorded in it, with the cameras of a calibration held
     Sheet(Sheet),
+    /// Check the laser sheet on particle images of both cameras, and correct it
+    Check(Check),
+    /// Rectify images on a grid of the laser sheet that both cameras see (TIFF with scale and origin)
+    Dewarp(Dewarp),
+    /// Two planar displacement fields to three components with standard deviations
+    Reconstruct(Reconstruct),
     /// Render synthetic images with their truth, and a rig file ready to calibrate
     Simulate(Simulate),
     /// Say a calibration in words
@@ -103,6 +111,161 @@ impl From<PolarityWord> for Polarity {
             PolarityWord::Auto => Polarity::Auto,
             PolarityWord::Bright => Polarity::Bright,
             PolarityWord::Dark => Polarity::Dark,
+        }
+    }
+}
+
+#[derive(Debug, Args)]
+pub(super) struct Check {
+    /// A calibration.json with two cameras
+    #[arg(value_name = "C.json")]
+    pub(super) calibration: PathBuf,
+    /// Images of the first and of the second camera: two patterns with * and ?, in quotes; sorted by name they are pairs
+    #[arg(long, required = true, num_args = 2, value_names = ["L*.tif", "R*.tif"])]
+    pub(super) pairs: Vec<String>,
+    /// Folder for the results, made where it is missing
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) output: PathBuf,
+    /// Correct the sheet and write the corrected calibration.json
+    #[arg(long)]
+    pub(super) refine: bool,
+    /// Side of a window of the disparity map, px of the dewarped image
+    #[arg(long, value_name = "PX", default_value_t = 64)]
+    pub(super) window_px: usize,
+    /// Largest offset of the light that is looked for, mm [default: a tenth of the field]
+    #[arg(long, value_name = "MM")]
+    pub(super) search_mm: Option<f64>,
+    /// Start from the plane of the target of this view instead of the calibration's sheet
+    #[arg(long, value_name = "N")]
+    pub(super) plane_of_view: Option<usize>,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct Dewarp {
+    /// A calibration.json with a laser sheet
+    #[arg(value_name = "C.json")]
+    pub(super) calibration: PathBuf,
+    /// Images (PNG, TIFF, BMP, PGM, JPEG)
+    #[arg(required = true, value_name = "IMAGE")]
+    pub(super) images: Vec<PathBuf>,
+    /// Folder for the results, made where it is missing
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) output: PathBuf,
+    /// Camera of all these images [default: the one whose name is in the file's name]
+    #[arg(long, value_name = "NAME")]
+    pub(super) camera: Option<String>,
+    /// Interpolation between pixels
+    #[arg(long, value_enum, default_value_t = KernelWord::BSpline)]
+    pub(super) kernel: KernelWord,
+    /// Side of a pixel of the result, mm [default: the finest that a camera has in the common field]
+    #[arg(long, value_name = "MM")]
+    pub(super) mm_per_px: Option<f64>,
+    /// Field in the sheet frame, mm [default: the field that all cameras see]
+    #[arg(long, value_name = "XMIN,YMIN,XMAX,YMAX", value_parser = four_numbers, allow_hyphen_values = true)]
+    pub(super) extent_mm: Option<[f64; 4]>,
+    /// Plane parallel to the sheet; positive towards the first camera
+    #[arg(long, value_name = "MM", default_value_t = 0.0, allow_hyphen_values = true)]
+    pub(super) z_mm: f64,
+    /// Write 32-bit floats whatever the depth of the images
+    #[arg(long)]
+    pub(super) float: bool,
+}
+
+/// Four numbers with commas between.
+fn four_numbers(text: &str) -> Result<[f64; 4], String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|n| n.trim().parse::<f64>()).collect();
+    let four = numbers.ok().and_then(|n| <[f64; 4]>::try_from(n).ok());
+    four.ok_or_else(|| "expected four numbers with commas between, such as -20,-15,20,15".into())
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(super) enum KernelWord {
+    Nearest,
+    Linear,
+    Cubic,
+    Lanczos,
+    BSpline,
+}
+
+impl From<KernelWord> for Kernel {
+    fn from(word: KernelWord) -> Self {
+        match word {
+            KernelWord::Nearest => Kernel::Nearest,
+            KernelWord::Linear => Kernel::Linear,
+            KernelWord::Cubic => Kernel::Cubic,
+            KernelWord::Lanczos => Kernel::Lanczos,
+            KernelWord::BSpline => Kernel::BSpline,
+        }
+    }
+}
+
+#[derive(Debug, Args)]
+pub(super) struct Reconstruct {
+    /// A calibration.json with two cameras and a laser sheet
+    #[arg(value_name = "C.json")]
+    pub(super) calibration: PathBuf,
+    /// Displacements seen by the first camera (CSV, or a text export of OpenPIV or PIVlab)
+    #[arg(value_name = "LEFT.csv")]
+    pub(super) left: PathBuf,
+    /// Displacements seen by the second camera
+    #[arg(value_name = "RIGHT.csv")]
+    pub(super) right: PathBuf,
+    /// CSV file for the result
+    #[arg(short, long, value_name = "OUT")]
+    pub(super) output: PathBuf,
+    /// Unit of both fields [default: what their headers say]
+    #[arg(long, value_enum)]
+    pub(super) unit: Option<UnitWord>,
+    /// The dewarp.json of the images whose fields these are: displacements are then in their pixels
+    #[arg(long, value_name = "dewarp.json")]
+    pub(super) dewarped: Option<PathBuf>,
+    /// Where on its path a planar vector belongs
+    #[arg(long, value_enum, default_value_t = ReferenceWord::Center)]
+    pub(super) reference: ReferenceWord,
+    /// Standard deviation of one component of a planar vector, in the unit of the fields [default: estimated from the residuals]
+    #[arg(long, value_name = "S", allow_hyphen_values = true)]
+    pub(super) sigma: Option<f64>,
+    /// Distance of the vectors of the result, mm [default: that of the finer field]
+    #[arg(long, value_name = "MM")]
+    pub(super) spacing_mm: Option<f64>,
+    /// Leave the calibration's covariance out of the result
+    #[arg(long)]
+    pub(super) no_calibration_sigma: bool,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(super) enum UnitWord {
+    /// Pixels of the raw images
+    Px,
+    /// Pixels of dewarped images (with --dewarped)
+    Dewarped,
+    /// mm in the sheet
+    Mm,
+}
+
+impl From<UnitWord> for FieldUnit {
+    fn from(word: UnitWord) -> Self {
+        match word {
+            UnitWord::Px => FieldUnit::RawPixels,
+            UnitWord::Dewarped => FieldUnit::DewarpedPixels,
+            UnitWord::Mm => FieldUnit::Millimetres,
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(super) enum ReferenceWord {
+    /// The middle (central differences)
+    Center,
+    /// The beginning (windows fixed in the first frame)
+    Start,
+}
+
+impl From<ReferenceWord> for Reference {
+    fn from(word: ReferenceWord) -> Self {
+        match word {
+            ReferenceWord::Center => Reference::Center,
+            ReferenceWord::Start => Reference::Start,
         }
     }
 }

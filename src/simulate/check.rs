@@ -109,6 +109,7 @@ pub(super) fn check(scene: &SceneFile, lines: &Lines) -> Result<()> {
     check_image(scene, lines)?;
     check_views(scene, lines)?;
     check_random(scene, lines)?;
+    check_particles(scene, lines)?;
     check_rig(scene, lines)
 }
 
@@ -371,6 +372,17 @@ fn check_random(scene: &SceneFile, lines: &Lines) -> Result<()> {
         }
     }
     check_pair(lines, &at("spacing_mm"), [radii[0][1], radii[1][1]], spacing[0])
+}
+
+fn check_particles(scene: &SceneFile, lines: &Lines) -> Result<()> {
+    let Some(p) = &scene.particles else { return Ok(()) };
+    let at = |key| [Key("particles"), Key(key)];
+    if !(1..=1000).contains(&p.pairs) {
+        return lines.refuse(&at("pairs"), format!("particles.pairs = {}: expected 1 to 1000", p.pairs));
+    }
+    lines.within(&at("per_mm2"), p.per_mm2, 1e-3, 1e4)?;
+    lines.within(&at("thickness_mm"), p.thickness_mm, 1e-3, 100.0)?;
+    lines.within(&at("level"), p.level, 1e-3, 100.0)
 }
 
 fn check_rig(scene: &SceneFile, lines: &Lines) -> Result<()> {

@@ -22,6 +22,8 @@ pub(super) enum Use {
     Light = 5,
     /// Photons and electronics.
     Sensor = 6,
+    /// Places and brightness of particles.
+    Particles = 7,
 }
 
 /// xoshiro256++ with the draws that a scene needs.

@@ -25,6 +25,7 @@ pub(super) struct SceneFile {
     #[serde(default, rename = "view")]
     pub(super) views: Vec<ViewKeys>,
     pub(super) random: Option<RandomKeys>,
+    pub(super) particles: Option<ParticleKeys>,
     #[serde(default)]
     pub(super) rig: RigKeys,
 }
@@ -258,6 +259,16 @@ pub(super) struct RandomKeys {
     pub(super) spacing_mm: Option<[f64; 2]>,
 }
 
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ParticleKeys {
+    pub(super) pairs: usize,
+    pub(super) per_mm2: f64,
+    pub(super) thickness_mm: f64,
+    #[serde(default = "default_level")]
+    pub(super) level: f64,
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum ScaleKey {
@@ -293,6 +304,9 @@ pub(super) struct FocusKeys {
 
 fn one() -> f64 {
     1.0
+}
+fn default_level() -> f64 {
+    0.5
 }
 fn default_hole() -> f64 {
     0.45

@@ -1,0 +1,180 @@
+//! `check`: the sheet on particle images.
+
+use super::Done;
+use super::arguments::Check;
+use super::dewarp::load_sized;
+use super::files::{Output, fault, read_text};
+use super::progress::Bar;
+use super::threads;
+use crate::disparity::{CheckOptions, ParticlePair, check_sheet, sheet_of_view};
+use crate::error::{Error, Result};
+use crate::frames::{Rig, Sheet};
+use crate::image::GrayImage;
+use crate::record::{Record, SheetCheck};
+use crate::report::check_html;
+use serde_json::json;
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+
+pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar) -> Result<Done> {
+    let text = read_text(&command.calibration, "a calibration.json")?;
+    let mut record = Record::from_json(&text, &command.calibration.display().to_string())?;
+    if record.cameras.len() != 2 {
+        let what = format!("the check needs two cameras, but this calibration holds {}", record.cameras.len());
+        return Err(fault(&command.calibration, what));
+    }
+    let mut reference_mm = [0.0; 2];
+    if let Some(view) = command.plane_of_view {
+        let sheet = sheet_of_view(&record, view)?;
+        // The offset is told where the target has its origin.
+        let origin = record.views.iter().find(|v| v.index == view).and_then(|v| v.rig_from_target);
+        if let Some(pose) = origin {
+            let there = sheet.rig_from_sheet.motion::<Rig, Sheet>().inverse().apply(&pose.translation_mm.into());
+            reference_mm = [there.x, there.y];
+        }
+        record.sheet = Some(sheet);
+    } else if record.sheet.is_none() {
+        let what = "the calibration has no laser sheet to check; say --plane-of-view N to start from the plane of the target of a view";
+        return Err(fault(&command.calibration, what));
+    }
+    let [left, right] = command.pairs.as_slice() else {
+        return Err(Error::Bug("--pairs takes two patterns".into()));
+    };
+    let files = paired(matching(left)?, matching(right)?, left, right)?;
+    progress.stage("reading images", files.len());
+    let mut images: Vec<[GrayImage; 2]> = vec![];
+    for pair in &files {
+        images.push([load_sized(&pair[0], &record, 0)?, load_sized(&pair[1], &record, 1)?]);
+        progress.step();
+    }
+    let pairs: Vec<ParticlePair> = images
+        .iter()
+        .zip(&files)
+        .map(|(i, f)| ParticlePair {
+            images: [i[0].view(), i[1].view()],
+            names: f.each_ref().map(|p| p.file_name().unwrap_or_default().to_string_lossy().into_owned()),
+        })
+        .collect();
+    progress.say("looking for the plane of the light".to_string());
+    let options = CheckOptions {
+        window_px: command.window_px,
+        search_mm: command.search_mm,
+        refine: command.refine,
+        reference_mm,
+    };
+    let found = threads::pool(threads)?.install(|| check_sheet(&record, &pairs, &options))?;
+    let mut out = Output::default();
+    let value = serde_json::to_value(&found.check).map_err(|e| Error::Bug(format!("check.json: {e}")))?;
+    out.add("check.json", format!("{value:#}\n"));
+    out.add("report.html", check_html(&found.check));
+    if let Some(corrected) = &found.record {
+        out.add("calibration.json", corrected.to_json()?);
+    }
+    let words = words(&found.check, &command.output, &out.names());
+    let json = json!({
+        "output": command.output.display().to_string(), "files": out.names(), "offset_mm": value["offset_mm"], "tilt_deg": value["tilt_deg"],
+        "offset_sigma_mm": value["offset_sigma_mm"], "tilt_sigma_deg": value["tilt_sigma_deg"], "thickness_mm": value["thickness_mm"],
+        "median_before_px": found.check.before.median_px(), "median_after_px": found.check.after.as_ref().map(|a| a.median_px()),
+        "converged": found.check.converged, "history": value["history"], "flags": found.check.flags,
+    });
+    out.commit(&command.output)?;
+    Ok(Done { text: words, json, flags: found.check.flags })
+}
+
+fn words(c: &SheetCheck, to: &Path, files: &[&str]) -> String {
+    let mut text = format!(
+        "the light lies {:+.4} ± {:.4} mm from the calibrated sheet at x = {:.2}, y = {:.2} mm (towards camera \"{}\" is positive),\n\
+         tilted by {:+.4} ± {:.4} degrees about x and {:+.4} ± {:.4} degrees about y\n\
+         median disparity {:.3} px",
+        c.offset_mm,
+        c.offset_sigma_mm,
+        c.reference_mm[0],
+        c.reference_mm[1],
+        c.cameras[0],
+        c.tilt_deg[0],
+        c.tilt_sigma_deg[0],
+        c.tilt_deg[1],
+        c.tilt_sigma_deg[1],
+        c.before.median_px()
+    );
+    if let Some(after) = &c.after {
+        text.push_str(&format!(", after the correction {:.4} px ({} rounds)", after.median_px(), c.history.len()));
+    }
+    text.push_str(&format!("; across the direction of depth {:.3} px\n", c.across_rms_px));
+    if c.thickness_mm.is_finite() {
+        text.push_str(&format!("thickness of the light: {:.2} mm (full width at 1/e^2)\n", c.thickness_mm));
+    }
+    text.push_str(&format!("Written to {}: {}\n", to.display(), files.join(", ")));
+    text
+}
+
+/// Files whose names match a pattern with `*` and `?`, in the order of their names.
+fn matching(pattern: &str) -> Result<Vec<PathBuf>> {
+    let path = Path::new(pattern);
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let listing = std::fs::read_dir(folder).map_err(|e| fault(folder, format!("this folder cannot be read: {e}")))?;
+    let mut found: Vec<PathBuf> = listing
+        .filter_map(|entry| entry.ok().map(|e| e.path()))
+        .filter(|p| p.is_file() && p.file_name().is_some_and(|n| matches(&name, &n.to_string_lossy())))
+        .collect();
+    found.sort();
+    if found.is_empty() {
+        return Err(fault(
+            path,
+            "no file matches this pattern; * stands for any characters, and the pattern must be in quotes",
+        ));
+    }
+    Ok(found)
+}
+
+fn paired(left: Vec<PathBuf>, right: Vec<PathBuf>, a: &str, b: &str) -> Result<Vec<[PathBuf; 2]>> {
+    if left.len() != right.len() {
+        let what = format!(
+            "{} files, but \"{b}\" matches {}; every moment needs one image of each camera",
+            left.len(),
+            right.len()
+        );
+        return Err(fault(Path::new(a), what));
+    }
+    Ok(left.into_iter().zip(right).map(|(l, r)| [l, r]).collect())
+}
+
+/// Whether a name matches a pattern of `*` (any characters) and `?` (one).
+fn matches(pattern: &str, name: &str) -> bool {
+    let (p, n): (Vec<char>, Vec<char>) = (pattern.chars().collect(), name.chars().collect());
+    let mut row = vec![false; n.len() + 1];
+    row[0] = true;
+    for c in p {
+        let mut before = row[0];
+        row[0] = row[0] && c == '*';
+        for i in 1..=n.len() {
+            let here = row[i];
+            row[i] = if c == '*' { here || row[i - 1] } else { before && (c == '?' || c == n[i - 1]) };
+            before = here;
+        }
+    }
+    row[n.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patterns_are_those_of_a_shell() {
+        for (pattern, name, wanted) in [
+            ("L*.tif", "L001.tif", true),
+            ("L*.tif", "R001.tif", false),
+            ("L*.tif", "L001.tiff", false),
+            ("*", "anything", true),
+            ("a?c", "abc", true),
+            ("a?c", "ac", false),
+            ("*_1_*.png", "E_camera_1_frame_1_.png", true),
+            ("a.b", "a.b", true),
+            ("", "a", false),
+        ] {
+            assert_eq!(matches(pattern, name), wanted, "{pattern} {name}");
+        }
+    }
+}

@@ -1,0 +1,156 @@
+//! `reconstruct`: two planar displacement fields to three components.
+
+use super::Done;
+use super::arguments::Reconstruct;
+use super::files::{Output, fault, read_text};
+use super::progress::Bar;
+use super::threads;
+use crate::dewarp::{SheetGrid, SheetMap};
+use crate::error::{Invalid, Result};
+use crate::reconstruct::{
+    FieldTable, FieldUnit, Options, PlanarField, VectorField, parse_field, perturbed_maps, reconstruct,
+};
+use crate::record::Record;
+use serde::Deserialize;
+use serde_json::json;
+use std::num::NonZeroUsize;
+use std::path::Path;
+
+/// More missing vectors than this part of the field are flagged.
+const MISSING_LIMIT: f64 = 0.3;
+
+/// What is needed of `dewarp.json`.
+#[derive(Deserialize)]
+struct Dewarped {
+    grid: SheetGrid,
+}
+
+pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress: &Bar) -> Result<Done> {
+    let text = read_text(&command.calibration, "a calibration.json")?;
+    let record = Record::from_json(&text, &command.calibration.display().to_string())?;
+    let [first, second] = record.cameras.as_slice() else {
+        let what = format!("three components need two cameras, but the calibration holds {}", record.cameras.len());
+        return Err(fault(&command.calibration, what));
+    };
+    let maps = [SheetMap::from_record(&record, 0)?, SheetMap::from_record(&record, 1)?];
+    let table = |path: &Path| {
+        parse_field(&read_text(path, "a displacement field (CSV, OpenPIV, PIVlab)")?, &path.display().to_string())
+    };
+    let tables = [table(&command.left)?, table(&command.right)?];
+    let dewarped = command.dewarped.as_deref().map(dewarped_grid).transpose()?;
+    let unit = unit(command, &tables)?;
+    let fields = [PlanarField::new(&tables[0])?, PlanarField::new(&tables[1])?];
+    let perturbed = if command.no_calibration_sigma { None } else { perturbed_maps(&record)? };
+    let mut flags = vec![];
+    if perturbed.is_none() && !command.no_calibration_sigma {
+        flags.push("the calibration does not determine all that the maps need: the sigmas hold the planar vectors' noise alone".to_string());
+    }
+    let options = Options {
+        unit,
+        dewarped,
+        reference: command.reference.into(),
+        sigma: command.sigma,
+        spacing_mm: command.spacing_mm,
+        perturbed,
+    };
+    progress.say("three components".to_string());
+    let names = [first.name.as_str(), second.name.as_str()];
+    let pool = threads::pool(threads)?;
+    let found = pool.install(|| reconstruct([&maps[0], &maps[1]], [&fields[0], &fields[1]], names, &options))?;
+    let (filled, all) = found.filled();
+    if ((all - filled) as f64) > MISSING_LIMIT * all as f64 {
+        let part = |f: &PlanarField| format!("{} of {}", f.filled().0, f.filled().1);
+        flags.push(format!(
+            "{} of {all} points have no vector: the fields hold {} (\"{}\") and {} (\"{}\") of their vectors; check masks, flags and \
+             validation of the planar fields",
+            all - filled,
+            part(&fields[0]),
+            names[0],
+            part(&fields[1]),
+            names[1]
+        ));
+    }
+    let (words, summary) = summary(&found, &tables, unit, &command.output, names[0]);
+    let folder = command.output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let Some(name) = command.output.file_name() else {
+        return Err(fault(&command.output, "this is no name of a file; name the CSV file to be written"));
+    };
+    let mut out = Output::default();
+    out.add(name.to_string_lossy(), found.to_csv());
+    out.commit(folder)?;
+    Ok(Done { text: words, json: summary, flags })
+}
+
+fn dewarped_grid(path: &Path) -> Result<SheetGrid> {
+    let text = read_text(path, "the dewarp.json that spivcal dewarp writes beside its images")?;
+    let read: Dewarped = serde_json::from_str(&text)
+        .map_err(|e| fault(path, format!("this is not a dewarp.json of spivcal dewarp: {e}")))?;
+    Ok(read.grid)
+}
+
+/// Unit of both fields: that of the option, else that of the files.
+fn unit(command: &Reconstruct, tables: &[FieldTable; 2]) -> Result<FieldUnit> {
+    if let Some(word) = command.unit {
+        return Ok(word.into());
+    }
+    let of = |t: &FieldTable| match (t.unit, &command.dewarped) {
+        (Some(FieldUnit::RawPixels), Some(_)) => Some(FieldUnit::DewarpedPixels),
+        (unit, _) => unit,
+    };
+    match tables.each_ref().map(of) {
+        [Some(a), Some(b)] if a == b => Ok(a),
+        [Some(_), Some(_)] => {
+            let what = format!("{} and {} are in different units; export both alike", tables[0].file, tables[1].file);
+            Err(Invalid::Contradiction(what).into())
+        }
+        _ => {
+            let what = "the header does not name the unit; say --unit px (raw images), --unit dewarped or --unit mm";
+            Err(fault(Path::new(&tables[0].file), what))
+        }
+    }
+}
+
+fn summary(
+    found: &VectorField,
+    tables: &[FieldTable; 2],
+    unit: FieldUnit,
+    to: &Path,
+    first: &str,
+) -> (String, serde_json::Value) {
+    let (filled, all) = found.filled();
+    let median = |list: &[f64]| {
+        let mut v: Vec<f64> = list.iter().copied().filter(|x| x.is_finite()).collect();
+        v.sort_by(f64::total_cmp);
+        v.get(v.len() / 2).copied().unwrap_or(f64::NAN)
+    };
+    let [su, sv, sw] = found.sigma_mm.each_ref().map(|s| median(s));
+    let [cu, cv, cw] = found.calibration_sigma_mm.each_ref().map(|s| median(s));
+    let residual = median(&found.residual_px);
+    let how = if found.sigma_estimated { "estimated from the residuals" } else { "given" };
+    let mut text = format!(
+        "{} and {}: {filled} of {all} vectors, {:.4} mm apart; w is positive towards camera \"{first}\"\n\
+         sigma of a planar component: {:.4} {} ({how}); median residual {residual:.4} px\n\
+         median sigma by the planar vectors: u {su:.3e}, v {sv:.3e}, w {sw:.3e} mm\n",
+        tables[0].format.word(),
+        tables[1].format.word(),
+        found.grid.mm_per_px,
+        found.sigma,
+        match unit {
+            FieldUnit::RawPixels => "px",
+            FieldUnit::DewarpedPixels => "dewarped px",
+            FieldUnit::Millimetres => "mm",
+        }
+    );
+    if cw.is_finite() {
+        text.push_str(&format!("median sigma by the calibration:    u {cu:.3e}, v {cv:.3e}, w {cw:.3e} mm\n"));
+    }
+    text.push_str(&format!("Written to {}\n", to.display()));
+    let number = |x: f64| if x.is_finite() { json!(x) } else { serde_json::Value::Null };
+    let json = json!({
+        "output": to.display().to_string(), "vectors": filled, "points": all, "grid": found.grid, "sigma": number(found.sigma),
+        "sigma_estimated": found.sigma_estimated, "median_residual_px": number(residual),
+        "median_sigma_mm": [number(su), number(sv), number(sw)],
+        "median_calibration_sigma_mm": [number(cu), number(cv), number(cw)],
+    });
+    (text, json)
+}

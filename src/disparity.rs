@@ -1,0 +1,37 @@
+//! Is the sheet where the calibration says? Particle images of both cameras answer (Wieneke's self-calibration).
+//!
+//! Both cameras see the same particles at the same moment. Where the calibrated sheet is off the light by Z, the two dewarped images
+//! are apart by the disparity
+//! ```text
+//! d = x_2 - x_1 = -Z (s_2 - s_1)                  s_c slope of the ray of camera c, see dewarp
+//! Z = argmin |x_1 + Z s_1 - x_2 - Z s_2|^2        triangulation; what is left across s_2 - s_1 no sheet explains
+//! Z = a + b X + c Y                               weighted, robust: the sheet's true place in its own frame
+//! ```
+//! 1. *Acquire*: both images are dewarped on planes z = const, coarsely, and multiplied; blocks of the field vote for the plane
+//!    (offset and two tilts) on which they are most alike. Finds offsets of several mm and tilts of several degrees.
+//! 2. *Measure*: ensemble correlation of windows over all pairs by FFT, coarse windows first, subpixel peak by a Gaussian.
+//! 3. *Refit* the plane, and again, until the disparity no longer changes.
+//!
+//! | symbol | identifier | unit | frame | meaning |
+//! |---|---|---|---|---|
+//! | d | `dx_px`, `dy_px` | px of the dewarped image | Sheet (y up) | second camera minus first |
+//! | Z | `z_mm` | mm | Sheet | place of the light along the normal |
+//! | s_z | `thickness_mm` / (4 sqrt 2) | mm | Sheet | depth of the particles that make the correlation peak |
+//!
+//! **Thickness.** Particles at different depth have different disparity, so the cross-correlation peak is wider along s_2 - s_1
+//! than the autocorrelation peaks: `s_z^2 |s_2 - s_1|^2 = C_12 - (C_11 + C_22) / 2`. Both images carry the light's profile, so the
+//! product falls off as its square: the profile's standard deviation is sqrt(2) s_z, its full width at 1/e^2 four times that.
+//!
+//! Sigmas of the plane are those of the scatter of the windows, which do not overlap; cameras are held. Sources: Wieneke, Exp.
+//! Fluids 39 (2005) 267; Wieneke, Meas. Sci. Technol. 29 (2018) 084002. Not valid for images without common particles (refused),
+//! and blind to errors of the cameras that a plane can mimic.
+
+mod acquire;
+mod check;
+mod correlate;
+mod peak;
+mod plane;
+mod prepare;
+
+pub use check::{CheckOptions, CheckOutput, ParticlePair, check_sheet};
+pub use plane::sheet_of_view;

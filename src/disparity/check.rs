@@ -1,0 +1,424 @@
+//! The rounds of the check.
+
+use super::acquire::{Acquired, Binned, SIGNIFICANT, acquire, factor};
+use super::correlate::{Correlator, Dewarped, Sums};
+use super::plane::{Match, PlaneFit, Seen, fit_plane, moved_sheet, see};
+use super::prepare::{SATURATED, levels, particles, saturated_part};
+use crate::dewarp::{Kernel, Sampler, SheetGrid, SheetMap, resample};
+use crate::error::{Insufficient, Invalid, Result};
+use crate::frames::{Rig, Sheet};
+use crate::image::GrayView;
+use crate::record::{CheckRound, DisparityMap, Record, SheetCheck};
+use nalgebra::{Matrix3, Vector2, Vector3};
+use rayon::prelude::*;
+
+/// A peak must be this much higher than the second.
+const RATIO: f64 = 1.25;
+/// Fewest windows that fix a plane with something to spare.
+const FEWEST: usize = 8;
+/// Rounds at most.
+const ROUNDS: usize = 12;
+/// The rounds end when the plane's disparity changes by less, px.
+const STILL_PX: f64 = 0.002;
+/// Or moves by less than this part of its sigma (windows at the limit of being used come and go).
+const STILL_SIGMAS: f64 = 0.3;
+/// Median disparity across the direction of depth that says that the cameras themselves are off, px.
+const ACROSS_PX: f64 = 0.5;
+
+/// Options of [`check_sheet`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CheckOptions {
+    /// Side of a window, px of the dewarped image.
+    pub window_px: usize,
+    /// Largest offset that is looked for, mm; a tenth of the field's larger side where not given.
+    pub search_mm: Option<f64>,
+    /// Whether the sheet is to be corrected.
+    pub refine: bool,
+    /// Point of the starting sheet at which its offset is reported, its frame, mm.
+    pub reference_mm: [f64; 2],
+}
+
+impl Default for CheckOptions {
+    fn default() -> Self {
+        Self { window_px: 64, search_mm: None, refine: false, reference_mm: [0.0; 2] }
+    }
+}
+
+/// Images of both cameras of one moment.
+#[derive(Debug, Clone)]
+pub struct ParticlePair<'a> {
+    /// First and second camera.
+    pub images: [GrayView<'a>; 2],
+    /// Their names in messages.
+    pub names: [String; 2],
+}
+
+/// What the check gives.
+#[derive(Debug, Clone)]
+pub struct CheckOutput {
+    /// Maps, history, sheet, thickness.
+    pub check: SheetCheck,
+    /// The calibration with the corrected sheet, where it was asked for.
+    pub record: Option<Record>,
+}
+
+/// Images ready to be dewarped.
+struct Moment {
+    samplers: [Sampler; 2],
+}
+
+/// One round: windows of a sheet, and the plane through them.
+struct Round {
+    matches: Vec<Match>,
+    windows: usize,
+    fit: PlaneFit,
+    grid: SheetGrid,
+    sums: Option<Sums>,
+    slope_apart: Vector2<f64>,
+    /// Median disparity in the sheet of this round, px.
+    median_px: f64,
+}
+
+fn maps_of(record: &Record) -> Result<[SheetMap; 2]> {
+    if record.cameras.len() != 2 {
+        let what = format!("the check needs two cameras, but the calibration holds {}", record.cameras.len());
+        return Err(Invalid::Contradiction(what).into());
+    }
+    Ok([SheetMap::from_record(record, 0)?, SheetMap::from_record(record, 1)?])
+}
+
+/// Checks the record's sheet on particle images, and corrects it where the options ask for it.
+///
+/// Work is shared by the threads of the pool in which this is called; the bits do not depend on their number.
+///
+/// # Errors
+/// [`Invalid`] for a calibration without two cameras or a sheet, or other image sizes; [`Insufficient`] where the images are flat,
+/// saturated, or show no common particles.
+pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptions) -> Result<CheckOutput> {
+    let maps = maps_of(record)?;
+    let [first, second] = &maps;
+    let mut flags = vec![];
+    check_images(pairs, &maps, &mut flags)?;
+    if !(16..=512).contains(&options.window_px) {
+        return Err(Invalid::value("window", options.window_px as f64, "16 to 512 px").into());
+    }
+    let grid = SheetGrid::common(&[first, second], None)?;
+    let found = coarse_plane([first, second], pairs, &grid, options)?;
+    let moments: Vec<Moment> = pairs
+        .par_iter()
+        .map(|p| Moment { samplers: p.images.each_ref().map(|i| Sampler::new(i, Kernel::Cubic)) })
+        .collect();
+    let mut current = moved(record, &found.plane, &Matrix3::zeros())?;
+    let mut history = vec![];
+    let (mut converged, mut last) = (false, None);
+    // Coarse windows first, unless the field holds too few of them.
+    let coarse = 2 * options.window_px;
+    let enough = (grid.width_px / coarse) * (grid.height_px / coarse) >= 2 * FEWEST;
+    for round in 0..ROUNDS {
+        let fine = round > 0;
+        let window = if fine || !enough { options.window_px } else { coarse };
+        let result = measure(&current, &moments, window, fine)?;
+        let step_px = plane_step_px(&result);
+        let abc = result.fit.abc;
+        let step_sigmas = result.fit.covariance.try_inverse().map_or(f64::INFINITY, |w| abc.dot(&(w * abc)).sqrt());
+        let next = moved(&current, &result.fit.abc, &result.fit.covariance)?;
+        history.push(entry(record, &next, &result, window, options));
+        current = next;
+        last = Some(result);
+        converged = fine && (step_px < STILL_PX || step_sigmas < STILL_SIGMAS);
+        if converged || (!options.refine && fine) {
+            break;
+        }
+    }
+    let Some(result) = last else { return Err(crate::Error::Bug("no round of the check".into())) };
+    if options.refine && !converged {
+        flags.push(format!("the plane still moves after {ROUNDS} rounds; more image pairs would hold it"));
+    }
+    output(record, current, pairs, result, history, &found, converged, options, flags)
+}
+
+fn check_images(pairs: &[ParticlePair], maps: &[SheetMap; 2], flags: &mut Vec<String>) -> Result<()> {
+    if pairs.is_empty() {
+        return Err(Invalid::Contradiction("no image pair was given; name the images of both cameras".into()).into());
+    }
+    for pair in pairs {
+        for c in 0..2 {
+            let (image, name) = (&pair.images[c], &pair.names[c]);
+            if [image.width(), image.height()] != maps[c].size_px() {
+                let [w, h] = maps[c].size_px();
+                let what = format!(
+                    "{name}: the image is {} x {} px, but its camera was calibrated with {w} x {h} px",
+                    image.width(),
+                    image.height()
+                );
+                return Err(Invalid::Contradiction(what).into());
+            }
+            let part = saturated_part(image, name)?;
+            if part > SATURATED {
+                flags.push(format!(
+                    "{name}: {:.2} % of the pixels are saturated; bright particles are cut off, so reduce the exposure",
+                    100.0 * part
+                ));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn coarse_plane(
+    maps: [&SheetMap; 2],
+    pairs: &[ParticlePair],
+    grid: &SheetGrid,
+    options: &CheckOptions,
+) -> Result<Acquired> {
+    let by = factor(grid);
+    let bin = |p: &ParticlePair| -> Option<[Binned; 2]> {
+        let one = |c: usize| Binned::new(&levels(&p.images[c]), maps[c].size_px(), by);
+        Some([one(0)?, one(1)?])
+    };
+    let binned: Option<Vec<[Binned; 2]>> = pairs.par_iter().map(bin).collect();
+    let side = grid.mm_per_px * grid.width_px.max(grid.height_px) as f64;
+    let search_mm = options.search_mm.unwrap_or(0.1 * side);
+    if !(search_mm > 0.0 && search_mm.is_finite()) {
+        return Err(Invalid::value("search", search_mm, "a positive length in mm").into());
+    }
+    let found = binned.and_then(|b| acquire(maps, &b, grid, search_mm));
+    match found {
+        Some(f) if f.significance > SIGNIFICANT => Ok(f),
+        other => Err(Insufficient::Degenerate(format!(
+            "no common particles: on no plane within {search_mm:.1} mm of the sheet are the images of both cameras alike (the best stands out by {:.1} \
+             standard deviations, {SIGNIFICANT} are needed); check that left and right images are of the same moments and cameras, that \
+             they show particles, or search further with --search-mm",
+            other.map_or(0.0, |f| f.significance)
+        ))
+        .into()),
+    }
+}
+
+fn moved(record: &Record, abc: &Vector3<f64>, covariance: &Matrix3<f64>) -> Result<Record> {
+    moved_sheet(record, abc, covariance).ok_or_else(|| crate::Error::Bug("a sheet was lost on the way".into()))
+}
+
+/// One round in the record's sheet.
+fn measure(record: &Record, moments: &[Moment], window: usize, with_sums: bool) -> Result<Round> {
+    let maps = maps_of(record)?;
+    let maps = [&maps[0], &maps[1]];
+    let grid = SheetGrid::common(&maps, None)?;
+    let dewarped: Vec<Dewarped> = moments
+        .iter()
+        .map(|m| {
+            let [(mut a, sa), (mut b, sb)] = [0, 1].map(|c| resample(&m.samplers[c], maps[c], &grid, 0.0));
+            particles(&mut a, grid.width_px);
+            particles(&mut b, grid.width_px);
+            Dewarped { levels: [a, b], seen: sa.iter().zip(&sb).map(|(a, b)| *a && *b).collect() }
+        })
+        .collect();
+    let [columns, rows] = [grid.width_px / window, grid.height_px / window];
+    // The windows are centred in the field.
+    let (left, top) = ((grid.width_px - columns * window) / 2, (grid.height_px - rows * window) / 2);
+    let correlator = Correlator::new(window);
+    // Once the plane is known, peaks far away are chance.
+    let search = if with_sums { (window / 8).max(6) } else { 2 * window / 5 };
+    let sums: Vec<Option<(Match, Sums)>> = (0..columns * rows)
+        .into_par_iter()
+        .map(|k| {
+            let corner = [left + (k % columns) * window, top + (k / columns) * window];
+            let sums = correlator.window(&dewarped, grid.width_px, corner[0], corner[1])?;
+            let peak = correlator.map(sums.cross.clone()).peak(search, false)?;
+            let middle = corner.map(|c| c as f64 + 0.5 * (window - 1) as f64);
+            // The particle images of both lie half a shift on either side.
+            let raw = |c: usize, side: f64| {
+                let [x, y] = grid.point_mm(middle[0] + side * peak.shift_px.x, middle[1] + side * peak.shift_px.y);
+                maps[c].project(&Vector3::new(x, y, 0.0))
+            };
+            let found = Match { pixels: [raw(0, -0.5)?, raw(1, 0.5)?], correlation: peak.height, ratio: peak.ratio };
+            (peak.ratio > RATIO).then_some((found, sums))
+        })
+        .collect();
+    let mut total: Option<Sums> = None;
+    let mut matches = vec![];
+    for (m, s) in sums.into_iter().flatten() {
+        matches.push(m);
+        if with_sums {
+            add(&mut total, s);
+        }
+    }
+    let seen: Vec<Seen> = matches.iter().filter_map(|m| see(maps, m)).collect();
+    let fit = if matches.len() >= FEWEST && seen.len() == matches.len() { fit_plane(&matches, &seen) } else { None };
+    let fit = fit.ok_or_else(|| {
+        Insufficient::Degenerate(format!(
+            "only {} of {} windows of {window} px show a clear correlation peak, {FEWEST} are needed to fix a plane; give more image pairs, \
+             or larger windows with --window-px",
+            matches.len(),
+            columns * rows
+        ))
+    })?;
+    let middle = 0.5 * Vector2::new((grid.width_px - 1) as f64, (grid.height_px - 1) as f64);
+    let [x, y] = grid.point_mm(middle.x, middle.y);
+    let slope = |m: &SheetMap| m.project(&Vector3::new(x, y, 0.0)).and_then(|q| m.hit(&q, 0.0)).map(|h| h.slope);
+    let slope_apart = slope(maps[1]).zip(slope(maps[0])).map_or(Vector2::zeros(), |(b, a)| b - a);
+    let mut lengths: Vec<f64> = seen.iter().map(|s| s.disparity_mm.norm() / grid.mm_per_px).collect();
+    lengths.sort_by(f64::total_cmp);
+    let median_px = lengths[lengths.len() / 2];
+    Ok(Round { windows: columns * rows, matches, fit, grid, sums: total, slope_apart, median_px })
+}
+
+fn add(total: &mut Option<Sums>, s: Sums) {
+    match total {
+        None => *total = Some(s),
+        Some(t) => {
+            let pairs = [(&mut t.cross, &s.cross)];
+            let autos = t.auto.iter_mut().zip(&s.auto);
+            for (sum, more) in pairs.into_iter().chain(autos) {
+                sum.iter_mut().zip(more).for_each(|(a, b)| *a += b);
+            }
+            t.pairs += s.pairs;
+        }
+    }
+}
+
+/// Largest disparity that the plane's step makes in the field, px.
+fn plane_step_px(r: &Round) -> f64 {
+    let [x0, y0, x1, y1] = r.grid.extent_mm();
+    let z = |x: f64, y: f64| r.fit.abc.dot(&Vector3::new(1.0, x, y)).abs();
+    let z = z(x0, y0).max(z(x1, y0)).max(z(x0, y1)).max(z(x1, y1));
+    z * r.slope_apart.norm() / r.grid.mm_per_px
+}
+
+/// Where a sheet lies in the frame of another: `z = a + b x + c y`.
+fn relative(start: &Record, now: &Record) -> Option<Vector3<f64>> {
+    let pose = |r: &Record| r.sheet.as_ref().map(|s| s.rig_from_sheet.motion::<Rig, Sheet>());
+    let m = pose(start)?.inverse() * pose(now)?;
+    let n = m.rotation.column(2);
+    let (b, c) = (-n.x / n.z, -n.y / n.z);
+    Some(Vector3::new(m.translation_mm.z - b * m.translation_mm.x - c * m.translation_mm.y, b, c))
+}
+
+/// Offset at the reference point, mm, and tilts about x and y, degrees.
+fn offset_and_tilt(start: &Record, now: &Record, reference_mm: [f64; 2]) -> (f64, [f64; 2]) {
+    let abc = relative(start, now).unwrap_or(Vector3::repeat(f64::NAN));
+    let offset = abc.dot(&Vector3::new(1.0, reference_mm[0], reference_mm[1]));
+    // z rises with y by a turn about x, and falls with x by one about y.
+    (offset, [abc.z.atan().to_degrees(), (-abc.y).atan().to_degrees()])
+}
+
+/// (1, x, y) of the reference point in the frame of another sheet.
+fn reference_in(start: &Record, now: &Record, reference_mm: [f64; 2]) -> Vector3<f64> {
+    let pose = |r: &Record| r.sheet.as_ref().map(|s| s.rig_from_sheet.motion::<Rig, Sheet>());
+    let p = Vector3::new(reference_mm[0], reference_mm[1], 0.0);
+    let there = pose(now).zip(pose(start)).map(|(n, s)| (n.inverse() * s).apply(&p)).unwrap_or(p);
+    Vector3::new(1.0, there.x, there.y)
+}
+
+fn entry(start: &Record, next: &Record, r: &Round, window: usize, options: &CheckOptions) -> CheckRound {
+    let (offset_mm, tilt_deg) = offset_and_tilt(start, next, options.reference_mm);
+    CheckRound { window_px: window, windows: [r.matches.len(), r.windows], median_px: r.median_px, offset_mm, tilt_deg }
+}
+
+/// Matches seen in a record's sheet.
+fn map_in(record: &Record, matches: &[Match], used: &[bool], mm_per_px: f64) -> Result<DisparityMap> {
+    let maps = maps_of(record)?;
+    let mut out = DisparityMap::default();
+    for (m, used) in matches.iter().zip(used) {
+        let Some(s) = see([&maps[0], &maps[1]], m) else { continue };
+        let place = s.point_mm.xy();
+        out.x_mm.push(place.x);
+        out.y_mm.push(place.y);
+        out.dx_px.push(s.disparity_mm.x / mm_per_px);
+        out.dy_px.push(s.disparity_mm.y / mm_per_px);
+        out.across_px.push(s.across_mm / mm_per_px);
+        out.z_mm.push(s.point_mm.z);
+        out.correlation.push(m.correlation);
+        out.peak_ratio.push(m.ratio);
+        out.used.push(*used);
+    }
+    Ok(out)
+}
+
+/// Full width of the light at 1/e^2, mm; `NaN` where the cross-correlation peak is no wider than the particle images.
+fn thickness_mm(r: &Round, window: usize) -> f64 {
+    let widths = || -> Option<f64> {
+        let sums = r.sums.as_ref()?;
+        let correlator = Correlator::new(window);
+        let shape =
+            |values: &Vec<f64>, auto: bool| correlator.map(values.clone()).peak(window / 8, auto).map(|p| p.shape_px2);
+        let (cross, a, b) = (shape(&sums.cross, false)?, shape(&sums.auto[0], true)?, shape(&sums.auto[1], true)?);
+        let wider = cross - 0.5 * (a + b);
+        let length = r.slope_apart.norm();
+        // Rows of the image run down, y of the sheet up.
+        let along = Vector2::new(r.slope_apart.x, -r.slope_apart.y) / length;
+        let variance_px2 = along.dot(&(wider * along));
+        let sigma_z = r.grid.mm_per_px * variance_px2.max(0.0).sqrt() / length;
+        (variance_px2 > 0.0).then_some(4.0 * std::f64::consts::SQRT_2 * sigma_z)
+    };
+    widths().unwrap_or(f64::NAN)
+}
+
+#[allow(clippy::too_many_arguments)]
+fn output(
+    start: &Record,
+    corrected: Record,
+    pairs: &[ParticlePair],
+    last: Round,
+    history: Vec<CheckRound>,
+    found: &Acquired,
+    converged: bool,
+    options: &CheckOptions,
+    mut flags: Vec<String>,
+) -> Result<CheckOutput> {
+    let scale = last.grid.mm_per_px;
+    let before = map_in(start, &last.matches, &last.fit.used, scale)?;
+    let after = map_in(&corrected, &last.matches, &last.fit.used, scale)?;
+    let (offset_mm, tilt_deg) = offset_and_tilt(start, &corrected, options.reference_mm);
+    // The covariance lives in the last frame; its offset and tilts differ from those of the start by the turn alone.
+    let c = &last.fit.covariance;
+    let reference = reference_in(start, &corrected, options.reference_mm);
+    let used = || (0..after.x_mm.len()).filter(|i| after.used[*i]);
+    let n = used().count() as f64;
+    let across_rms_px = (used().map(|i| after.across_px[i].powi(2)).sum::<f64>() / n).sqrt();
+    if across_rms_px > ACROSS_PX {
+        flags.push(format!(
+            "disparities of {across_rms_px:.2} px (root mean square) across the direction of depth remain: no sheet explains them, the cameras' \
+             calibration itself is off (moved camera, refraction)"
+        ));
+    }
+    let quiet = before.median_px();
+    if !options.refine && quiet > 0.5 {
+        flags.push(format!("the sheet is off: median disparity {quiet:.2} px; run again with --refine and use the corrected calibration"));
+    }
+    let check = SheetCheck {
+        format: "spivcal-check".into(),
+        version: 1,
+        cameras: [start.cameras[0].name.clone(), start.cameras[1].name.clone()],
+        pairs: pairs.iter().map(|p| p.names.clone()).collect(),
+        mm_per_px: scale,
+        significance: found.significance,
+        before,
+        after: options.refine.then_some(after),
+        history,
+        converged,
+        reference_mm: options.reference_mm,
+        offset_mm,
+        tilt_deg,
+        offset_sigma_mm: reference.dot(&(c * reference)).max(0.0).sqrt(),
+        tilt_sigma_deg: [c.m33.max(0.0).sqrt().to_degrees(), c.m22.max(0.0).sqrt().to_degrees()],
+        window_sigma_px: last.fit.scatter_mm / scale,
+        across_rms_px,
+        thickness_mm: thickness_mm(&last, options.window_px),
+        flags,
+    };
+    let record = options.refine.then(|| {
+        let mut r = corrected;
+        r.provenance.options.insert(
+            "sheet".into(),
+            format!("self-calibration on {} particle image pair(s), cameras held", pairs.len()),
+        );
+        let kept: Vec<usize> =
+            (0..r.covariance.names.len()).filter(|i| !r.covariance.names[*i].starts_with("sheet.")).collect();
+        let matrix = kept.iter().map(|i| kept.iter().map(|j| r.covariance.matrix[*i][*j]).collect()).collect();
+        r.covariance.names = kept.iter().map(|i| r.covariance.names[*i].clone()).collect();
+        r.covariance.matrix = matrix;
+        r
+    });
+    Ok(CheckOutput { check, record })
+}

@@ -1,0 +1,157 @@
+//! Matched places to depth, depths to a plane, the plane to a sheet.
+
+use crate::dewarp::SheetMap;
+use crate::error::{Invalid, Result};
+use crate::frames::{Cam, Rig, Sheet, Target};
+use crate::record::{self, Record};
+use crate::rigid::Motion;
+use crate::sheet::SheetEstimate;
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+/// Tukey's constant: 95 % efficiency for normal scatter.
+const TUKEY: f64 = 4.685;
+
+/// One place seen by both cameras.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Match {
+    /// Raw pixels of the same light in both cameras.
+    pub(super) pixels: [Vector2<f64>; 2],
+    pub(super) correlation: f64,
+    pub(super) ratio: f64,
+}
+
+/// A match seen in a sheet.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Seen {
+    /// Point where the rays meet (nearest), mm.
+    pub(super) point_mm: Vector3<f64>,
+    /// Disparity in the plane z = 0: second less first, mm.
+    pub(super) disparity_mm: Vector2<f64>,
+    /// Its part across the direction of depth, mm.
+    pub(super) across_mm: f64,
+    /// Length of s_2 - s_1.
+    pub(super) slope_apart: f64,
+}
+
+/// Triangulates a match; none where a pixel does not see the sheet or both look along one line.
+pub(super) fn see(maps: [&SheetMap; 2], m: &Match) -> Option<Seen> {
+    let [a, b] = [maps[0].hit(&m.pixels[0], 0.0)?, maps[1].hit(&m.pixels[1], 0.0)?];
+    let (d, s) = (b.xy_mm - a.xy_mm, b.slope - a.slope);
+    let length = s.norm();
+    if !(length > 1e-6) {
+        return None;
+    }
+    let z = -d.dot(&s) / (length * length);
+    let xy = 0.5 * (a.xy_mm + a.slope * z + b.xy_mm + b.slope * z);
+    Some(Seen {
+        point_mm: xy.push(z),
+        disparity_mm: d,
+        across_mm: (d.x * s.y - d.y * s.x) / length,
+        slope_apart: length,
+    })
+}
+
+/// `z = a + b x + c y` through points.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct PlaneFit {
+    pub(super) abc: Vector3<f64>,
+    /// From the scatter of the points.
+    pub(super) covariance: Matrix3<f64>,
+    /// Standard deviation of a disparity about the fit, mm.
+    pub(super) scatter_mm: f64,
+    /// Whether a point took part.
+    pub(super) used: Vec<bool>,
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+fn tukey(t: f64) -> f64 {
+    let t = t / TUKEY;
+    if t.abs() < 1.0 { (1.0 - t * t).powi(2) } else { 0.0 }
+}
+
+/// Whether a match is real, by the part of its disparity that no plane changes: 0 where it is far from all others.
+fn likely_across(seen: &[Seen]) -> Vec<f64> {
+    let middle = median(seen.iter().map(|s| s.across_mm).collect());
+    let scale = (1.4826 * median(seen.iter().map(|s| (s.across_mm - middle).abs()).collect())).max(1e-12);
+    seen.iter().map(|s| f64::from(u8::from((s.across_mm - middle).abs() < TUKEY * scale))).collect()
+}
+
+/// Weighted robust fit; residuals count in disparity, `r = (z - plane) |s_2 - s_1|`, weights as the square of the correlation.
+pub(super) fn fit_plane(matches: &[Match], seen: &[Seen]) -> Option<PlaneFit> {
+    let row = |s: &Seen| Vector3::new(1.0, s.point_mm.x, s.point_mm.y);
+    let residual = |s: &Seen, abc: &Vector3<f64>| (s.point_mm.z - abc.dot(&row(s))) * s.slope_apart;
+    let mut abc = Vector3::zeros();
+    let likely = likely_across(seen);
+    let mut robust = likely.clone();
+    let mut scale = f64::INFINITY;
+    for round in 0..30 {
+        let (mut n, mut b) = (Matrix3::zeros(), Vector3::zeros());
+        for ((s, m), r) in seen.iter().zip(matches).zip(&robust) {
+            let w = r * (m.correlation * s.slope_apart).powi(2);
+            n += row(s) * row(s).transpose() * w;
+            b += row(s) * (w * s.point_mm.z);
+        }
+        let next = n.cholesky()?.solve(&b);
+        let moved = (next - abc).norm();
+        abc = next;
+        let sizes = seen.iter().zip(&likely).filter(|(_, l)| **l > 0.0).map(|(s, _)| residual(s, &abc).abs());
+        scale = (1.4826 * median(sizes.collect())).max(1e-12);
+        for ((r, s), likely) in robust.iter_mut().zip(seen).zip(&likely) {
+            *r = likely * tukey(residual(s, &abc) / scale);
+        }
+        if round > 3 && moved < 1e-9 {
+            break;
+        }
+    }
+    // Covariance of the weighted estimate from its own residuals (sandwich), for correct weights or not.
+    let (mut n, mut meat) = (Matrix3::zeros(), Matrix3::zeros());
+    let mut count = 0.0_f64;
+    for ((s, m), r) in seen.iter().zip(matches).zip(&robust) {
+        let w = r * (m.correlation * s.slope_apart).powi(2);
+        n += row(s) * row(s).transpose() * w;
+        meat += row(s) * row(s).transpose() * (w * (s.point_mm.z - abc.dot(&row(s)))).powi(2);
+        count += f64::from(u8::from(*r > 0.0));
+    }
+    let inverse = n.try_inverse()?;
+    let used: Vec<bool> = robust.iter().map(|r| *r > 0.0).collect();
+    if count < 4.0 {
+        return None;
+    }
+    // The fit has taken three numbers, and Tukey's weights a twentieth of what was known.
+    let covariance = inverse * meat * inverse * (count / (count - 3.0) / 0.95);
+    Some(PlaneFit { abc, covariance, scatter_mm: scale, used })
+}
+
+/// The record with its sheet at `z = a + b x + c y` of its present sheet frame.
+pub(super) fn moved_sheet(record: &Record, abc: &Vector3<f64>, covariance: &Matrix3<f64>) -> Option<Record> {
+    let mut out = record.clone();
+    let old = record.sheet.as_ref()?;
+    let center = record.cameras.get(1).map(|c| c.cam_from_rig.motion::<Cam, Rig>().inverse().translation_mm);
+    let estimate = SheetEstimate::from_plane(&old.rig_from_sheet.motion(), abc, covariance, center);
+    out.sheet = Some(estimate.to_record("self-calibration", old.views.clone()));
+    Some(out)
+}
+
+/// A sheet to start from where the calibration has none: the plane of the target of a view.
+///
+/// # Errors
+/// [`Invalid`] where there is no such view or it was not used.
+pub fn sheet_of_view(record: &Record, view: usize) -> Result<record::Sheet> {
+    let found = record.views.iter().find(|v| v.index == view).and_then(|v| v.rig_from_target);
+    let Some(pose) = found else {
+        let what = format!(
+            "view {view} has no pose; name a view of the calibration that was used (0 to {})",
+            record.views.len().saturating_sub(1)
+        );
+        return Err(Invalid::Contradiction(what).into());
+    };
+    let center = record.cameras.get(1).map(|c| c.cam_from_rig.motion::<Cam, Rig>().inverse().translation_mm);
+    let target: Motion<Rig, Target> = pose.motion();
+    let frame = Motion::<Rig, Sheet>::new(target.rotation, target.translation_mm);
+    let unknown = Matrix3::repeat(f64::NAN);
+    Ok(SheetEstimate::from_plane(&frame, &Vector3::zeros(), &unknown, center).to_record("target plane", vec![view]))
+}

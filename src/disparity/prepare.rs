@@ -1,0 +1,139 @@
+//! Particle images made ready for correlation: background taken off, bright outliers capped, saturation counted.
+
+use crate::error::{Insufficient, Result};
+use crate::image::{GrayView, Samples};
+
+/// Half width of the box whose mean is the background, px.
+const BACKGROUND_PX: usize = 8;
+/// Brightness above this quantile is capped: a few large particles would outvote all others.
+const CAP: f64 = 0.998;
+/// More equal brightest pixels than this part of an image are saturation.
+pub(super) const SATURATED: f64 = 1e-3;
+/// Beyond this part nothing can be measured.
+const ALL_SATURATED: f64 = 0.2;
+
+/// Part of the pixels that have the image's largest value.
+///
+/// # Errors
+/// [`Insufficient::Degenerate`] where the image is flat or mostly saturated.
+pub(super) fn saturated_part(view: &GrayView<'_>, name: &str) -> Result<f64> {
+    let (mut low, mut high, mut count) = (f32::INFINITY, f32::NEG_INFINITY, 0usize);
+    for v in 0..view.height() {
+        for u in 0..view.width() {
+            let g = view.get(u, v);
+            low = low.min(g);
+            if g > high {
+                (high, count) = (g, 1);
+            } else if g == high {
+                count += 1;
+            }
+        }
+    }
+    let part = count as f64 / (view.width() * view.height()) as f64;
+    if !(high > low) {
+        let what =
+            format!("{name}: the image is flat (every pixel is {high}); check the exposure and that the laser fired");
+        return Err(Insufficient::Degenerate(what).into());
+    }
+    // A dark, quantised image has many equal maxima, too: only what could be the end of a scale counts.
+    let end = match view.samples() {
+        Samples::U8(_) => high >= 250.0,
+        Samples::U16(_) => high as u32 >= 1000 && ((high as u32 + 1).is_power_of_two() || high >= 65_000.0),
+        Samples::F32(_) => true,
+    };
+    if end && part > ALL_SATURATED {
+        let what = format!(
+            "{name}: {:.0} % of the pixels are saturated (at {high}); no particle can be told from another: reduce laser power or aperture",
+            100.0 * part
+        );
+        return Err(Insufficient::Degenerate(what).into());
+    }
+    Ok(if end { part } else { 0.0 })
+}
+
+/// Sum of rows or columns over a sliding box, mirrored at the ends by shrinking it.
+fn sliding(line: &[f32], out: &mut [f32], half: usize) {
+    let n = line.len();
+    let mut sum = 0.0_f64;
+    let (mut from, mut to) = (0, 0);
+    for i in 0..n {
+        let (a, b) = (i.saturating_sub(half), (i + half + 1).min(n));
+        while to < b {
+            sum += f64::from(line[to]);
+            to += 1;
+        }
+        while from < a {
+            sum -= f64::from(line[from]);
+            from += 1;
+        }
+        out[i] = (sum / (b - a) as f64) as f32;
+    }
+}
+
+/// Mean over a box around every pixel.
+fn box_mean(levels: &[f32], width: usize, half: usize) -> Vec<f32> {
+    let height = levels.len() / width;
+    let mut rows = vec![0.0; levels.len()];
+    for (row, out) in levels.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
+        sliding(row, out, half);
+    }
+    let (mut line, mut out) = (vec![0.0; height], vec![0.0; height]);
+    for u in 0..width {
+        (0..height).for_each(|v| line[v] = rows[v * width + u]);
+        sliding(&line, &mut out, half);
+        (0..height).for_each(|v| rows[v * width + u] = out[v]);
+    }
+    rows
+}
+
+/// Particles alone: what is above the local mean, capped.
+pub(super) fn particles(levels: &mut [f32], width: usize) {
+    let mean = box_mean(levels, width, BACKGROUND_PX);
+    levels.iter_mut().zip(&mean).for_each(|(l, m)| *l = (*l - m).max(0.0));
+    let step = (levels.len() / 100_000).max(1);
+    let mut seen: Vec<f32> = levels.iter().copied().step_by(step).collect();
+    seen.sort_by(f32::total_cmp);
+    let cap = seen[((seen.len() - 1) as f64 * CAP) as usize];
+    if cap > 0.0 {
+        levels.iter_mut().for_each(|l| *l = l.min(cap));
+    }
+}
+
+/// The grey levels of an image.
+pub(super) fn levels(view: &GrayView<'_>) -> Vec<f32> {
+    (0..view.height()).flat_map(|v| (0..view.width()).map(move |u| view.get(u, v))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn box_mean_is_the_mean_of_the_box() {
+        let (w, h, half) = (9, 7, 2);
+        let levels: Vec<f32> = (0..w * h).map(|i| ((i * 37) % 23) as f32).collect();
+        let mean = box_mean(&levels, w, half);
+        for v in 0..h {
+            for u in 0..w {
+                let (us, vs) =
+                    (u.saturating_sub(half)..(u + half + 1).min(w), v.saturating_sub(half)..(v + half + 1).min(h));
+                let n = us.len() * vs.len();
+                let sum: f32 = vs.map(|b| us.clone().map(|a| levels[b * w + a]).sum::<f32>()).sum();
+                assert!((mean[v * w + u] - sum / n as f32).abs() < 1e-4);
+            }
+        }
+    }
+
+    #[test]
+    fn saturation_and_flat_images_are_told() {
+        let part = |data: &[u8]| saturated_part(&GrayView::new(Samples::U8(data), 10, 10, 10).unwrap(), "a.tif");
+        assert!(part(&[7; 100]).unwrap_err().to_string().contains("a.tif: the image is flat"));
+        let mut data = [3; 100];
+        data[..30].fill(255);
+        assert!(part(&data).unwrap_err().to_string().contains("30 % of the pixels are saturated (at 255)"));
+        data[2..30].fill(9);
+        assert_eq!(part(&data).unwrap(), 0.02);
+        data[..2].fill(90);
+        assert_eq!(part(&data).unwrap(), 0.0);
+    }
+}

@@ -1,0 +1,246 @@
+//! A planar field on its regular grid, read between its vectors.
+
+use super::read::FieldTable;
+use crate::error::{Error, Invalid, Result};
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+/// Part of a spacing by which positions may be off the grid (exports round them).
+const OFF_GRID: f64 = 0.1;
+/// Vectors among the sixteen around that a local plane needs.
+const FEWEST_AROUND: usize = 6;
+/// Range of the weights of a local plane, spacings.
+const NEAR: f64 = 0.8;
+
+/// A displacement field on a regular grid; vectors may be missing.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanarField {
+    /// First position along x and y.
+    pub(super) origin: [f64; 2],
+    /// Spacing along x and y.
+    pub(super) spacing: [f64; 2],
+    /// Positions along x and y.
+    pub(super) count: [usize; 2],
+    /// Rows packed; none where missing.
+    vectors: Vec<Option<Vector2<f64>>>,
+    /// File in messages.
+    pub(super) file: String,
+}
+
+/// A vector between those of the grid.
+pub(super) struct Between {
+    pub(super) vector: Vector2<f64>,
+    /// Variance of the interpolated over that of a measured vector, for vectors whose errors are independent.
+    pub(super) variance: f64,
+    /// Whether neighbours were missing and the order had to be lowered.
+    pub(super) lowered: bool,
+}
+
+fn not_a_grid(table: &FieldTable, message: String) -> Error {
+    Invalid::File { path: table.file.clone(), message }.into()
+}
+
+/// First value, spacing and count of the distinct values of a coordinate.
+fn axis(table: &FieldTable, name: &str, values: &[f64]) -> Result<(f64, f64, usize)> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let mut gaps: Vec<f64> = sorted.windows(2).map(|w| w[1] - w[0]).collect();
+    let largest = gaps.iter().copied().fold(0.0, f64::max);
+    gaps.retain(|g| *g > OFF_GRID * largest);
+    gaps.sort_by(f64::total_cmp);
+    let (Some(middle), Some(last)) = (gaps.get(gaps.len() / 2).copied().filter(|g| *g > 0.0), sorted.last()) else {
+        let what = format!("all vectors have the same {name}: a field needs at least two rows and two columns");
+        return Err(not_a_grid(table, what));
+    };
+    // Positions are rounded: the spacing over the whole width is the better one.
+    let steps = ((last - sorted[0]) / middle).round().max(1.0);
+    let spacing = (last - sorted[0]) / steps;
+    if let Some(off) = values
+        .iter()
+        .find(|v| (((**v - sorted[0]) / spacing).round() * spacing + sorted[0] - **v).abs() > OFF_GRID * spacing)
+    {
+        let what = format!(
+            "the positions do not form a regular grid: {name} = {off} lies between columns or rows {spacing:.4} apart; export the field on its grid"
+        );
+        return Err(not_a_grid(table, what));
+    }
+    Ok((sorted[0], spacing, steps as usize + 1))
+}
+
+impl PlanarField {
+    /// The field of a table.
+    ///
+    /// # Errors
+    /// [`Invalid::File`] where the positions do not form a regular grid or one occurs twice.
+    pub fn new(table: &FieldTable) -> Result<Self> {
+        let (x0, sx, nx) = axis(table, "x", &table.x)?;
+        let (y0, sy, ny) = axis(table, "y", &table.y)?;
+        let n = table.x.len();
+        // A scatter of points would fill a vast grid with holes.
+        if nx.saturating_mul(ny) > 4 * n + 16 {
+            let what = format!(
+                "{n} positions on {nx} columns and {ny} rows are no grid; export the field on its regular grid"
+            );
+            return Err(not_a_grid(table, what));
+        }
+        let mut vectors = vec![None; nx * ny];
+        let mut seen = vec![false; nx * ny];
+        for i in 0..n {
+            let column = ((table.x[i] - x0) / sx).round() as usize;
+            let row = ((table.y[i] - y0) / sy).round() as usize;
+            let at = row * nx + column;
+            if seen[at] {
+                let what = format!(
+                    "two vectors at x = {}, y = {}; a file must hold one field of one moment",
+                    table.x[i], table.y[i]
+                );
+                return Err(not_a_grid(table, what));
+            }
+            seen[at] = true;
+            vectors[at] = table.dx[i].is_finite().then(|| Vector2::new(table.dx[i], table.dy[i]));
+        }
+        Ok(Self { origin: [x0, y0], spacing: [sx, sy], count: [nx, ny], vectors, file: table.file.clone() })
+    }
+
+    /// Vectors that are there, and places of the grid.
+    pub fn filled(&self) -> (usize, usize) {
+        (self.vectors.iter().filter(|v| v.is_some()).count(), self.vectors.len())
+    }
+
+    /// `[x_min, y_min, x_max, y_max]` of the positions.
+    pub(super) fn extent(&self) -> [f64; 4] {
+        let end = [0, 1].map(|a| self.origin[a] + self.spacing[a] * (self.count[a] - 1) as f64);
+        [self.origin[0], self.origin[1], end[0], end[1]]
+    }
+
+    fn vector(&self, column: isize, row: isize) -> Option<Vector2<f64>> {
+        let [nx, ny] = self.count.map(|n| n as isize);
+        if (0..nx).contains(&column) && (0..ny).contains(&row) {
+            self.vectors[(row * nx + column) as usize]
+        } else {
+            None
+        }
+    }
+
+    /// The displacement at a place: cubic where the sixteen vectors around it are there, else linear from four, else a
+    /// plane through those that are left.
+    pub(super) fn at(&self, x: f64, y: f64) -> Option<Between> {
+        let s = [(x - self.origin[0]) / self.spacing[0], (y - self.origin[1]) / self.spacing[1]];
+        // On a grid point nothing is interpolated; rounding must not ask for neighbours.
+        let snapped = s.map(|s| if (s - s.round()).abs() < 1e-6 { s.round() } else { s });
+        let base = snapped.map(|s| s.floor() as isize);
+        let t = [snapped[0] - base[0] as f64, snapped[1] - base[1] as f64];
+        let cubic = |t: f64| {
+            [
+                t * (-0.5 + t * (1.0 - 0.5 * t)),
+                1.0 + t * t * (1.5 * t - 2.5),
+                t * (0.5 + t * (2.0 - 1.5 * t)),
+                t * t * (0.5 * t - 0.5),
+            ]
+        };
+        let linear = |t: f64| [0.0, 1.0 - t, t, 0.0];
+        for (order, weights) in [(0, t.map(cubic)), (1, t.map(linear))] {
+            if let Some((vector, variance)) = self.weighted(base, &weights) {
+                return Some(Between { vector, variance, lowered: order == 1 });
+            }
+        }
+        let inside = (0..2).all(|a| snapped[a] >= 0.0 && snapped[a] <= (self.count[a] - 1) as f64);
+        if inside { self.local_plane(base, t) } else { None }
+    }
+
+    /// A plane through the vectors that are left among the sixteen around, near ones counting more; none where fewer than
+    /// [`FEWEST_AROUND`] are left or they lie to one side.
+    fn local_plane(&self, base: [isize; 2], t: [f64; 2]) -> Option<Between> {
+        let mut around = vec![];
+        let mut normal = Matrix3::zeros();
+        for j in -1..3 {
+            for i in -1..3 {
+                let Some(v) = self.vector(base[0] + i, base[1] + j) else { continue };
+                let (x, y) = (i as f64 - t[0], j as f64 - t[1]);
+                let weight = (-(x * x + y * y) / (2.0 * NEAR * NEAR)).exp();
+                let row = Vector3::new(1.0, x, y);
+                normal += row * row.transpose() * weight;
+                around.push((v, row, weight));
+            }
+        }
+        if around.len() < FEWEST_AROUND {
+            return None;
+        }
+        let first = normal.cholesky()?.solve(&Vector3::x());
+        let (mut vector, mut variance) = (Vector2::zeros(), 0.0);
+        for (v, row, weight) in around {
+            let part = weight * first.dot(&row);
+            vector += v * part;
+            variance += part * part;
+        }
+        // More than a measured vector's variance: extrapolated from one side.
+        (variance < 1.0).then_some(Between { vector, variance, lowered: true })
+    }
+
+    fn weighted(&self, base: [isize; 2], w: &[[f64; 4]; 2]) -> Option<(Vector2<f64>, f64)> {
+        let (mut sum, mut squares) = (Vector2::zeros(), 0.0);
+        for (j, wy) in w[1].iter().enumerate().filter(|(_, w)| **w != 0.0) {
+            for (i, wx) in w[0].iter().enumerate().filter(|(_, w)| **w != 0.0) {
+                sum += self.vector(base[0] + i as isize - 1, base[1] + j as isize - 1)? * (wx * wy);
+                squares += (wx * wy).powi(2);
+            }
+        }
+        Some((sum, squares))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reconstruct::parse_field;
+
+    fn field(f: impl Fn(f64, f64) -> Option<(f64, f64)>) -> PlanarField {
+        let mut text = "x_px,y_px,dx_px,dy_px\n".to_string();
+        for j in 0..9 {
+            for i in 0..8 {
+                let (x, y) = (10.0 + 16.0 * f64::from(i), 5.0 + 12.0 * f64::from(j));
+                match f(x, y) {
+                    Some((a, b)) => text.push_str(&format!("{x},{y},{a},{b}\n")),
+                    None => text.push_str(&format!("{x},{y},nan,nan\n")),
+                }
+            }
+        }
+        PlanarField::new(&parse_field(&text, "f").unwrap()).unwrap()
+    }
+
+    #[test]
+    fn quadratic_fields_are_met_between_the_vectors_and_holes_lower_the_order() {
+        let f = |x: f64, y: f64| (1.0 + 0.01 * x + 1e-4 * x * y, 2.0 - 3e-4 * y * y);
+        let whole = field(|x, y| Some(f(x, y)));
+        for (x, y) in [(40.0, 33.0), (61.7, 50.2), (58.0, 41.0)] {
+            let b = whole.at(x, y).unwrap();
+            assert!((b.vector - Vector2::new(f(x, y).0, f(x, y).1)).norm() < 1e-12 && !b.lowered);
+            assert!(b.variance <= 1.0 + 1e-12);
+        }
+        assert_eq!(whole.at(58.0, 41.0).unwrap().variance, 1.0);
+        // A hole two columns away: linear, and wrong by the curvature alone.
+        let holed = field(|x, y| (x != 90.0 || y != 41.0).then(|| f(x, y)));
+        let b = holed.at(61.7, 50.2).unwrap();
+        assert!(b.lowered && (b.vector.y - f(61.7, 50.2).1).abs() < 3e-4 * 144.0 / 8.0 * 2.0);
+        for (x, y) in [(91.0, 42.0), (90.0, 41.0)] {
+            let b = holed.at(x, y).unwrap();
+            assert!(b.lowered && (b.vector - Vector2::new(f(x, y).0, f(x, y).1)).norm() < 0.15, "{}", b.vector);
+        }
+        assert!(holed.at(500.0, 41.0).is_none() && holed.at(9.0, 41.0).is_none());
+        let half = field(|x, y| (x < 50.0).then(|| f(x, y)));
+        assert!(half.at(45.0, 41.0).is_none() || half.at(45.0, 41.0).unwrap().lowered);
+        assert!(half.at(70.0, 41.0).is_none());
+        assert_eq!(holed.filled(), (71, 72));
+    }
+
+    #[test]
+    fn what_is_no_grid_is_refused() {
+        let of = |text: &str| PlanarField::new(&parse_field(text, "f.csv").unwrap()).unwrap_err().to_string();
+        let head = "x_px,y_px,dx_px,dy_px\n";
+        assert!(of(&format!("{head}0,0,1,1\n1,0,1,1\n2,0,1,1\n")).contains("same y"));
+        assert!(
+            of(&format!("{head}0,0,1,1\n10,0,1,1\n0,10,1,1\n0,10,2,2\n10,10,1,1\n"))
+                .contains("two vectors at x = 0, y = 10")
+        );
+        assert!(of(&format!("{head}0,0,1,1\n10,0,1,1\n20,0,1,1\n4,10,1,1\n30,10,1,1\n")).contains("regular grid"));
+    }
+}

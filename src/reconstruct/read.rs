@@ -1,0 +1,296 @@
+//! Planar displacement fields as text: CSV, and the exports of OpenPIV and PIVlab, told apart by their headers.
+//!
+//! | format | header | positions | y | left out |
+//! |---|---|---|---|---|
+//! | CSV | `x_px,y_px,dx_px,dy_px` or `x_mm,y_mm,dx_mm,dy_mm`; further columns are ignored, but `flag` | as named | down in px, up in mm | `flag` other than 0, empty cells, `nan` |
+//! | OpenPIV | `# x y u v flags mask` (`flags` or `mask` may be missing) | px | up: rows were turned over by `transform_coordinates` | flagged or masked |
+//! | PIVlab | `PIVlab ...`, `FRAME: ...`, `x [px],y [px],u [px/frame],v [px/frame],Vector type [-]` | px, counted from 1 | down | vector type other than 1 |
+//!
+//! A CSV with `x,y,u,v` (or `dx,dy`) leaves the unit open; the user says it. Columns are separated by commas, semicolons (then a
+//! decimal comma is understood), tabs or blanks.
+
+use crate::error::{Error, Invalid, Result};
+
+/// Who wrote a field.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FieldFormat {
+    /// Columns with names.
+    Csv,
+    /// `openpiv.tools.save`.
+    OpenPiv,
+    /// PIVlab, "export as ASCII".
+    PivLab,
+}
+
+impl FieldFormat {
+    /// Its name.
+    pub fn word(self) -> &'static str {
+        match self {
+            FieldFormat::Csv => "CSV",
+            FieldFormat::OpenPiv => "OpenPIV",
+            FieldFormat::PivLab => "PIVlab",
+        }
+    }
+}
+
+/// What positions and displacements are measured in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FieldUnit {
+    /// Pixels of the raw images; (0, 0) is the centre of the first pixel, y down.
+    RawPixels,
+    /// mm of the sheet frame (dewarped images with their scale), y up.
+    Millimetres,
+    /// Pixels of dewarped images; (0, 0) is the centre of the first pixel, y down.
+    DewarpedPixels,
+}
+
+/// A field as it was read: one entry per row that is not left out.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FieldTable {
+    /// File in messages.
+    pub file: String,
+    /// Who wrote it.
+    pub format: FieldFormat,
+    /// Unit, where the file names it.
+    pub unit: Option<FieldUnit>,
+    /// Positions: x to the right.
+    pub x: Vec<f64>,
+    /// Positions: y, down or up as the unit says.
+    pub y: Vec<f64>,
+    /// Displacement along x; `NaN` where missing.
+    pub dx: Vec<f64>,
+    /// Displacement along y, in the sense of y; `NaN` where missing.
+    pub dy: Vec<f64>,
+}
+
+/// Which column holds what.
+struct Columns {
+    at: [usize; 4],
+    /// Columns that must hold this value for the vector to count.
+    wanted: Vec<(usize, f64)>,
+}
+
+fn fault(file: &str, line: usize, message: impl Into<String>) -> Error {
+    Invalid::Syntax { file: file.into(), line, message: message.into() }.into()
+}
+
+/// Cells of a line.
+fn cells(line: &str, separator: char) -> Vec<String> {
+    let parts: Vec<&str> = if separator == ' ' {
+        line.split_whitespace().collect()
+    } else {
+        line.split(separator).map(str::trim).collect()
+    };
+    parts.into_iter().map(|p| if separator == ';' { p.replace(',', ".") } else { p.into() }).collect()
+}
+
+fn separator_of(line: &str) -> char {
+    [';', '\t', ','].into_iter().find(|c| line.contains(*c)).unwrap_or(' ')
+}
+
+/// Reads a field; `file` is only named in messages.
+///
+/// ```
+/// use spivcal::reconstruct::{FieldFormat, FieldUnit, parse_field};
+/// let field = parse_field("x_px,y_px,dx_px,dy_px\n16,16,3.5,-0.2\n32,16,nan,nan\n", "left.csv")?;
+/// assert_eq!((field.format, field.unit, field.x.len()), (FieldFormat::Csv, Some(FieldUnit::RawPixels), 2));
+/// assert!(field.dx[1].is_nan());
+/// # Ok::<(), spivcal::Error>(())
+/// ```
+///
+/// # Errors
+/// [`Invalid::Syntax`] with file and line where the text is no displacement field, a cell is no number, or a row is cut short.
+pub fn parse_field(text: &str, file: &str) -> Result<FieldTable> {
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    let mut lines = text.lines().enumerate().map(|(i, l)| (i + 1, l.trim())).filter(|(_, l)| !l.is_empty()).peekable();
+    let expected =
+        "expected a header x_px,y_px,dx_px,dy_px or x_mm,y_mm,dx_mm,dy_mm, or an export of OpenPIV or PIVlab";
+    let Some((first, head)) = lines.peek().copied() else {
+        return Err(fault(file, 1, format!("the file is empty; {expected}")));
+    };
+    let pivlab = head.trim_start_matches(['#', ' ', '"']).starts_with("PIVlab");
+    if pivlab {
+        while lines.peek().is_some_and(|(_, l)| !l.trim_matches('"').starts_with("x [")) {
+            lines.next();
+        }
+    }
+    let Some((line, head)) = lines.next() else {
+        return Err(fault(
+            file,
+            first,
+            "this PIVlab export has no line with the names of the columns (x [px],y [px],...); export again",
+        ));
+    };
+    let separator = separator_of(head);
+    let names: Vec<String> = cells(head.trim_start_matches(['#', ' ']), separator)
+        .iter()
+        .map(|n| n.trim_matches('"').trim().to_lowercase())
+        .collect();
+    let (format, unit, columns) = header(&names, head.starts_with('#'), pivlab, file, line, expected)?;
+    let mut table = FieldTable { file: file.into(), format, unit, x: vec![], y: vec![], dx: vec![], dy: vec![] };
+    // OpenPIV writes tabs below a header with blanks or tabs.
+    let separator = lines.peek().map_or(separator, |(_, l)| separator_of(l));
+    for (line, row) in lines.filter(|(_, l)| !l.starts_with('#')) {
+        table.push(&cells(row, separator), &columns, line)?;
+    }
+    if table.x.is_empty() {
+        return Err(fault(file, line, "there is a header but no vector below it; export the field again"));
+    }
+    table.to_our_convention();
+    Ok(table)
+}
+
+fn header(
+    names: &[String],
+    commented: bool,
+    pivlab: bool,
+    file: &str,
+    line: usize,
+    expected: &str,
+) -> Result<(FieldFormat, Option<FieldUnit>, Columns)> {
+    let find = |name: &str| names.iter().position(|n| n == name);
+    let four = |four: [&str; 4]| -> Option<[usize; 4]> {
+        let at = four.map(find);
+        at.iter().all(Option::is_some).then(|| at.map(Option::unwrap_or_default))
+    };
+    if pivlab {
+        let at = four(["x [px]", "y [px]", "u [px/frame]", "v [px/frame]"]).ok_or_else(|| {
+            let seen = names.join(", ");
+            fault(
+                file,
+                line,
+                format!("columns {seen}: expected px and px/frame; export from PIVlab without its calibration applied"),
+            )
+        })?;
+        let wanted = find("vector type [-]").map(|c| (c, 1.0)).into_iter().collect();
+        return Ok((FieldFormat::PivLab, Some(FieldUnit::RawPixels), Columns { at, wanted }));
+    }
+    let bad = ["flag", "flags", "mask"].iter().filter_map(|n| find(n)).map(|c| (c, 0.0)).collect();
+    if let (true, Some(at)) = (commented, four(["x", "y", "u", "v"])) {
+        return Ok((FieldFormat::OpenPiv, Some(FieldUnit::RawPixels), Columns { at, wanted: bad }));
+    }
+    let known = [
+        (["x_px", "y_px", "dx_px", "dy_px"], Some(FieldUnit::RawPixels)),
+        (["x_mm", "y_mm", "dx_mm", "dy_mm"], Some(FieldUnit::Millimetres)),
+        (["x", "y", "u", "v"], None),
+        (["x", "y", "dx", "dy"], None),
+    ];
+    for (columns, unit) in known {
+        if let Some(at) = four(columns) {
+            return Ok((FieldFormat::Csv, unit, Columns { at, wanted: bad }));
+        }
+    }
+    Err(fault(file, line, format!("columns \"{}\": {expected}", names.join(", "))))
+}
+
+impl FieldTable {
+    fn push(&mut self, row: &[String], columns: &Columns, line: usize) -> Result<()> {
+        let number = |column: usize| -> Result<f64> {
+            let Some(cell) = row.get(column) else {
+                let what = format!(
+                    "{} columns, but the header names more: the row is cut short; export the field again",
+                    row.len()
+                );
+                return Err(fault(&self.file, line, what));
+            };
+            match cell.trim_matches('"').to_lowercase().as_str() {
+                "" | "nan" | "-nan" | "na" | "--" => Ok(f64::NAN),
+                "true" => Ok(1.0),
+                "false" => Ok(0.0),
+                word => word.parse().map_err(|_| fault(&self.file, line, format!("\"{cell}\" is not a number"))),
+            }
+        };
+        let [x, y, dx, dy] = columns.at.map(number);
+        let (x, y, mut dx, mut dy) = (x?, y?, dx?, dy?);
+        if !(x.is_finite() && y.is_finite()) {
+            return Err(fault(&self.file, line, "a vector without a position; every row needs x and y"));
+        }
+        for (column, wanted) in &columns.wanted {
+            if number(*column)? != *wanted {
+                (dx, dy) = (f64::NAN, f64::NAN);
+            }
+        }
+        if !(dx.is_finite() && dy.is_finite()) {
+            (dx, dy) = (f64::NAN, f64::NAN);
+        }
+        self.x.push(x);
+        self.y.push(y);
+        self.dx.push(dx);
+        self.dy.push(dy);
+        Ok(())
+    }
+
+    /// Pixels from the centre of the first pixel, y down.
+    fn to_our_convention(&mut self) {
+        match self.format {
+            FieldFormat::Csv => {}
+            FieldFormat::PivLab => self.x.iter_mut().chain(&mut self.y).for_each(|p| *p -= 1.0),
+            FieldFormat::OpenPiv => {
+                let low = self.y.iter().copied().fold(f64::INFINITY, f64::min);
+                let high = self.y.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+                self.y.iter_mut().for_each(|y| *y = low + high - *y);
+                self.dy.iter_mut().for_each(|d| *d = -*d);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn message(text: &str) -> String {
+        parse_field(text, "f.txt").unwrap_err().to_string()
+    }
+
+    #[test]
+    fn openpiv_and_pivlab_come_to_one_convention() {
+        let ours = parse_field(
+            "x_px,y_px,dx_px,dy_px,flag\n15,15,1.5,0.5,0\n31,15,1.6,0.4,1\n15,31,1.7,0.3,0\n31,31,1.8,0.2,0\n",
+            "a",
+        )
+        .unwrap();
+        let openpiv = "# x\ty\tu\tv\tflags\tmask\n1.5000e+01\t3.1000e+01\t1.5000e+00\t-5.0000e-01\t0.0000e+00\t0.0000e+00\n\
+                       31.0\t31.0\t1.6\t-0.4\t1\t0\n15.0\t15.0\t1.7\t-0.3\t0\t0\n31.0\t15.0\t1.8\t-0.2\t0\t0\n";
+        let pivlab = "PIVlab by W.Th. & E.J.S., ASCII chart output - 09-Jun-2015 14:02:30\n\
+                      FRAME: 1, filenames: A.tif & B.tif, conversion factor xy (px -> m): 1, conversion factor uv (px/frame -> m/s): 1\n\
+                      x [px],y [px],u [px/frame],v [px/frame],Vector type [-]\n16,16,1.5,0.5,1\n32,16,1.6,0.4,2\n16,32,1.7,0.3,1\n32,32,1.8,0.2,1\n";
+        for (text, format) in [(openpiv, FieldFormat::OpenPiv), (pivlab, FieldFormat::PivLab)] {
+            let f = parse_field(text, "a").unwrap();
+            assert_eq!((f.format, &f.x, &f.y), (format, &ours.x, &ours.y));
+            for i in 0..4 {
+                assert!(f.dx[i] == ours.dx[i] || i == 1 && f.dx[i].is_nan() && ours.dx[i].is_nan(), "{format:?}");
+                assert!(f.dy[i] == ours.dy[i] || i == 1 && f.dy[i].is_nan() && ours.dy[i].is_nan(), "{format:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn separators_and_decimal_commas() {
+        for text in [
+            "x_mm;y_mm;dx_mm;dy_mm\n1,5;2;0,25;-1\n",
+            "x_mm\ty_mm\tdx_mm\tdy_mm\n1.5\t2\t.25\t-1\n",
+            "\u{feff}x_mm y_mm dx_mm dy_mm\r\n1.5 2 2.5e-1 -1\r\n",
+        ] {
+            let f = parse_field(text, "a").unwrap();
+            assert_eq!((f.x[0], f.y[0], f.dx[0], f.dy[0]), (1.5, 2.0, 0.25, -1.0));
+            assert_eq!(f.unit, Some(FieldUnit::Millimetres));
+        }
+        assert_eq!(parse_field("x,y,u,v\n1,2,3,4\n", "a").unwrap().unit, None);
+    }
+
+    #[test]
+    fn broken_files_say_where_and_what() {
+        assert!(message("").contains("f.txt:1: the file is empty"));
+        assert!(message("a,b,c\n1,2,3\n").contains("columns \"a, b, c\": expected a header x_px"));
+        assert!(message("x_px,y_px,dx_px,dy_px\n1,2,3,4\n1,2,oops,4\n").contains("f.txt:3: \"oops\" is not a number"));
+        assert!(message("x_px,y_px,dx_px,dy_px\n1,2,3,4\n5,6\n").contains("f.txt:3: 2 columns"));
+        assert!(message("x_px,y_px,dx_px,dy_px\n").contains("no vector below"));
+        assert!(message("x_px,y_px,dx_px,dy_px\nnan,2,3,4\n").contains("without a position"));
+        assert!(
+            message("PIVlab by\nFRAME\nx [m],y [m],u [m/s],v [m/s],Vector type [-]\n1,2,3,4,1\n")
+                .contains("without its calibration")
+        );
+        assert!(message("PIVlab by\nFRAME\n").contains("no line with the names"));
+    }
+}

@@ -1,0 +1,407 @@
+//! Three components at every point of a grid.
+
+use super::grid::{Between, PlanarField};
+use super::read::FieldUnit;
+use crate::dewarp::{SheetGrid, SheetMap};
+use crate::error::{Error, Insufficient, Invalid, Result};
+use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
+use rayon::prelude::*;
+
+/// Where on its path a planar vector belongs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Reference {
+    /// The middle (central differences, symmetric window shifts).
+    #[default]
+    Center,
+    /// The beginning (windows fixed in the first frame).
+    Start,
+}
+
+/// Bits of [`VectorField::flags`]; 0 is a good vector.
+pub mod flag {
+    /// Neighbours were missing: interpolated linearly instead of by a cubic.
+    pub const LOWERED: u8 = 1;
+    /// The residual is beyond five standard deviations.
+    pub const RESIDUAL: u8 = 2;
+    /// The first camera has no vector here.
+    pub const FIRST_MISSING: u8 = 4;
+    /// The second camera has no vector here.
+    pub const SECOND_MISSING: u8 = 8;
+}
+
+/// Residuals beyond this many sigmas are flagged.
+const RESIDUAL_SIGMAS: f64 = 5.0;
+/// Median of chi-square with one degree of freedom.
+const MEDIAN_CHI2: f64 = 0.454_936;
+/// Largest ratio of the sigma of w to that of u and v that still is a stereo arrangement.
+const WORST_GAIN: f64 = 1e3;
+
+/// Options of [`reconstruct`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Options {
+    /// Unit of both fields.
+    pub unit: FieldUnit,
+    /// Grid of the dewarped images, for [`FieldUnit::DewarpedPixels`].
+    pub dewarped: Option<SheetGrid>,
+    /// Where on its path a vector belongs.
+    pub reference: Reference,
+    /// Standard deviation of one component of a planar vector in the unit of the fields; estimated from the residuals where not given.
+    pub sigma: Option<f64>,
+    /// Distance of the vectors of the result, mm; that of the finer field where not given.
+    pub spacing_mm: Option<f64>,
+    /// Maps of the calibration moved by its covariance (see [`super::perturbed_maps`]); none leaves its part out.
+    pub perturbed: Option<Vec<[Vec<SheetMap>; 2]>>,
+}
+
+/// Three components on a regular grid of the sheet, structure of arrays; y from the top down, x fastest. `NaN` where a camera
+/// has no vector.
+#[derive(Debug, Clone, PartialEq)]
+pub struct VectorField {
+    /// Places: `mm_per_px` is their distance, y goes down with the rows.
+    pub grid: SheetGrid,
+    /// Place, mm.
+    pub x_mm: Vec<f64>,
+    /// Place, mm.
+    pub y_mm: Vec<f64>,
+    /// Displacement along x, mm.
+    pub u_mm: Vec<f64>,
+    /// Displacement along y, mm.
+    pub v_mm: Vec<f64>,
+    /// Displacement along z, positive towards the first camera, mm.
+    pub w_mm: Vec<f64>,
+    /// Standard deviations of u, v, w by the noise of the planar vectors, mm.
+    pub sigma_mm: [Vec<f64>; 3],
+    /// Standard deviations of u, v, w by the calibration, mm; common to neighbours. `NaN` where not determined; empty where not asked for.
+    pub calibration_sigma_mm: [Vec<f64>; 3],
+    /// What four equations leave, raw px.
+    pub residual_px: Vec<f64>,
+    /// Bits of [`flag`].
+    pub flags: Vec<u8>,
+    /// Standard deviation of a planar vector's component that was used, in the unit of the fields.
+    pub sigma: f64,
+    /// Whether it was estimated from the residuals.
+    pub sigma_estimated: bool,
+}
+
+/// One solved vector.
+#[derive(Debug, Clone, Copy)]
+struct Solved {
+    d_mm: Vector3<f64>,
+    /// Covariance for unit variance of a planar component, mm^2 per unit^2.
+    covariance: Matrix3<f64>,
+    /// What is left, weighted, for unit variance: one degree of freedom.
+    chi2: f64,
+    residual_px: f64,
+    lowered: bool,
+}
+
+/// A field with what turns a raw pixel into a raw displacement.
+struct Measured<'a> {
+    field: &'a PlanarField,
+    /// The map that dewarped the images.
+    nominal: &'a SheetMap,
+    options: &'a Options,
+}
+
+impl Measured<'_> {
+    /// Position in the field of a raw pixel.
+    fn place(&self, q: &Vector2<f64>) -> Option<[f64; 2]> {
+        let in_sheet = || self.nominal.hit(q, 0.0).map(|h| h.xy_mm);
+        match (self.options.unit, &self.options.dewarped) {
+            (FieldUnit::RawPixels, _) => Some([q.x, q.y]),
+            (FieldUnit::Millimetres, _) => in_sheet().map(|p| [p.x, p.y]),
+            (FieldUnit::DewarpedPixels, grid) => in_sheet().zip(grid.as_ref()).map(|(p, g)| g.pixel(p.x, p.y)),
+        }
+    }
+
+    /// Displacement at a raw pixel, raw px, with its relative variance, and the matrix that takes raw px to the unit of the field, in which
+    /// its noise is the same along x and y.
+    fn at(&self, q: &Vector2<f64>) -> Option<(Between, Matrix2<f64>)> {
+        let [x, y] = self.place(q)?;
+        let between = self.field.at(x, y)?;
+        let scale = match self.options.unit {
+            FieldUnit::RawPixels => return Some((between, Matrix2::identity())),
+            FieldUnit::Millimetres => Vector2::new(1.0, 1.0),
+            FieldUnit::DewarpedPixels => self.options.dewarped.map(|g| Vector2::new(g.mm_per_px, -g.mm_per_px))?,
+        };
+        let hit = self.nominal.hit(q, 0.0)?;
+        let p = hit.xy_mm;
+        let d = between.vector.component_mul(&scale);
+        let (a, b) = match self.options.reference {
+            Reference::Center => (p - 0.5 * d, p + 0.5 * d),
+            Reference::Start => (p, p + d),
+        };
+        let image = |p: Vector2<f64>| self.nominal.project(&p.push(0.0));
+        Some((Between { vector: image(b)? - image(a)?, ..between }, hit.dxy_dq / scale.x))
+    }
+}
+
+/// u, v, w at P from both cameras.
+fn solve(maps: [&SheetMap; 2], measured: &[Measured; 2], p: &Vector2<f64>) -> Option<Solved> {
+    let p = p.push(0.0);
+    let mut seen = vec![];
+    for (map, m) in maps.iter().zip(measured) {
+        seen.push(m.at(&map.project(&p)?)?);
+    }
+    let (back, ahead) = match measured[0].options.reference {
+        Reference::Center => (0.5, 0.5),
+        Reference::Start => (0.0, 1.0),
+    };
+    let mut d = Vector3::zeros();
+    let mut raw = [0.0; 2];
+    for _ in 0..20 {
+        let mut jacobian = SMatrix::<f64, 4, 3>::zeros();
+        let mut rest = SVector::<f64, 4>::zeros();
+        for c in 0..2 {
+            let (q1, j1) = maps[c].project_jet(&(p + d * ahead))?;
+            let (q0, j0) = maps[c].project_jet(&(p - d * back))?;
+            let (between, whiten) = &seen[c];
+            let weight = whiten / between.variance.sqrt();
+            let left = between.vector - (q1 - q0);
+            raw[c] = left.norm_squared();
+            rest.fixed_rows_mut::<2>(2 * c).copy_from(&(weight * left));
+            jacobian.fixed_rows_mut::<2>(2 * c).copy_from(&(weight * (j1 * ahead + j0 * back)));
+        }
+        let covariance = jacobian.tr_mul(&jacobian).try_inverse()?;
+        let step = covariance * jacobian.tr_mul(&rest);
+        d += step;
+        if !d.iter().all(|x| x.is_finite()) {
+            return None;
+        }
+        if step.norm() < 1e-10 * (1.0 + d.norm()) {
+            let lowered = seen.iter().any(|(s, _)| s.lowered);
+            return Some(Solved {
+                d_mm: d,
+                covariance,
+                chi2: rest.norm_squared(),
+                residual_px: (raw[0] + raw[1]).sqrt(),
+                lowered,
+            });
+        }
+    }
+    None
+}
+
+/// `[x_min, y_min, x_max, y_max]` in the sheet of what a field covers, and its spacing there, mm.
+fn coverage(m: &Measured, camera: &str) -> Result<([f64; 4], f64)> {
+    let (e, field) = (m.field.extent(), m.field);
+    let [w, h] = m.nominal.size_px().map(|n| n as f64);
+    let fault = |message: String| -> Error { Invalid::File { path: field.file.clone(), message }.into() };
+    let to_sheet = |x: f64, y: f64| match (m.options.unit, &m.options.dewarped) {
+        (FieldUnit::RawPixels, _) => m.nominal.hit(&Vector2::new(x, y), 0.0).map(|h| h.xy_mm),
+        (FieldUnit::Millimetres, _) => Some(Vector2::new(x, y)),
+        (FieldUnit::DewarpedPixels, g) => g.as_ref().map(|g| Vector2::from(g.point_mm(x, y))),
+    };
+    if m.options.unit == FieldUnit::RawPixels && (e[0] < -0.5 || e[1] < -0.5 || e[2] > w - 0.5 || e[3] > h - 0.5) {
+        return Err(fault(format!(
+            "positions run from ({}, {}) to ({}, {}), but the images of camera \"{camera}\" are {w} x {h} px; is this the field of another \
+             camera, of a dewarped image (--unit dewarped), or in mm (--unit mm)?",
+            e[0], e[1], e[2], e[3]
+        )));
+    }
+    let mut out = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
+    for i in 0..=32 {
+        let t = f64::from(i) / 32.0;
+        let (x, y) = (e[0] + t * (e[2] - e[0]), e[1] + t * (e[3] - e[1]));
+        for p in [to_sheet(x, e[1]), to_sheet(x, e[3]), to_sheet(e[0], y), to_sheet(e[2], y)].into_iter().flatten() {
+            out = [out[0].min(p.x), out[1].min(p.y), out[2].max(p.x), out[3].max(p.y)];
+        }
+    }
+    let middle = [0.5 * (e[0] + e[2]), 0.5 * (e[1] + e[3])];
+    let step =
+        |dx: f64, dy: f64| Some((to_sheet(middle[0] + dx, middle[1] + dy)? - to_sheet(middle[0], middle[1])?).norm());
+    let spacing = step(field.spacing[0], 0.0).zip(step(0.0, field.spacing[1])).map(|(a, b)| a.min(b));
+    let seen = m.nominal.project(&Vector3::new(0.5 * (out[0] + out[2]), 0.5 * (out[1] + out[3]), 0.0));
+    let on_sensor = |q: Vector2<f64>| q.x > -w && q.x < 2.0 * w && q.y > -h && q.y < 2.0 * h;
+    match (spacing, seen) {
+        (Some(spacing), Some(q)) if spacing > 0.0 && on_sensor(q) => Ok((out, spacing)),
+        _ => Err(fault(format!(
+            "positions run from ({}, {}) to ({}, {}), which camera \"{camera}\" does not see; check the unit and the origin of the field",
+            e[0], e[1], e[2], e[3]
+        ))),
+    }
+}
+
+/// Places of the result: the field that both planar fields cover.
+fn places(measured: &[Measured; 2], names: [&str; 2]) -> Result<SheetGrid> {
+    let options = measured[0].options;
+    let ((a, sa), (b, sb)) = (coverage(&measured[0], names[0])?, coverage(&measured[1], names[1])?);
+    let common = [a[0].max(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].min(b[3])];
+    if !(common[2] > common[0] && common[3] > common[1]) {
+        return Err(Insufficient::Degenerate(format!(
+            "the two fields have nothing in common in the sheet: \"{}\" covers x {:.2} to {:.2}, y {:.2} to {:.2} mm, \"{}\" x {:.2} to {:.2}, \
+             y {:.2} to {:.2} mm; check that left and right are not exchanged and that the unit is right",
+            names[0], a[0], a[2], a[1], a[3], names[1], b[0], b[2], b[1], b[3]
+        ))
+        .into());
+    }
+    let spacing = options.spacing_mm.unwrap_or(sa.min(sb));
+    // One grid in the sheet for both: its own points are used, and nothing is interpolated.
+    let same = measured[0].field.origin == measured[1].field.origin
+        && measured[0].field.spacing == measured[1].field.spacing
+        && options.unit != FieldUnit::RawPixels
+        && options.spacing_mm.is_none()
+        && (measured[0].field.spacing[0] / measured[0].field.spacing[1] - 1.0).abs() < 1e-6;
+    let inner = if same { common } else { inset(common, spacing) };
+    SheetGrid::over(inner, spacing)
+}
+
+/// A whole number of spacings, centred.
+fn inset(extent: [f64; 4], spacing: f64) -> [f64; 4] {
+    let mut out = extent;
+    for a in 0..2 {
+        let length = extent[a + 2] - extent[a];
+        let rest = 0.5 * (length - (length / spacing).floor() * spacing);
+        out[a] += rest;
+        out[a + 2] -= rest;
+    }
+    out
+}
+
+/// Three components from the planar fields of the two cameras; `names` are the cameras' in messages.
+///
+/// Points are solved by the threads of the pool in which this is called; the bits do not depend on their number.
+///
+/// # Errors
+/// [`Invalid`] where positions are not on the images or the options contradict each other; [`Insufficient`] where the fields have
+/// nothing in common or the cameras look along one line.
+pub fn reconstruct(
+    maps: [&SheetMap; 2],
+    fields: [&PlanarField; 2],
+    names: [&str; 2],
+    options: &Options,
+) -> Result<VectorField> {
+    if options.unit == FieldUnit::DewarpedPixels && options.dewarped.is_none() {
+        let what = "displacements in dewarped pixels need the grid of the dewarped images (--dewarped dewarp.json)";
+        return Err(Invalid::Contradiction(what.into()).into());
+    }
+    if let Some(s) = options.sigma.filter(|s| !(*s > 0.0 && s.is_finite())) {
+        return Err(Invalid::value("sigma of the planar vectors", s, "a positive number").into());
+    }
+    let measured = [0, 1].map(|c| Measured { field: fields[c], nominal: maps[c], options });
+    let grid = places(&measured, names)?;
+    let n = grid.width_px * grid.height_px;
+    let place = |i: usize| Vector2::from(grid.point_mm((i % grid.width_px) as f64, (i / grid.width_px) as f64));
+    let solved: Vec<Option<Solved>> = (0..n).into_par_iter().map(|i| solve(maps, &measured, &place(i))).collect();
+    let mut chi2: Vec<f64> = solved.iter().flatten().map(|s| s.chi2).collect();
+    if chi2.is_empty() {
+        return Err(nothing(&measured, names).into());
+    }
+    chi2.sort_by(f64::total_cmp);
+    let estimate = (chi2[chi2.len() / 2] / MEDIAN_CHI2).sqrt();
+    let sigma = options.sigma.unwrap_or(estimate);
+    let calibration = options.perturbed.as_ref().map(|p| calibration_variance(p, &measured, n, &place));
+    let mut out = VectorField::empty(grid, sigma, options.sigma.is_none());
+    for (i, s) in solved.iter().enumerate() {
+        let missing = |c: usize| maps[c].project(&place(i).push(0.0)).and_then(|q| measured[c].at(&q)).is_none();
+        let calibration = calibration.as_ref().map(|c| c[i]);
+        out.push(&place(i), s.as_ref(), || [missing(0), missing(1)], calibration);
+    }
+    let worst = solved
+        .iter()
+        .flatten()
+        .map(|s| (s.covariance.m33 / s.covariance.m11.max(s.covariance.m22)).sqrt())
+        .fold(0.0, f64::max);
+    if worst > WORST_GAIN {
+        let what = format!(
+            "both cameras look at the sheet along nearly one line: the error of w is up to {worst:.0} times that of u and v; w cannot be measured"
+        );
+        return Err(Insufficient::Degenerate(what).into());
+    }
+    Ok(out)
+}
+
+fn nothing(measured: &[Measured; 2], names: [&str; 2]) -> Insufficient {
+    let part = |c: usize| {
+        let (filled, all) = measured[c].field.filled();
+        format!("\"{}\" has {filled} of {all} vectors", names[c])
+    };
+    Insufficient::Degenerate(format!(
+        "no point of the sheet has a vector of both cameras ({}, {}); check the masks and flags of the fields",
+        part(0),
+        part(1)
+    ))
+}
+
+/// Variance of u, v, w by the calibration at every point; `NaN` where a moved calibration gives nothing.
+fn calibration_variance(
+    perturbed: &[[Vec<SheetMap>; 2]],
+    measured: &[Measured; 2],
+    n: usize,
+    place: &(dyn Fn(usize) -> Vector2<f64> + Sync),
+) -> Vec<Vector3<f64>> {
+    let one = |i: usize| {
+        let mut sum = Vector3::zeros();
+        for sides in perturbed {
+            let at = |maps: &[SheetMap]| match maps {
+                [a, b] => solve([a, b], measured, &place(i)).map(|s| s.d_mm),
+                _ => None,
+            };
+            match (at(&sides[0]), at(&sides[1])) {
+                (Some(p), Some(m)) => sum += ((p - m) / 2.0).map(|x| x * x),
+                _ => return Vector3::repeat(f64::NAN),
+            }
+        }
+        sum
+    };
+    (0..n).into_par_iter().map(one).collect()
+}
+
+impl VectorField {
+    fn empty(grid: SheetGrid, sigma: f64, sigma_estimated: bool) -> Self {
+        let v = Vec::new;
+        Self {
+            grid,
+            x_mm: v(),
+            y_mm: v(),
+            u_mm: v(),
+            v_mm: v(),
+            w_mm: v(),
+            sigma_mm: [v(), v(), v()],
+            calibration_sigma_mm: [v(), v(), v()],
+            residual_px: v(),
+            flags: Vec::new(),
+            sigma,
+            sigma_estimated,
+        }
+    }
+
+    fn push(
+        &mut self,
+        p: &Vector2<f64>,
+        s: Option<&Solved>,
+        missing: impl Fn() -> [bool; 2],
+        calibration: Option<Vector3<f64>>,
+    ) {
+        let nan = f64::NAN;
+        let d = s.map_or(Vector3::repeat(nan), |s| s.d_mm);
+        for (list, value) in [&mut self.x_mm, &mut self.y_mm, &mut self.u_mm, &mut self.v_mm, &mut self.w_mm]
+            .into_iter()
+            .zip([p.x, p.y, d.x, d.y, d.z])
+        {
+            list.push(value);
+        }
+        for a in 0..3 {
+            self.sigma_mm[a].push(s.map_or(nan, |s| self.sigma * s.covariance[(a, a)].sqrt()));
+            if let Some(c) = calibration {
+                self.calibration_sigma_mm[a].push(if s.is_some() { c[a].sqrt() } else { nan });
+            }
+        }
+        self.residual_px.push(s.map_or(nan, |s| s.residual_px));
+        self.flags.push(match s {
+            Some(s) => {
+                let far = s.chi2.sqrt() > RESIDUAL_SIGMAS * self.sigma;
+                flag::LOWERED * u8::from(s.lowered) | flag::RESIDUAL * u8::from(far)
+            }
+            None => {
+                let [a, b] = missing();
+                flag::FIRST_MISSING * u8::from(a) | flag::SECOND_MISSING * u8::from(b)
+            }
+        });
+    }
+
+    /// Points with a vector, and points in all.
+    pub fn filled(&self) -> (usize, usize) {
+        (self.u_mm.iter().filter(|u| u.is_finite()).count(), self.u_mm.len())
+    }
+}

@@ -1,0 +1,107 @@
+//! The check of the sheet on particle images as a record: what `check.json` holds.
+
+use super::number::{maybe, maybe_array};
+use serde::{Deserialize, Serialize};
+
+/// Disparities of the windows of a field, structure of arrays.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct DisparityMap {
+    /// Middle of the window in the sheet frame that it was seen in, mm.
+    pub x_mm: Vec<f64>,
+    /// Middle of the window, mm.
+    pub y_mm: Vec<f64>,
+    /// Disparity along x: second camera minus first, px of the dewarped image.
+    pub dx_px: Vec<f64>,
+    /// Disparity along y (up), px of the dewarped image.
+    pub dy_px: Vec<f64>,
+    /// Part across the direction in which depth shows: what no sheet explains, px.
+    pub across_px: Vec<f64>,
+    /// Depth of the light, mm.
+    pub z_mm: Vec<f64>,
+    /// Height of the correlation peak, 0 to 1.
+    pub correlation: Vec<f64>,
+    /// Height over that of the second peak.
+    pub peak_ratio: Vec<f64>,
+    /// Whether the window took part in the fit of the plane.
+    pub used: Vec<bool>,
+}
+
+impl DisparityMap {
+    /// Median length of the disparities of the windows that were used, px; `NaN` where there are none.
+    pub fn median_px(&self) -> f64 {
+        let lengths = (0..self.x_mm.len()).filter(|i| self.used[*i]).map(|i| self.dx_px[i].hypot(self.dy_px[i]));
+        let mut lengths: Vec<f64> = lengths.collect();
+        lengths.sort_by(f64::total_cmp);
+        lengths.get(lengths.len() / 2).copied().unwrap_or(f64::NAN)
+    }
+    /// Mean disparity (x, y) of the windows that were used, px.
+    pub fn mean_px(&self) -> [f64; 2] {
+        let used: Vec<usize> = (0..self.x_mm.len()).filter(|i| self.used[*i]).collect();
+        let mean = |l: &[f64]| used.iter().map(|i| l[*i]).sum::<f64>() / used.len() as f64;
+        [mean(&self.dx_px), mean(&self.dy_px)]
+    }
+}
+
+/// One round of the refinement.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CheckRound {
+    /// Side of a window, px.
+    pub window_px: usize,
+    /// Windows with a peak, and windows in all.
+    pub windows: [usize; 2],
+    /// Median disparity before this round's fit, px.
+    #[serde(with = "maybe")]
+    pub median_px: f64,
+    /// Offset along the starting sheet's normal at its reference point, mm.
+    pub offset_mm: f64,
+    /// Tilt against the starting sheet about its x and y axes, degrees.
+    pub tilt_deg: [f64; 2],
+}
+
+/// The check of a sheet.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SheetCheck {
+    /// Always `spivcal-check`.
+    pub format: String,
+    /// Always 1.
+    pub version: u32,
+    /// Names of the two cameras.
+    pub cameras: [String; 2],
+    /// Image pairs, first and second camera.
+    pub pairs: Vec<[String; 2]>,
+    /// Side of a pixel of the dewarped images, mm.
+    pub mm_per_px: f64,
+    /// How far the coarse plane stands out from chance, standard deviations.
+    pub significance: f64,
+    /// The sheet that was checked.
+    pub before: DisparityMap,
+    /// The corrected sheet, where it was asked for.
+    pub after: Option<DisparityMap>,
+    /// Rounds.
+    pub history: Vec<CheckRound>,
+    /// Whether the rounds came to rest.
+    pub converged: bool,
+    /// Point of the starting sheet at which `offset_mm` is given, its frame, mm.
+    pub reference_mm: [f64; 2],
+    /// Offset of the light from the starting sheet at the reference point along its z (towards the first camera), mm.
+    pub offset_mm: f64,
+    /// Tilt of the light against the starting sheet about its x and y axes, degrees.
+    pub tilt_deg: [f64; 2],
+    /// Standard deviation of the offset, mm.
+    #[serde(with = "maybe")]
+    pub offset_sigma_mm: f64,
+    /// Standard deviations of the tilts, degrees.
+    #[serde(with = "maybe_array")]
+    pub tilt_sigma_deg: [f64; 2],
+    /// Standard deviation of a window's disparity about the fit, px.
+    #[serde(with = "maybe")]
+    pub window_sigma_px: f64,
+    /// Root mean square disparity across the direction of depth, px: errors of the cameras, not of the sheet.
+    #[serde(with = "maybe")]
+    pub across_rms_px: f64,
+    /// Full width of the light's profile at 1/e^2, mm; unknown where the peak is no wider than the particles.
+    #[serde(with = "maybe")]
+    pub thickness_mm: f64,
+    /// What must be looked at.
+    pub flags: Vec<String>,
+}

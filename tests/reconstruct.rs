@@ -1,0 +1,299 @@
+//! Three components from planar fields of a known flow seen through the exact cameras: bias, sigmas, units, missing vectors.
+
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
+
+mod render;
+mod scene;
+
+use nalgebra::Vector3;
+use render::Random;
+use spivcal::camera::Camera;
+use spivcal::dewarp::{SheetGrid, SheetMap};
+use spivcal::frames::{Cam, Rig, Sheet};
+use spivcal::reconstruct::*;
+use spivcal::record::Record;
+use std::process::Command;
+
+/// A vortex with an axial jet, mm per interval; lengths of some 10 mm.
+fn flow(x: f64, y: f64) -> Vector3<f64> {
+    let g = (-(x * x + y * y) / 150.0).exp();
+    Vector3::new(0.1 - 0.03 * y * g, 0.02 + 0.03 * x * g, 0.15 * g - 0.05)
+}
+
+fn maps() -> [SheetMap; 2] {
+    [0, 1].map(|c| SheetMap::from_record(&scene::record(), c).unwrap())
+}
+
+/// Image of a point of the sheet, by the record's cameras alone.
+fn image(record: &Record, c: usize, p: &Vector3<f64>) -> [f64; 2] {
+    let in_rig = record.sheet.as_ref().unwrap().rig_from_sheet.motion::<Rig, Sheet>().apply(p);
+    let in_cam = record.cameras[c].cam_from_rig.motion::<Cam, Rig>().apply(&in_rig);
+    let q = Camera::new(record.cameras[c].intrinsics()).unwrap().project_xyz(&in_cam).unwrap();
+    [q.x, q.y]
+}
+
+/// What an ideal planar evaluation gives in raw pixels, with noise; `keep` leaves vectors out.
+fn raw_field(c: usize, start: bool, sigma_px: f64, seed: u64, keep: impl Fn(usize) -> bool) -> String {
+    let (record, map) = (scene::record(), &maps()[c]);
+    let mut random = Random(seed);
+    let mut text = String::from("x_px,y_px,dx_px,dy_px\n");
+    // The two cameras are evaluated on different grids.
+    let step = [16.0, 19.0][c];
+    let mut n = 0;
+    for j in 0..((760.0 / step) as usize) {
+        for i in 0..((1010.0 / step) as usize) {
+            let (u, v) = (8.0 + step * i as f64, 6.0 + step * j as f64);
+            // The particle whose path has its middle (or its beginning) on this pixel and in the sheet.
+            let p = map.sheet_of_pixel(&[u], &[v], &[0.0]).unwrap();
+            let p = Vector3::new(p.x_mm[0], p.y_mm[0], 0.0);
+            let d = flow(p.x, p.y);
+            let (back, ahead) = if start { (0.0, 1.0) } else { (0.5, 0.5) };
+            let (a, b) = (image(&record, c, &(p - d * back)), image(&record, c, &(p + d * ahead)));
+            let (du, dv) = (b[0] - a[0] + sigma_px * random.normal(), b[1] - a[1] + sigma_px * random.normal());
+            n += 1;
+            if keep(n) {
+                text.push_str(&format!("{u},{v},{du:.9},{dv:.9}\n"));
+            } else {
+                text.push_str(&format!("{u},{v},nan,nan\n"));
+            }
+        }
+    }
+    text
+}
+
+/// In mm (or pixels) of dewarped images, both on one grid.
+fn dewarped_field(c: usize, grid: Option<&SheetGrid>, sigma_mm: f64, seed: u64) -> String {
+    let (record, map) = (scene::record(), &maps()[c]);
+    let mut random = Random(seed);
+    let mut text = String::from(if grid.is_some() { "x_px,y_px,dx_px,dy_px\n" } else { "x_mm,y_mm,dx_mm,dy_mm\n" });
+    for j in 0..25 {
+        for i in 0..33 {
+            let (x, y) = (-16.0 + f64::from(i), -12.0 + f64::from(j));
+            // Seen places of the two ends: mapped back to the sheet as a dewarped image is. The middle of the seen path is (x, y) but
+            // for a part in a million.
+            let d = flow(x, y);
+            let ends = [-0.5, 0.5].map(|s| {
+                let q = image(&record, c, &(Vector3::new(x, y, 0.0) + d * s));
+                let p = map.sheet_of_pixel(&[q[0]], &[q[1]], &[0.0]).unwrap();
+                [p.x_mm[0], p.y_mm[0]]
+            });
+            let dx = ends[1][0] - ends[0][0] + sigma_mm * random.normal();
+            let dy = ends[1][1] - ends[0][1] + sigma_mm * random.normal();
+            match grid {
+                None => text.push_str(&format!("{x},{y},{dx:.9},{dy:.9}\n")),
+                Some(g) => {
+                    let q = g.pixel(x, y);
+                    text.push_str(&format!(
+                        "{:.9},{:.9},{:.9},{:.9}\n",
+                        q[0],
+                        q[1],
+                        dx / g.mm_per_px,
+                        -dy / g.mm_per_px
+                    ));
+                }
+            }
+        }
+    }
+    text
+}
+
+fn options(unit: FieldUnit) -> Options {
+    Options { unit, dewarped: None, reference: Reference::Center, sigma: None, spacing_mm: None, perturbed: None }
+}
+
+fn solved(texts: [&str; 2], options: &Options) -> VectorField {
+    let fields = texts.map(|t| PlanarField::new(&parse_field(t, "f.csv").unwrap()).unwrap());
+    let m = maps();
+    reconstruct([&m[0], &m[1]], [&fields[0], &fields[1]], ["left", "right"], options).unwrap()
+}
+
+/// Largest and root mean square departure from the flow, mm, per component.
+fn departures(f: &VectorField) -> [[f64; 2]; 3] {
+    let (mut largest, mut sum, mut n) = ([0.0_f64; 3], [0.0; 3], 0.0);
+    for i in 0..f.x_mm.len() {
+        let d = Vector3::new(f.u_mm[i], f.v_mm[i], f.w_mm[i]) - flow(f.x_mm[i], f.y_mm[i]);
+        if d.x.is_finite() && f.flags[i] == 0 {
+            n += 1.0;
+            (0..3).for_each(|a| largest[a] = largest[a].max(d[a].abs()));
+            (0..3).for_each(|a| sum[a] += d[a] * d[a]);
+        }
+    }
+    assert!(n > 300.0, "{n}");
+    [0, 1, 2].map(|a| [largest[a], (sum[a] / n as f64).sqrt()])
+}
+
+/// Slope of measured w against true w, less one: the bias of the out-of-plane gain.
+fn bias_of_w(f: &VectorField) -> f64 {
+    let (mut a, mut b) = (0.0, 0.0);
+    for i in (0..f.x_mm.len()).filter(|i| f.w_mm[*i].is_finite()) {
+        let w = flow(f.x_mm[i], f.y_mm[i]).z;
+        a += f.w_mm[i] * w;
+        b += w * w;
+    }
+    a / b - 1.0
+}
+
+#[test]
+fn a_known_flow_is_found_without_bias_in_every_unit() {
+    for start in [false, true] {
+        let texts = [0, 1].map(|c| raw_field(c, start, 0.0, 1, |_| true));
+        let reference = if start { Reference::Start } else { Reference::Center };
+        let f = solved([&texts[0], &texts[1]], &Options { reference, ..options(FieldUnit::RawPixels) });
+        let (d, bias) = (departures(&f), bias_of_w(&f));
+        println!("raw, start {start}: largest and rms {d:.7?} mm, bias of w {:.1e}; {:?} vectors", bias, f.filled());
+        assert!(bias.abs() < 1e-4 && d[2][1] < 1e-4, "{d:?} {bias}");
+    }
+    let of_start = [0, 1].map(|c| raw_field(c, true, 0.0, 1, |_| true));
+    let wrong = departures(&solved([&of_start[0], &of_start[1]], &options(FieldUnit::RawPixels)));
+    println!("start taken for the middle: {wrong:.7?} mm");
+    assert!(wrong[2][1] > 1e-5, "a wrong reference must show: {wrong:?}");
+    let texts = [0, 1].map(|c| dewarped_field(c, None, 0.0, 1));
+    let f = solved([&texts[0], &texts[1]], &options(FieldUnit::Millimetres));
+    let (d, bias) = (departures(&f), bias_of_w(&f));
+    println!("mm: largest and rms {d:.7?} mm, bias of w {bias:.1e}");
+    assert_eq!(f.filled(), (33 * 25, 33 * 25));
+    assert!(bias.abs() < 1e-4 && d[2][0] < 1e-4, "{d:?} {bias}");
+    let m = maps();
+    let grid = SheetGrid::common(&[&m[0], &m[1]], None).unwrap();
+    let texts = [0, 1].map(|c| dewarped_field(c, Some(&grid), 0.0, 1));
+    let g = solved([&texts[0], &texts[1]], &Options { dewarped: Some(grid), ..options(FieldUnit::DewarpedPixels) });
+    for (a, b) in g.w_mm.iter().zip(&f.w_mm) {
+        assert!((a - b).abs() < 1e-6, "{a} {b}");
+    }
+}
+
+#[test]
+fn sigmas_are_those_of_the_scatter() {
+    for (unit, sigma_px) in [(FieldUnit::RawPixels, 0.08), (FieldUnit::Millimetres, 0.0)] {
+        let texts = [0, 1].map(|c| match unit {
+            FieldUnit::RawPixels => raw_field(c, false, sigma_px, 7 + c as u64, |_| true),
+            _ => dewarped_field(c, None, 0.003, 7 + c as u64),
+        });
+        let f = solved([&texts[0], &texts[1]], &options(unit));
+        let mut sums = [0.0; 3];
+        let mut n = 0.0;
+        for i in (0..f.x_mm.len()).filter(|i| f.w_mm[*i].is_finite()) {
+            let d = Vector3::new(f.u_mm[i], f.v_mm[i], f.w_mm[i]) - flow(f.x_mm[i], f.y_mm[i]);
+            (0..3).for_each(|a| sums[a] += (d[a] / f.sigma_mm[a][i]).powi(2));
+            n += 1.0;
+        }
+        let ratio = sums.map(|s| (s / n as f64).sqrt());
+        println!("{unit:?}: scatter over sigma {ratio:.3?}, estimated sigma {:.4}", f.sigma);
+        let true_sigma = if unit == FieldUnit::RawPixels { sigma_px } else { 0.003 };
+        assert!((f.sigma / true_sigma - 1.0).abs() < 0.1, "{}", f.sigma);
+        // n vectors, neighbours correlated by the interpolation: about n / 4 independent ones.
+        let z = ratio.map(|r| (r - 1.0) / (0.5 / (n / 4.0) as f64).sqrt());
+        assert!(z.iter().all(|z| z.abs() < 5.0) && ratio.iter().all(|r| (r - 1.0).abs() < 0.15), "{ratio:?} {z:?}");
+    }
+}
+
+#[test]
+fn the_calibration_s_covariance_is_that_of_moved_calibrations() {
+    // Known: baseline-like scale of the second camera's place along its own axes, sheet and lens exact.
+    let mut record = scene::record();
+    let sigma = 0.4;
+    let name = "right.cam_from_rig.tx_mm";
+    record.covariance.names = vec![name.into()];
+    record.covariance.matrix = vec![vec![sigma * sigma]];
+    let s = &mut record.sheet.as_mut().unwrap().sigma;
+    (s.normal_rad, s.distance_mm) = ([0.0; 2], 0.0);
+    let texts = [0, 1].map(|c| raw_field(c, false, 0.0, 1, |_| true));
+    let perturbed = perturbed_maps(&record).unwrap().unwrap();
+    assert_eq!(perturbed.len(), 1);
+    let f = solved([&texts[0], &texts[1]], &Options { perturbed: Some(perturbed), ..options(FieldUnit::RawPixels) });
+    // By hand: the camera moved by one sigma, and the whole field anew.
+    let mut moved = scene::record();
+    moved.cameras[1].cam_from_rig.translation_mm[0] += sigma;
+    let m = [0, 1].map(|c| SheetMap::from_record(&moved, c).unwrap());
+    let fields = [0, 1].map(|c| PlanarField::new(&parse_field(&texts[c], "f").unwrap()).unwrap());
+    let solve = Options { spacing_mm: Some(f.grid.mm_per_px), ..options(FieldUnit::RawPixels) };
+    let g = reconstruct([&m[0], &m[1]], [&fields[0], &fields[1]], ["left", "right"], &solve).unwrap();
+    let mut seen = 0;
+    for i in (0..f.x_mm.len()).filter(|i| f.calibration_sigma_mm[2][*i].is_finite()) {
+        let [c, r] = g.grid.pixel(f.x_mm[i], f.y_mm[i]).map(f64::round);
+        let j = (r as usize) * g.grid.width_px + c as usize;
+        if c < 0.0
+            || r < 0.0
+            || c as usize >= g.grid.width_px
+            || r as usize >= g.grid.height_px
+            || !g.w_mm[j].is_finite()
+        {
+            continue;
+        }
+        if (g.x_mm[j] - f.x_mm[i]).hypot(g.y_mm[j] - f.y_mm[i]) < 0.02 {
+            let change = (g.w_mm[j] - f.w_mm[i]).abs();
+            assert!(
+                (change - f.calibration_sigma_mm[2][i]).abs() < 3e-4 + 0.1 * change,
+                "{change} {}",
+                f.calibration_sigma_mm[2][i]
+            );
+            seen += 1;
+        }
+    }
+    assert!(seen > 100 || g.grid != f.grid, "{seen}");
+    // A number that nothing determines: no sigma is made up.
+    record.covariance.matrix = vec![vec![f64::NAN]];
+    assert!(perturbed_maps(&record).unwrap().is_none());
+}
+
+#[test]
+fn missing_vectors_are_flagged_and_the_rest_stays_right() {
+    let texts = [raw_field(0, false, 0.0, 1, |_| true), raw_field(1, false, 0.0, 1, |n| n % 2 == 0 || n % 7 == 0)];
+    let f = solved([&texts[0], &texts[1]], &options(FieldUnit::RawPixels));
+    let (filled, all) = f.filled();
+    println!("{filled} of {all}");
+    assert!(filled < all);
+    for i in 0..all {
+        if f.w_mm[i].is_nan() {
+            assert!(f.flags[i] & (flag::FIRST_MISSING | flag::SECOND_MISSING) != 0);
+        } else {
+            assert!((f.w_mm[i] - flow(f.x_mm[i], f.y_mm[i]).z).abs() < 0.01);
+        }
+    }
+}
+
+#[test]
+fn the_program_reads_writes_and_refuses() {
+    let scratch = tempfile::tempdir().unwrap();
+    let at = |name: &str| scratch.path().join(name).to_str().unwrap().to_string();
+    std::fs::write(at("c.json"), scene::record().to_json().unwrap()).unwrap();
+    let run = |left: &str, right: &str, more: &[&str]| {
+        std::fs::write(at("l.csv"), left).unwrap();
+        std::fs::write(at("r.csv"), right).unwrap();
+        let [c, l, r, o] = ["c.json", "l.csv", "r.csv", "out.csv"].map(at);
+        let mut arguments = vec!["reconstruct", &c, &l, &r, "-o", &o];
+        arguments.extend(more);
+        let output = Command::new(env!("CARGO_BIN_EXE_spivcal")).args(arguments).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).to_string() + &String::from_utf8_lossy(&output.stdout);
+        println!("{}", said.trim_end());
+        (output.status.code().unwrap(), said)
+    };
+    let (left, right) = (raw_field(0, false, 0.05, 1, |_| true), raw_field(1, false, 0.05, 2, |_| true));
+    let (code, said) = run(&left, &right, &[]);
+    assert!(
+        (code == 0 || said.contains("does not determine")) && said.contains("w is positive towards camera \"left\""),
+        "{said}"
+    );
+    let csv = std::fs::read_to_string(at("out.csv")).unwrap();
+    assert!(csv.starts_with("x_mm,y_mm,u_mm,v_mm,w_mm,sigma_u_mm") && csv.lines().count() > 500);
+    std::fs::remove_file(at("out.csv")).unwrap();
+
+    let half = raw_field(1, false, 0.05, 2, |n| n % 51 < 20);
+    let (code, said) = run(&left, &half, &["--no-calibration-sigma"]);
+    assert!(code == 1 && said.contains("points have no vector") && said.contains("check masks"), "{said}");
+    let refused = |left: &str, right: &str, more: &[&str], code: i32, words: &str| {
+        let _ = std::fs::remove_file(at("out.csv"));
+        let (got, said) = run(left, right, more);
+        assert!(got == code && said.contains(words), "{got}: {said}");
+        assert!(!std::path::Path::new(&at("out.csv")).exists());
+    };
+    let none = raw_field(1, false, 0.05, 2, |_| false);
+    refused(&left, &none, &[], 3, "\"right\" has 0 of");
+    refused(&left, &right[..right.len() / 2 - 3], &[], 2, "cut short");
+    refused(&left.replace("x_px,y_px,dx_px,dy_px", "x,y,u,v"), &right, &[], 2, "--unit px");
+    refused(&left.replace("\n8,6,", "\n2008,6,"), &right, &[], 2, "");
+    refused(&left, &right, &["--unit", "mm"], 2, "check the unit");
+    refused(&left, &right, &["--unit", "dewarped"], 2, "--dewarped dewarp.json");
+    refused(&left, &right, &["--sigma", "-1"], 2, "a positive number");
+    refused("", &right, &[], 2, "empty");
+}
