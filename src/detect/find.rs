@@ -14,6 +14,7 @@ use crate::error::{Invalid, Result};
 use crate::frames::Pixel;
 use crate::image::GrayView;
 use crate::target::{MarkKind, Polarity};
+use rayon::prelude::*;
 
 /// A region with less than this part of the typical contrast is texture.
 const TEXTURE: f64 = 0.15;
@@ -58,21 +59,8 @@ pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection>
     drop_texture(&mut seen, f64::from(image.noise()), options);
     drop_repeats(&mut seen);
     let mut detection = Detection::default();
-    let mut scratch = Scratch::default();
-    let around = surroundings(&seen.candidates);
-    for (candidate, around) in seen.candidates.iter().zip(&around) {
-        if !wanted(candidate.bright, options.polarity) {
-            continue;
-        }
-        let start = Start {
-            ellipse: candidate.ellipse,
-            blur_px: candidate.blur_px,
-            bright: candidate.bright,
-            contrast: candidate.contrast,
-            inner_px: around.inner_px,
-            neighbours: &around.neighbours,
-        };
-        match refine(view, &start, options, &mut scratch) {
+    for (candidate, refined) in refine_all(view, &seen.candidates, options) {
+        match refined {
             Ok(disc) if detection.discs.iter().any(|d| one_and_the_same(d, &disc)) => {}
             Ok(disc) => detection.discs.push(disc),
             Err(reason) => detection.rejections.push(rejection(candidate, reason)),
@@ -87,6 +75,34 @@ pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection>
     drop_dust(&mut detection);
     keep_telling_rejections(&mut detection);
     Ok(detection)
+}
+
+/// Refines the candidates of the polarity wanted, in their order. The threads are those of the pool that the caller runs in; without
+/// one there is one thread. Each disc depends on the image alone, so the result does not depend on their number.
+fn refine_all<'a>(
+    view: &GrayView,
+    candidates: &'a [Candidate],
+    options: &DetectOptions,
+) -> Vec<(&'a Candidate, std::result::Result<Disc, RejectionReason>)> {
+    let around = surroundings(candidates);
+    let wanted: Vec<_> = candidates.iter().zip(&around).filter(|(c, _)| wanted(c.bright, options.polarity)).collect();
+    let one = |scratch: &mut Scratch, (candidate, around): &(&'a Candidate, &Surroundings)| {
+        let start = Start {
+            ellipse: candidate.ellipse,
+            blur_px: candidate.blur_px,
+            bright: candidate.bright,
+            contrast: candidate.contrast,
+            inner_px: around.inner_px,
+            neighbours: &around.neighbours,
+        };
+        (*candidate, refine(view, &start, options, scratch))
+    };
+    if rayon::current_thread_index().is_some() && wanted.len() > 1 {
+        wanted.par_iter().map_init(Scratch::default, one).collect()
+    } else {
+        let mut scratch = Scratch::default();
+        wanted.iter().map(|w| one(&mut scratch, w)).collect()
+    }
 }
 
 fn check_options(o: &DetectOptions) -> Result<()> {

@@ -288,13 +288,13 @@ fn drop_sectors(s: &mut Scratch) -> f64 {
     let typical = of_kept(&|k| information[k]);
     let shift = 1.4826 * of_kept(&|k| each(k).0.abs());
     let misfit = of_kept(&|k| each(k).1);
-    let shift_limit = 4.5 * shift.max((typical / misfit.max(1e-300)).powf(-0.5));
+    let shift_limit = 4.5 * shift.max(typical.powf(-0.5));
     let keep: Vec<bool> = (0..count)
         .map(|k| {
             let enough = information[k] > 0.15 * typical && information[k] > 0.0;
             let (off, spread) = each(k);
             let pixels = f64::from(s.sectors.pixels[k].max(1));
-            enough && off.abs() < shift_limit && spread < misfit * (2.0 + 5.0 * (2.0 / pixels).sqrt())
+            enough && off.abs() < shift_limit && spread < misfit.max(1.0) * (2.0 + 5.0 * (2.0 / pixels).sqrt())
         })
         .collect();
     s.sectors.keep = keep;
