@@ -36,6 +36,8 @@ use nalgebra::{Matrix4, SMatrix, SVector, Vector4};
 
 /// Standard deviation of the prior of the blur, px.
 const PRIOR_BLUR_PX: f64 = 0.3;
+/// Half the standard deviation of the area of a pixel, px.
+const LEAST_BLUR_PX: f64 = 0.15;
 /// Blur and geometry.
 const FIXED: usize = 6;
 /// Most unknowns of a surface: two sides.
@@ -89,8 +91,10 @@ impl EdgeModel {
         for i in 0..5 {
             q[i] += factor * found.change[i];
         }
-        let blur_px = self.blur_px + found.blur_change_px.clamp(-0.4 * self.blur_px, 0.8 * self.blur_px);
-        if !(blur_px > 0.15 && blur_px < 30.0) {
+        let change = found.blur_change_px.clamp(-0.4 * self.blur_px, 0.8 * self.blur_px);
+        // Noise may ask a faint small dot for no blur at all; pixels have an area.
+        let blur_px = (self.blur_px + change).max(LEAST_BLUR_PX);
+        if !(blur_px < 30.0) {
             return None;
         }
         Some(Self { ellipse: from_regular(&q)?, blur_px, ..self.clone() })

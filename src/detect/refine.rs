@@ -377,7 +377,10 @@ fn finish(model: &EdgeModel, start: &Start, options: &DetectOptions, s: &Scratch
             .map_err(|_| not_elliptical(f64::INFINITY, e.semi_minor_px))
     };
     let mut fit = fit_edges(&edge)?;
-    let limit_px = options.max_edge_rms_px + options.max_edge_rms_ratio * fit.ellipse.semi_minor_px;
+    // What the grey noise explains is no sign of another shape.
+    let noise_px2 = edge.sigma_px.iter().map(|s| s * s).sum::<f64>() / edge.sigma_px.len() as f64;
+    let limit_px =
+        (options.max_edge_rms_px + options.max_edge_rms_ratio * fit.ellipse.semi_minor_px).hypot(noise_px2.sqrt());
     if fit.rms_px > limit_px {
         return Err(not_elliptical(fit.rms_px, limit_px));
     }
