@@ -8,8 +8,8 @@
 //! r = n . (q - q(phi)),   q(phi) = image of C + R (cos phi, sin phi, 0),   (q - q(phi)) . q'(phi) = 0
 //! ```
 //! Because the foot `phi` makes the distance stationary, the derivative is exactly `-n . dq/dz` at fixed `phi`, for
-//! every unknown z. `bitangent`: the 14 tangent features of a pair of discs against the images of the circles' own
-//! features, whitened with their rank-10 covariance.
+//! every unknown z. `bitangent`: the 14 tangent features of a pair of discs, of ellipses fitted where the lens is undone,
+//! against the images of the circles' own features, whitened with their rank-10 covariance ([`adjust_tangents`]).
 //!
 //! **Unknowns.**
 //!
@@ -43,6 +43,7 @@ mod focus;
 mod layout;
 mod model;
 mod posterior;
+mod refit;
 mod residuals;
 mod retraction;
 mod state;
@@ -52,10 +53,11 @@ pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, problem};
 pub use facts::Fact;
 pub use focus::Focus;
 pub use model::{
-    CameraModel, DiscObservation, ImageObservations, Loss, Model, Node, Observed, PairObservation, TargetModel,
-    TargetShape, ViewModel, ViewPlace,
+    CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, PairObservation,
+    TargetModel, TargetShape, ViewModel, ViewPlace,
 };
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
+pub use refit::{TangentAdjustment, adjust_tangents, pair_features};
 pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
 pub use state::{State, ViewState};
 

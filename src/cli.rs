@@ -5,6 +5,7 @@
 
 mod arguments;
 mod calibrate;
+mod convert;
 mod detect;
 mod files;
 mod progress;
@@ -64,6 +65,7 @@ fn dispatch(arguments: &Arguments) -> crate::Result<Done> {
         Command::Sheet(c) => sheet::run(c, arguments.threads, &progress),
         Command::Simulate(c) => simulate::run(c, &progress),
         Command::Show(c) => show::run(c),
+        Command::Convert(c) => convert::run(c),
     }
 }
 

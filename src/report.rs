@@ -32,7 +32,7 @@ mod tables;
 mod text;
 mod verdict;
 
-pub use csv::residuals_csv;
+pub use csv::{csv_field, residuals_csv};
 pub use detection::{
     contours_csv, detection_json, detection_shapes, discs_csv, features_csv, reason_kind, reason_words,
 };

@@ -49,6 +49,7 @@ mod view;
 #[cfg(test)]
 mod tests;
 
+use crate::camera::Radial;
 use crate::error::Result;
 use crate::target::{Polarity, Target};
 use reader::{Section, Source};
@@ -85,6 +86,8 @@ pub struct CameraDescription {
     pub pixel_pitch_mm: Option<f64>,
     /// Nominal focal length of the lens, mm.
     pub focal_length_mm: Option<f64>,
+    /// `radial`: direction of the radial polynomial.
+    pub radial: Radial,
     /// What is known beforehand, at most once per parameter.
     pub known: Vec<(Parameter, Knowledge)>,
 }
@@ -240,7 +243,7 @@ pub enum Scale {
     },
 }
 
-/// Prior from the cameras being focused on the sheet (thin lens).
+/// Prior from the cameras being focused on the sheet; `pupil_ratio` of a camera takes part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Focus {
     /// Tolerance of the sheet's tilt against the plane of focus, rad.

@@ -19,9 +19,13 @@
 //! leaves the tilt out, worth 2.2 px of transfer error at the paper's geometry; here points go through both cameras whole.
 //! Not valid for a plane through a projection centre.
 
+mod gain;
 mod homography;
 mod joint;
+mod parameter;
+mod recorded;
 
+pub use gain::{PointUncertainty, RESPONSES, Response, SheetUncertainty, StereoSheet};
 pub use homography::{HeldCameras, Homography, PairFeatures, fit_homography, transfer_residuals, triangulated_plane};
 pub use joint::joint_sheet;
 

@@ -6,15 +6,29 @@
 mod rig_scene;
 
 use nalgebra::DVector;
-use rig_scene::Scene;
+use rig_scene::{Scene, tilted_camera};
 use spivcal::bundle::{AdjustOptions, Fact, Focus, adjust, named_covariance};
+use spivcal::camera::{Camera, Intrinsics};
 use spivcal::solve::{Problem, Step, Termination};
 
 #[test]
 fn gradient_is_that_of_the_cost() {
     for (per_view, plane, points) in [(false, true, false), (true, true, false), (false, false, true)] {
-        let mut scene = Scene::build(1, per_view, plane, points);
+        let ratio = |c: Camera| {
+            let pupil_ratio = if plane { 1.1 } else { 1.0 };
+            Camera::new(Intrinsics { pupil_ratio, ..*c.intrinsics() }).unwrap()
+        };
+        let cameras = vec![ratio(tilted_camera(-0.1107, 0.01)), ratio(tilted_camera(0.1107, -0.02))];
+        let mut scene = Scene::with_cameras(1, cameras, per_view, plane, points);
         if plane {
+            // A pupil ratio that moves: in the focus relation, too.
+            scene.model.cameras.iter_mut().for_each(|c| c.free[9] = true);
+            scene.model.facts.extend((0..2).map(|camera| Fact::Intrinsic {
+                camera,
+                parameter: 9,
+                value: 1.1,
+                sigma: 0.1,
+            }));
             scene.model.facts.extend([Some((50.0, 0.005)), None].iter().enumerate().map(|(camera, distance)| {
                 Fact::Focus(Focus { camera, pixel_pitch_mm: 0.00625, tilt_sigma_rad: 2e-4, distance: *distance })
             }));

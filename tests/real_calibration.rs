@@ -10,7 +10,7 @@ use serde_json::Value;
 use spivcal::camera::INTRINSIC_NAMES;
 use spivcal::pipeline::{CalibrateOptions, calibrate, load_image};
 use spivcal::record::Record;
-use spivcal::rig_file::{RigDescription, image_path};
+use spivcal::rig_file::{Observations, RigDescription, image_path};
 use std::path::{Path, PathBuf};
 
 fn example(name: &str) -> PathBuf {
@@ -18,8 +18,13 @@ fn example(name: &str) -> PathBuf {
 }
 
 fn run(name: &str, images: Option<&Path>) -> Record {
+    run_as(name, images, Observations::Contour)
+}
+
+fn run_as(name: &str, images: Option<&Path>, observations: Observations) -> Record {
     let file = example(name).join("rig.toml");
-    let job = RigDescription::parse(&std::fs::read_to_string(&file).unwrap(), "rig.toml").unwrap();
+    let mut job = RigDescription::parse(&std::fs::read_to_string(&file).unwrap(), "rig.toml").unwrap();
+    job.solve.observations = observations;
     let load = |view: usize, camera: usize| {
         load_image(&image_path(&file, images, job.views[view].images[camera].as_deref().unwrap()))
     };
@@ -63,11 +68,12 @@ fn number(v: &Value) -> f64 {
 }
 
 /// A rendered example against its truth: sheet within 3 sigmas, cameras within 4.
-fn rendered(name: &str) {
-    let record = run(name, None);
+fn rendered(name: &str, observations: Observations) {
+    let record = run_as(name, None, observations);
     let truth: Value =
         serde_json::from_str(&std::fs::read_to_string(example(name).join("truth.json")).unwrap()).unwrap();
-    assert!(record.fit.newton_decrement < 1e-6, "decrement {}", record.fit.newton_decrement);
+    let (decrement, ended) = (record.fit.newton_decrement, &record.fit.termination);
+    assert!(decrement < 1e-6, "decrement {decrement}, {ended}, {:?}", record.provenance.options);
     let mut wrong = vec![];
     let mut compare = |what: String, got: f64, truth: f64, sigma: f64, limit: f64| {
         let z = (got - truth) / sigma;
@@ -124,10 +130,29 @@ fn rendered(name: &str) {
 
 #[test]
 fn rendered_printed_discs() {
-    rendered("printed");
+    rendered("printed", Observations::Contour);
+}
+
+/// The paper's features through the lens: the same truth, and contours and features agree.
+#[test]
+fn rendered_printed_discs_by_tangents() {
+    rendered("printed", Observations::Bitangent);
+    let [contour, tangents] = [Observations::Contour, Observations::Bitangent].map(|o| run_as("printed", None, o));
+    println!("{:?}", tangents.provenance.options);
+    for (a, b) in contour.cameras.iter().zip(&tangents.cameras) {
+        let apart = (a.k1 - b.k1) / a.sigma.k1;
+        println!("{}: k1 {:.5} and {:.5}, {apart:.3} sigma apart", a.name, a.k1, b.k1);
+        assert!(apart.abs() < 0.3, "{}: {apart} sigma", a.name);
+        assert!((b.sigma.k1 / a.sigma.k1 - 1.0).abs() < 0.1, "{} {}", a.sigma.k1, b.sigma.k1);
+    }
+}
+
+#[test]
+fn rendered_bubbles_by_tangents() {
+    rendered("bubbles", Observations::Bitangent);
 }
 
 #[test]
 fn rendered_bubbles() {
-    rendered("bubbles");
+    rendered("bubbles", Observations::Contour);
 }

@@ -50,7 +50,7 @@ pub enum Fact {
         /// Its standard deviation, mm.
         sigma_mm: f64,
     },
-    /// The common plane lies where a camera is focused (thin lens); needs a plane.
+    /// The common plane lies where a camera is focused; needs a plane.
     Focus(Focus),
 }
 

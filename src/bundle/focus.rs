@@ -1,14 +1,20 @@
 //! The focus relation: the sheet is where the cameras are focused, within the depth of focus.
 //!
-//! A thin lens of focal length f_l with a sensor at the distance F behind it, tilted by alpha and beta, sees sharply the plane
-//! `g . p = 1` of the lens frame (Scheimpflug, Gauss):
+//! A lens of focal length f_l and pupil ratio m (exit over entrance pupil; 1 for a thin lens), tilted by alpha and beta against
+//! its sensor, sees sharply the plane `g . p = 1` of the lens frame, whose origin is the entrance pupil:
 //! ```text
-//! g = (tan(beta) / F,  tan(alpha) / (F cos(beta)),  1/f_l - 1/F),   F = f pitch
+//! g = (tan(beta) / F,  tan(alpha) / (F cos(beta)),  m (1/f_l - 1/F)),   F = f pitch
 //! ```
+//! Derivation: seen from the principal planes, pupils of ratio m lie at `f_l (1 - 1/m)` in front and `f_l (1 - m)` behind
+//! (Gauss, magnification m). With the object Z in front of the entrance pupil and the image s behind the exit pupil, Newton's
+//! `(o - f_l)(i - f_l) = f_l^2` is `(Z - f_l/m)(s - m f_l) = f_l^2`, so `1/Z = m (1/f_l - m/s)`. A sensor point lies at
+//! `s = m F h` (see [`crate::camera`]), `1/h = 1 - (x tan(beta) + y tan(alpha)/cos(beta)) / m`, hence
+//! `1/Z = g . (x, y, 1)`: m moves the plane of focus along the axis, but does not turn its trace.
+//!
 //! The sheet is `n . p = d`, so `c = n_z / d`. Its first two rows compare directions, with c of the sheet in place of
 //! the third of g, so that they hold without f_l; the third compares the distance along the lens axis:
 //! ```text
-//! m = g / |g| with g_3 = c,   r_1 = e_x . m,   r_2 = e_y . m,   r_3 = (1/f_l - 1/F) / c - 1
+//! q = g / |g| with g_3 = c,   r_1 = e_x . q,   r_2 = e_y . q,   r_3 = m (1/f_l - 1/F) / c - 1
 //! for a turn w and shift v of the sheet:  de = w x e,  dn = w x n,  dd = n . v
 //! ```
 //!
@@ -18,10 +24,10 @@
 //! | f_l | `focal_length_mm` | mm | Cam | rig file |
 //! | n, d | `n`, `d` | 1, mm | Cam | common plane |
 //! | e_x, e_y | `axes` | 1 | Cam | the plane's own axes |
-//! | m | `m` | 1 | Cam | normal of the plane of focus |
+//! | q | `q` | 1 | Cam | normal of the plane of focus |
+//! | m | `pupil_ratio` | 1 | - | camera |
 //!
-//! Source: method section 6. Not valid for a lens whose pupils magnify (pupil ratio other than 1), nor for a sheet along the
-//! lens axis.
+//! Source: method section 6, there for m = 1. Not valid for a sheet along the lens axis.
 
 use super::assemble::Slot;
 use super::chart::{self, SolverCamera};
@@ -51,6 +57,8 @@ pub struct Focus {
 type ByCamera = SVector<f64, { INTRINSICS + 6 }>;
 
 const PLANE_STEPS: [usize; 3] = [0, 1, 5];
+/// Its place among the intrinsics.
+const PUPIL_RATIO: usize = 9;
 
 impl Focus {
     /// Number of rows.
@@ -107,8 +115,8 @@ impl Focus {
             return None;
         }
         let g = Vector3::new(tb * inverse, ta / cb * inverse, c);
-        let m = g.normalize();
-        let across = (Matrix3::identity() - m * m.transpose()) / g.norm();
+        let q = g.normalize();
+        let across = (Matrix3::identity() - q * q.transpose()) / g.norm();
         let mut dg = nalgebra::SMatrix::<f64, 3, { INTRINSICS + 6 }>::zeros();
         dg[(0, 0)] = -g.x / i.f_px;
         dg[(1, 0)] = -g.y / i.f_px;
@@ -125,15 +133,17 @@ impl Focus {
         for a in 0..2 {
             let e: Vector3<f64> = rotation.column(a).into_owned();
             let mut by: ByCamera = (e.transpose() * across * dg).transpose();
-            // (w x e) . m = w . (e x m)
-            let own = e.cross(&m);
+            // (w x e) . q = w . (e x q)
+            let own = e.cross(&q);
             (0..3).for_each(|k| by[INTRINSICS + k] += own[k]);
-            out.push((e.dot(&m) / self.tilt_sigma_rad, by / self.tilt_sigma_rad));
+            out.push((e.dot(&q) / self.tilt_sigma_rad, by / self.tilt_sigma_rad));
         }
         if let Some((focal_length_mm, sigma)) = self.distance {
-            let focused = 1.0 / focal_length_mm - inverse;
+            let vergence = 1.0 / focal_length_mm - inverse;
+            let focused = i.pupil_ratio * vergence;
             let mut by: ByCamera = dg.row(2).transpose() * (-focused / (c * c));
-            by[0] += inverse / i.f_px / c;
+            by[0] += i.pupil_ratio * inverse / i.f_px / c;
+            by[PUPIL_RATIO] += vergence / c;
             out.push(((focused / c - 1.0) / sigma, by / sigma));
         }
         Some(out)
@@ -149,19 +159,30 @@ mod tests {
     const PITCH_MM: f64 = 0.00625;
     const LENS_MM: f64 = 50.0;
 
-    /// Rows for the plane that a thin lens images onto the sensor, turned by `turn` and moved along the axis by `shift_mm`.
-    /// The plane comes from the conjugates of sensor points alone: `1/Z' + 1/Z = 1/f_l` along each ray.
-    fn residuals(turn: Vector3<f64>, shift_mm: f64) -> Vec<f64> {
-        let mut i = Intrinsics::pinhole(8889.0, 520.0, 380.0);
-        (i.alpha_rad, i.beta_rad) = (0.05, -0.11);
+    /// Rows for the plane that a lens of pupil ratio `m` images onto the sensor, turned by `turn` and moved along the axis by
+    /// `shift_mm`. The plane comes from the conjugates of sensor points alone, seen from the principal planes:
+    /// `1/o + 1/i = 1/f_l`, magnification `i/o`, pupils where their own magnification is m.
+    fn residuals(m: f64, turn: Vector3<f64>, shift_mm: f64) -> Vec<f64> {
+        let mut intrinsics = Intrinsics::pinhole(8889.0, 520.0, 380.0);
+        (intrinsics.alpha_rad, intrinsics.beta_rad, intrinsics.pupil_ratio) = (0.05, -0.11, m);
         let model = CameraModel { name: "c".into(), free: [true; INTRINSICS] };
-        let seen = SolverCamera::of(&model, &i).unwrap();
+        let seen = SolverCamera::of(&model, &intrinsics).unwrap();
+        // Behind the rear principal plane: the exit pupil and the axis point of the sensor.
+        let exit_pupil = LENS_MM * (1.0 - m);
+        let axis_point = exit_pupil + m * intrinsics.f_px * PITCH_MM;
+        // In front of the front principal plane: the entrance pupil.
+        let entrance_pupil = LENS_MM * (1.0 - 1.0 / m);
         let conjugate = |u: f64, v: f64| {
-            let xy = seen.camera.ideal_of_pixel(&nalgebra::Vector2::new(u, v)).unwrap();
-            // Where the sensor is along the lens axis at that pixel, from its axes u and v.
-            let (tx, ty) = ((u - i.cx_px) * PITCH_MM, (v - i.cy_px) * PITCH_MM);
-            let depth = i.f_px * PITCH_MM + tx * i.beta_rad.sin() + ty * i.alpha_rad.sin() * i.beta_rad.cos();
-            xy.push(1.0) / (1.0 / LENS_MM - 1.0 / depth)
+            let (tx, ty) = ((u - intrinsics.cx_px) * PITCH_MM, (v - intrinsics.cy_px) * PITCH_MM);
+            let ((sa, ca), (sb, cb)) = (intrinsics.alpha_rad.sin_cos(), intrinsics.beta_rad.sin_cos());
+            // Where the sensor is, from its axes u and v.
+            let (x, y, depth) = (tx * cb - ty * sa * sb, ty * ca, tx * sb + ty * sa * cb);
+            let image = axis_point + depth;
+            let object = 1.0 / (1.0 / LENS_MM - 1.0 / image);
+            let p = Vector3::new(x * object / image, y * object / image, object - entrance_pupil);
+            let q = seen.camera.project_xyz(&p).unwrap();
+            assert!((q - nalgebra::Vector2::new(u, v)).norm() < 1e-9, "the camera is this lens: {q} for {u} {v}");
+            p
         };
         let [p, q, r, s] =
             [conjugate(0.0, 0.0), conjugate(1000.0, 0.0), conjugate(0.0, 700.0), conjugate(900.0, 650.0)];
@@ -176,21 +197,23 @@ mod tests {
     }
 
     #[test]
-    fn the_plane_that_a_thin_lens_images_onto_the_sensor_is_in_focus() {
-        let r = residuals(Vector3::zeros(), 0.0);
-        assert!(r.iter().all(|r| r.abs() < 1e-12), "{r:?}");
+    fn the_plane_that_a_lens_images_onto_the_sensor_is_in_focus() {
+        for m in [0.6, 1.0, 1.35] {
+            let r = residuals(m, Vector3::zeros(), 0.0);
+            assert!(r.iter().all(|r| r.abs() < 1e-12), "{m}: {r:?}");
+        }
     }
 
     #[test]
     fn departures_are_angles_and_relative_distances() {
         // A turn about the lens axis keeps the distance on it and, seen from the axis point, is no pure tilt: use x and y.
         for turn in [Vector3::new(0.01, 0.0, 0.0), Vector3::new(0.0, 0.01, 0.0)] {
-            let r = residuals(turn, 0.0);
+            let r = residuals(1.2, turn, 0.0);
             let size = r[0].hypot(r[1]);
             assert!((0.004..0.0101).contains(&size), "{r:?}");
             assert!(r[2].abs() < 1e-12, "{r:?}");
         }
-        let near = residuals(Vector3::zeros(), 5.0);
+        let near = residuals(1.0, Vector3::zeros(), 5.0);
         assert!((0.005..0.02).contains(&near[2]), "{near:?}");
     }
 }

@@ -130,6 +130,17 @@ pub struct PairObservation {
     pub pixels_px: Vec<f64>,
     /// Whitening matrix, rank x 2 kept.
     pub whitening: DMatrix<f64>,
+    /// For features that were found through a lens: how they follow it. `None`: the pixels stay where they are.
+    pub lens: Option<LensDependence>,
+}
+
+/// How features move with the lens through which they were found (see [`super::pair_features`]).
+#[derive(Debug, Clone, PartialEq)]
+pub struct LensDependence {
+    /// Intrinsics at which they were found, in the order of [`crate::camera::INTRINSIC_NAMES`].
+    pub intrinsics: [f64; INTRINSICS],
+    /// Derivative of the pixels by the intrinsics, 2 kept x 10.
+    pub derivative: DMatrix<f64>,
 }
 
 /// Everything observed in one image.

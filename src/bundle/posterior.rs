@@ -47,6 +47,8 @@ pub struct NamedCovariance {
     pub intrinsics: Vec<[ParameterKnowledge; INTRINSICS]>,
     /// Number of undetermined directions.
     pub nullity: usize,
+    /// The undetermined directions in the named parameters, one column each, of arbitrary length.
+    pub null_directions: DMatrix<f64>,
     /// Undetermined and prior-dominated parameters in words.
     pub undetermined: Vec<String>,
     /// Standard deviations of disc offsets `(dx, dy, dz, dr)`, mm; empty where discs are not estimated.
@@ -107,7 +109,8 @@ pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
         rows[r].terms.iter().filter(|t| t.0 == c).map(|t| t.1).sum::<f64>()
     });
     let matrix = &g * &full * g.transpose();
-    let determined = determined(&post, &places, &rows, adjustment.equations.as_ref()?);
+    let moved = null_movements(&post, &places, adjustment.equations.as_ref()?);
+    let determined = rows.iter().map(|row| still(row, &moved)).collect();
     let names: Vec<String> = rows.into_iter().map(|r| r.name).collect();
     let offset_sigmas_mm = places.offsets.map_or_else(Vec::new, |at| {
         let sigma = |i: usize| post.global[(i, i)].max(0.0).sqrt();
@@ -119,6 +122,7 @@ pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
         determined,
         intrinsics: vec![],
         nullity: post.nullity,
+        null_directions: &g * &moved,
         undetermined: vec![],
         offset_sigmas_mm,
         natural,
@@ -230,29 +234,33 @@ fn shape_names(model: &Model) -> [&'static str; 3] {
     }
 }
 
-/// A row is undetermined where it moves along a null direction by more than a ten-thousandth of what the direction moves
-/// the unknowns it is made of.
-fn determined(post: &Posterior, places: &Places, rows: &[Row], e: &crate::solve::NormalEquations) -> Vec<bool> {
+/// Movement of all unknowns along each undetermined direction, one column each.
+fn null_movements(post: &Posterior, places: &Places, e: &crate::solve::NormalEquations) -> DMatrix<f64> {
     let n = places.global;
     let scale = |i: usize| if e.h_gg[(i, i)] > 0.0 { e.h_gg[(i, i)].sqrt().recip() } else { 1.0 };
-    let moved: Vec<DVector<f64>> = (0..post.nullity)
-        .map(|k| {
-            let global = DVector::from_fn(n, |i, _| post.null_directions[(i, k)] * scale(i));
-            let mut all: Vec<f64> = global.iter().copied().collect();
-            for b in &post.blocks {
-                all.extend((b.coupling() * &global).iter().map(|x| -x));
-            }
-            DVector::from_vec(all)
-        })
-        .collect();
-    let still = |row: &Row| {
-        moved.iter().all(|m| {
-            let sum: f64 = row.terms.iter().map(|(i, c)| c * m[*i]).sum();
-            let size: f64 = row.terms.iter().map(|(i, c)| (c * m[*i]).abs()).sum();
-            sum.abs() <= 1e-4 * size || size <= 1e-9
-        })
-    };
-    rows.iter().map(still).collect()
+    let total = n + post.blocks.iter().map(|b| b.own.nrows()).sum::<usize>();
+    let mut moved = DMatrix::zeros(total, post.nullity);
+    for k in 0..post.nullity {
+        let global = DVector::from_fn(n, |i, _| post.null_directions[(i, k)] * scale(i));
+        moved.view_mut((0, k), (n, 1)).copy_from(&global);
+        let mut at = n;
+        for b in &post.blocks {
+            let own = -(b.coupling() * &global);
+            moved.view_mut((at, k), (own.len(), 1)).copy_from(&own);
+            at += own.len();
+        }
+    }
+    moved
+}
+
+/// A row is undetermined where it moves along a null direction by more than a ten-thousandth of what the direction moves
+/// the unknowns it is made of.
+fn still(row: &Row, moved: &DMatrix<f64>) -> bool {
+    moved.column_iter().all(|m| {
+        let sum: f64 = row.terms.iter().map(|(i, c)| c * m[*i]).sum();
+        let size: f64 = row.terms.iter().map(|(i, c)| (c * m[*i]).abs()).sum();
+        sum.abs() <= 1e-4 * size || size <= 1e-9
+    })
 }
 
 fn knowledge(model: &Model, covariance: &NamedCovariance, c: usize) -> [ParameterKnowledge; INTRINSICS] {

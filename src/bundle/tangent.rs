@@ -1,8 +1,9 @@
 //! Tangent residuals: the bitangent features of a pair of discs against the images of the circles' own features.
 //!
-//! `r = W (f - image of F(c0, r0, c1, r1))`, W the whitening of the features' rank-10 covariance, so that r has unit
-//! variance; F in closed form ([`crate::bitangent::circle_features`]), its derivative by the shape of the target through
-//! those of centres and radii. The robust loss sees the pair as one, with a threshold grown by the root of its rank.
+//! `r = W (f + G (i - i0) - image of F(c0, r0, c1, r1))`, W the whitening of the features' rank-10 covariance, so that r has
+//! unit variance; F in closed form ([`crate::bitangent::circle_features`]), its derivative by the shape of the target through
+//! those of centres and radii; G how features found through the lens i0 follow another lens i ([`super::refit`]). The robust
+//! loss sees the pair as one, with a threshold grown by the root of its rank.
 
 use super::assemble::{ImageNormal, LOCAL, SPACE, SeenImage};
 use super::model::{Loss, PairObservation};
@@ -41,6 +42,11 @@ fn residual(image: &SeenImage, pair: &PairObservation, derive: bool) -> Option<(
     let motion = &image.cam_from_target;
     let in_plane: Matrix3x2<f64> = motion.rotation.fixed_columns::<2>(0).into_owned();
     let n = pair.kept.len();
+    let follow = pair.lens.as_ref().map(|lens| {
+        let now = image.camera.camera.intrinsics().to_array();
+        let change = DVector::from_fn(INTRINSICS, |i, _| now[i] - lens.intrinsics[i]);
+        (&lens.derivative * change, &lens.derivative)
+    });
     let mut gap = DVector::zeros(2 * n);
     let mut d = DMatrix::zeros(2 * n, if derive { LOCAL } else { 0 });
     for (row, &k) in pair.kept.iter().enumerate() {
@@ -48,6 +54,9 @@ fn residual(image: &SeenImage, pair: &PairObservation, derive: bool) -> Option<(
         let jet = image.camera.camera.project_jet(&p).ok()?;
         for s in 0..2 {
             gap[2 * row + s] = pair.pixels_px[2 * row + s] - jet.pixel[s];
+            if let Some((moved, _)) = &follow {
+                gap[2 * row + s] += moved[2 * row + s];
+            }
             if !derive {
                 continue;
             }
@@ -55,7 +64,8 @@ fn residual(image: &SeenImage, pair: &PairObservation, derive: bool) -> Option<(
             let turn = p.cross(&g);
             let shape = g.transpose() * in_plane * by_shape.fixed_rows::<2>(2 * k);
             for i in 0..INTRINSICS {
-                d[(2 * row + s, i)] = jet.dq_dintrinsics[(s, i)];
+                d[(2 * row + s, i)] =
+                    jet.dq_dintrinsics[(s, i)] - follow.as_ref().map_or(0.0, |f| f.1[(2 * row + s, i)]);
             }
             for i in 0..3 {
                 d[(2 * row + s, INTRINSICS + i)] = turn[i];

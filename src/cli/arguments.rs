@@ -37,6 +37,8 @@ pub(super) enum Command {
     Simulate(Simulate),
     /// Say a calibration in words
     Show(Show),
+    /// Write a calibration for another package, or read one of another package
+    Convert(Convert),
 }
 
 impl Command {
@@ -123,4 +125,65 @@ pub(super) struct Show {
     /// A calibration.json
     #[arg(value_name = "C.json")]
     pub(super) calibration: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct Convert {
+    /// A calibration.json (with --to), or the other package's files (with --from)
+    #[arg(required = true, value_name = "FILE")]
+    pub(super) files: Vec<PathBuf>,
+    /// Format to write
+    #[arg(long, value_enum, value_name = "FORMAT", required_unless_present = "from", conflicts_with = "from")]
+    pub(super) to: Option<ToFormat>,
+    /// Format to read; a calibration.json is written
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    pub(super) from: Option<FromFormat>,
+    /// Folder for the results [default: the current one]
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) output: Option<PathBuf>,
+    /// Size of the images, where the files do not say it
+    #[arg(long, value_name = "WxH", value_parser = image_size)]
+    pub(super) image_size: Option<[usize; 2]>,
+    /// Size of a pixel in mm, where the files do not say it
+    #[arg(long, value_name = "MM", value_parser = pitch)]
+    pub(super) pixel_pitch_mm: Option<f64>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum ToFormat {
+    /// OpenCV file storage (YAML), 14 coefficients
+    Opencv,
+    /// The same as XML
+    OpencvXml,
+    /// OpenPTV .ori and .addpar
+    Openptv,
+    /// MATLAB .mat with plain matrices
+    Matlab,
+    /// Tables of everything
+    Csv,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum FromFormat {
+    /// OpenCV file storage (YAML or XML)
+    Opencv,
+    /// OpenPTV .ori, with the .addpar beside it
+    Openptv,
+    /// DaVis Calibration.xml or MarkPositionTable.xml
+    Davis,
+    /// UVMAT XML, one per camera
+    Uvmat,
+}
+
+fn image_size(text: &str) -> Result<[usize; 2], String> {
+    let parts: Vec<Option<usize>> =
+        text.split('x').map(|p| p.parse().ok().filter(|n| (1..=100_000).contains(n))).collect();
+    match parts[..] {
+        [Some(w), Some(h)] => Ok([w, h]),
+        _ => Err("expected width x height in px, as 1024x768".into()),
+    }
+}
+
+fn pitch(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|x: &f64| *x > 0.0 && *x < 1.0).ok_or_else(|| "expected mm, as 0.00645".into())
 }

@@ -204,8 +204,8 @@ pub(crate) fn from_regular(q: &SVector<f64, 5>) -> Option<Ellipse> {
     Some(Ellipse { center_px: Pixel::new(q[0], q[1]), semi_major_px: a, semi_minor_px: b, angle_rad })
 }
 
-/// Covariance of `(u0, v0, a, b, phi)` from that of the regular coordinates.
-pub(crate) fn covariance_from_regular(q: &SVector<f64, 5>, cov: &SMatrix<f64, 5, 5>) -> SMatrix<f64, 5, 5> {
+/// Derivative of `(u0, v0, a, b, phi)` by the regular coordinates, whose covariance says where an angle means nothing.
+pub(crate) fn parameters_by_regular(q: &SVector<f64, 5>, cov: &SMatrix<f64, 5, 5>) -> SMatrix<f64, 5, 5> {
     let e = q[3].hypot(q[4]);
     let (c, s) = if e > 0.0 { (q[3] / e, q[4] / e) } else { (1.0, 0.0) };
     let sigma_perpendicular = (s * s * cov[(3, 3)] - 2.0 * s * c * cov[(3, 4)] + c * c * cov[(4, 4)]).max(0.0).sqrt();
@@ -222,5 +222,11 @@ pub(crate) fn covariance_from_regular(q: &SVector<f64, 5>, cov: &SMatrix<f64, 5,
     j[(3, 4)] = -s;
     j[(4, 3)] = -s / (2.0 * arm);
     j[(4, 4)] = c / (2.0 * arm);
+    j
+}
+
+/// Covariance of `(u0, v0, a, b, phi)` from that of the regular coordinates.
+pub(crate) fn covariance_from_regular(q: &SVector<f64, 5>, cov: &SMatrix<f64, 5, 5>) -> SMatrix<f64, 5, 5> {
+    let j = parameters_by_regular(q, cov);
     j * cov * j.transpose()
 }

@@ -6,16 +6,13 @@ use super::outcome::record;
 use super::residual_rows::residual_rows;
 use super::sheet_part::sheet_part;
 use super::{Progress, Source};
-use crate::bitangent::{ExternalUse, POINTS, bitangents};
-use crate::bundle::{
-    AdjustOptions, Adjustment, Iteration, Model, NamedCovariance, PairObservation, adjust, named_covariance,
-};
+use crate::bundle::{AdjustOptions, Adjustment, Iteration, Model, NamedCovariance, adjust_tangents, named_covariance};
+use crate::detect::pattern::Relabelling;
 use crate::error::{Error, Result};
 use crate::record::{Record, ResidualTable};
 use crate::report::OverlayShapes;
 use crate::rig::{RigSolution, calibrate_rig};
 use crate::rig_file::{Observations, RigDescription};
-use nalgebra::DMatrix;
 use std::sync::Mutex;
 
 /// Options of [`calibrate`].
@@ -50,6 +47,8 @@ pub(super) struct Solved<'a> {
     /// The same state against the contours, for residuals.
     pub(super) contours: &'a Model,
     pub(super) covariance: &'a NamedCovariance,
+    /// What the images do not decide about the labels.
+    pub(super) undecided: &'a [String],
 }
 
 /// Calibrates cameras, rig, target and sheet from images.
@@ -77,7 +76,7 @@ fn run(
     options: &CalibrateOptions,
     progress: &Mutex<&mut (dyn FnMut(Progress) -> bool + Send)>,
 ) -> Result<CalibrationOutput> {
-    let images = see_all(job, source, progress)?;
+    let mut images = see_all(job, source, progress)?;
     let size = |c: usize| {
         let first = images.iter().find(|i| i.camera == c);
         first.map_or([0.0; 2], |i| [i.image.width() as f64, i.image.height() as f64])
@@ -88,14 +87,16 @@ fn run(
         let told = Progress::Iteration { number: i.number, cost: i.cost, decrement: i.decrement };
         progress.lock().is_ok_and(|mut p| p(told))
     };
-    let RigSolution { mut adjustment, swapped } = calibrate_rig(&built.problem, &options.adjust, &mut observe)?;
-    exchange_labels(&mut built, &swapped);
+    let solution = calibrate_rig(&built.problem, &options.adjust, &mut observe)?;
+    take_labels(&mut built, &mut images, &solution);
+    let RigSolution { mut adjustment, undecided, .. } = solution;
     let contours = adjustment.model.clone();
+    let mut refits = None;
     if job.solve.observations == Observations::Bitangent {
-        let model = bitangent_model(&contours, &images, &built)?;
         let outliers = std::mem::take(&mut adjustment.outliers);
-        adjustment = adjust(&model, adjustment.state, &AdjustOptions { rounds: 0, ..options.adjust }, &mut observe);
-        adjustment.outliers = outliers;
+        let tangents = adjust_tangents(&contours, adjustment.state, &options.adjust, &mut observe)?;
+        adjustment = Adjustment { outliers, ..tangents.adjustment };
+        refits = Some((tangents.rounds, tangents.left_out));
     }
     let covariance =
         named_covariance(&adjustment).ok_or_else(|| Error::Bug("the adjustment gave no covariance".into()))?;
@@ -106,55 +107,34 @@ fn run(
         adjustment: &adjustment,
         contours: &contours,
         covariance: &covariance,
+        undecided: &undecided,
     };
     let (residuals, overlays, fits) = residual_rows(&solved)?;
     let sheet = sheet_part(&solved)?;
-    let record = record(&solved, &fits, sheet)?;
+    let mut record = record(&solved, &fits, sheet)?;
+    if let Some((rounds, left_out)) = refits {
+        let words = format!("found through the lens {rounds} times, until both agreed");
+        record.provenance.options.insert("bitangent features".into(), words);
+        record.fit.flags.extend(left_out.iter().map(|[view, camera]| {
+            let name = &job.cameras[*camera].name;
+            format!("view {view}, camera {name}: the discs have no four common tangents and take no part")
+        }));
+    }
     Ok(CalibrationOutput { record, residuals, images, overlays })
 }
 
-/// The labels of pairs that the consensus exchanged.
-fn exchange_labels(built: &mut Built, swapped: &[bool]) {
-    for (image, _) in built.problem.model.images.iter_mut().zip(swapped).filter(|(_, s)| **s) {
-        image.discs.iter_mut().for_each(|d| d.disc = 1 - d.disc);
-    }
-}
-
-/// The same model with tangent features instead of contours: for a lattice the pairs of neighbours along rows.
-fn bitangent_model(contours: &Model, images: &[SeenImage], built: &Built) -> Result<Model> {
-    let mut model = contours.clone();
-    for (k, image) in model.images.iter_mut().enumerate() {
-        let original = &built.problem.model.images[k].discs;
-        let labels = &built.labels;
-        let mut order: Vec<usize> = (0..image.discs.len()).collect();
-        order.sort_by_key(|&i| {
-            (labels[image.discs[i].disc].level, labels[image.discs[i].disc].row, labels[image.discs[i].disc].column)
-        });
-        for pair in order.windows(2) {
-            let (a, b) = (&image.discs[pair[0]], &image.discs[pair[1]]);
-            let (la, lb) = (labels[a.disc], labels[b.disc]);
-            if (la.level, la.row) != (lb.level, lb.row) {
-                continue;
-            }
-            let found = |disc: usize| {
-                let at = original.iter().position(|d| d.disc == disc)?;
-                Some(&images[k].detection.discs[images[k].discs[at].disc])
-            };
-            let (Some(da), Some(db)) = (found(a.disc), found(b.disc)) else { continue };
-            let Ok(tangents) = bitangents(&da.ellipse, &db.ellipse) else { continue };
-            let whitening = tangents.whitening([&da.covariance, &db.covariance], ExternalUse::WhereMeasurable)?;
-            let kept: Vec<usize> =
-                (0..POINTS).filter(|&p| whitening.external || p != crate::bitangent::EXTERNAL_CROSSING).collect();
-            let at = |j: usize| 2 * kept[j / 2] + j % 2;
-            image.pairs.push(PairObservation {
-                discs: [a.disc, b.disc],
-                pixels_px: (0..2 * kept.len()).map(|j| tangents.points[at(j)]).collect(),
-                whitening: DMatrix::from_fn(whitening.rank, 2 * kept.len(), |i, j| whitening.matrix[(i, at(j))]),
-                kept,
-            });
+/// The labels that the views have decided; what an image alone had left open is void then.
+fn take_labels(built: &mut Built, images: &mut [SeenImage], solution: &RigSolution) {
+    built.labels = solution.labels.clone();
+    let own = built.problem.model.images.iter_mut().zip(images).zip(&solution.disc_of);
+    for ((image, seen), disc_of) in own {
+        for ((d, s), disc) in image.discs.iter_mut().zip(&mut seen.discs).zip(disc_of) {
+            d.disc = *disc;
+            s.id = built.labels[*disc];
         }
-        image.discs.clear();
+        let levels_open = seen.open.alternatives.iter().any(Relabelling::exchanges_levels);
+        if !levels_open {
+            seen.warnings.clear();
+        }
     }
-    model.target.offset_sigma_mm = None;
-    Ok(model)
 }

@@ -8,7 +8,7 @@ use crate::bundle::{
 use crate::camera::INTRINSICS;
 use crate::conic::Ellipse;
 use crate::error::{Insufficient, Invalid, Result};
-use crate::rig::{CameraStart, RigProblem};
+use crate::rig::{CameraStart, OpenLabels, RigProblem};
 use crate::rig_file::{
     Adjust, CameraDescription, Knowledge, Length, Loss as LossName, Parameter, RigDescription, Scale,
 };
@@ -66,7 +66,13 @@ pub(super) fn build(job: &RigDescription, images: &[SeenImage], sizes_px: &[[f64
         },
     };
     let image_names = images.iter().map(|i| i.name.clone()).collect();
-    Ok(Built { problem: RigProblem { model, ellipses, starts, shape_mm, image_names }, labels })
+    let open = OpenLabels { step_pitches: label_step(job), images: images.iter().map(|i| i.open.clone()).collect() };
+    Ok(Built { problem: RigProblem { model, ellipses, starts, shape_mm, image_names, open }, labels })
+}
+
+/// Length of a step of a label, pitches.
+fn label_step(job: &RigDescription) -> f64 {
+    if matches!(job.target.target, Target::TwoLevelPlate(_)) { 0.5 } else { 1.0 }
 }
 
 fn labels_of(job: &RigDescription, images: &[SeenImage]) -> Vec<DotId> {
@@ -103,7 +109,8 @@ fn stiff(length: Length) -> (f64, f64) {
 
 /// Target model, first guess of its shape, and the facts that fix its scale.
 fn target(job: &RigDescription, labels: &[DotId]) -> Result<(TargetModel, [Option<f64>; 3], Vec<Fact>)> {
-    let nodes = |unit: f64| -> Vec<Node> {
+    let nodes = || -> Vec<Node> {
+        let unit = label_step(job);
         let node =
             |l: &DotId| Node { x: unit * f64::from(l.column), y: unit * f64::from(l.row), level: f64::from(l.level) };
         labels.iter().map(node).collect()
@@ -114,10 +121,8 @@ fn target(job: &RigDescription, labels: &[DotId]) -> Result<(TargetModel, [Optio
             let radii = p.radii_mm.map_or([None; 2], |r| r.map(Some));
             (TargetShape::Pair { per_view }, [p.spacing_mm, radii[0], radii[1]])
         }
-        Target::DotGrid(g) => (TargetShape::Lattice(nodes(1.0)), [g.spacing_mm, g.radius_mm, Some(0.0)]),
-        Target::TwoLevelPlate(p) => {
-            (TargetShape::Lattice(nodes(0.5)), [Some(p.spacing_mm), p.radius_mm, Some(p.step_mm)])
-        }
+        Target::DotGrid(g) => (TargetShape::Lattice(nodes()), [g.spacing_mm, g.radius_mm, Some(0.0)]),
+        Target::TwoLevelPlate(p) => (TargetShape::Lattice(nodes()), [Some(p.spacing_mm), p.radius_mm, Some(p.step_mm)]),
     };
     let adjusts = job.target.adjust != Adjust::None;
     let two_levels = labels.iter().any(|l| l.level == 1);
@@ -213,7 +218,7 @@ fn camera(job: &RigDescription, d: &CameraDescription, size_px: [f64; 2]) -> (Ca
     // The image distance of a lens is a little longer than its focal length: 10 % at ten focal lengths.
     let from_lens = d.focal_length_mm.zip(d.pixel_pitch_mm).map(|(f, pitch)| 1.1 * f / pitch);
     let nominal_f_px = values[0].or(from_lens);
-    (CameraModel { name: d.name.clone(), free }, CameraStart { size_px, nominal_f_px, values })
+    (CameraModel { name: d.name.clone(), free }, CameraStart { size_px, nominal_f_px, values, radial: d.radial })
 }
 
 /// The sheet as the plane on which a camera is focused, where the rig file says so.

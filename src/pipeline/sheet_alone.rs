@@ -6,7 +6,7 @@
 
 use super::images::{SeenImage, see_all};
 use super::residual_rows::found_shapes;
-use super::sheet_part::{common_features, sheet_of};
+use super::sheet_part::common_features;
 use super::{Progress, Source};
 use crate::camera::{Camera, INTRINSIC_NAMES};
 use crate::detect::EdgePoints;
@@ -281,7 +281,7 @@ fn output(
     images.retain(|i| place(i.view).is_some());
     images.iter_mut().for_each(|i| i.view = place(i.view).unwrap_or(first));
     record.views.extend((0..views.len()).map(|k| appended(first + k, &images, job)));
-    let mut sheet = sheet_of(&homography.estimate, "homography", (first..first + views.len()).collect());
+    let mut sheet = homography.estimate.to_record("homography", (first..first + views.len()).collect());
     sheet.disparity_rms_px = Some(homography.transfer_rms_px);
     record.sheet = Some(sheet);
     record.provenance.options.insert("sheet".into(), format!("homography with the cameras held, from {}", job.file));

@@ -4,8 +4,8 @@ use super::calibrate::Solved;
 use crate::camera::Camera;
 use crate::detect::EdgePoints;
 use crate::error::Result;
-use crate::record::{Homography, Pose, Sheet, SheetSigma};
-use crate::sheet::{HeldCameras, PairFeatures, SheetEstimate, fit_homography, joint_sheet, transfer_residuals};
+use crate::record::{Homography, Sheet};
+use crate::sheet::{HeldCameras, PairFeatures, fit_homography, joint_sheet, transfer_residuals};
 use crate::target::DotId;
 
 /// Most pairs of discs per view that the homography looks at: more add nothing but time.
@@ -19,7 +19,7 @@ pub(super) fn sheet_part(s: &Solved) -> Result<Option<Sheet>> {
     };
     let names: Vec<&str> = s.job.cameras.iter().map(|c| c.name.as_str()).collect();
     let joint = joint_sheet(s.covariance, &plane, names.get(1).copied());
-    let mut sheet = sheet_of(&joint, "joint", views.clone());
+    let mut sheet = joint.to_record("joint", views.clone());
     if let [first, second] = names[..] {
         let held = HeldCameras::of(s.covariance, [first, second]);
         let features: Vec<PairFeatures> = views.iter().flat_map(|v| features_of_view(s, &held, *v)).collect();
@@ -33,24 +33,6 @@ pub(super) fn sheet_part(s: &Solved) -> Result<Option<Sheet>> {
     Ok(Some(sheet))
 }
 
-/// A plane as the record holds it.
-pub(super) fn sheet_of(e: &SheetEstimate, method: &str, views: Vec<usize>) -> Sheet {
-    Sheet {
-        normal_in_rig: e.normal.into(),
-        distance_mm: e.distance_mm,
-        abc_per_mm: e.abc_per_mm.into(),
-        angles_deg: e.angles_rad.map(f64::to_degrees),
-        angles_convention: crate::record::ANGLES_CONVENTION.into(),
-        angle_to_baseline_deg: e.angle_to_baseline_rad.to_degrees(),
-        sigma: sheet_sigma(e),
-        rig_from_sheet: Pose::from(&e.rig_from_sheet),
-        method: method.into(),
-        views,
-        disparity_rms_px: None,
-        homography: None,
-    }
-}
-
 /// The paper's result as the record holds it.
 pub(super) fn homography_of(h: &crate::sheet::Homography) -> Homography {
     Homography {
@@ -58,20 +40,8 @@ pub(super) fn homography_of(h: &crate::sheet::Homography) -> Homography {
         distance_mm: h.estimate.distance_mm,
         angles_deg: h.estimate.angles_rad.map(f64::to_degrees),
         angle_to_baseline_deg: h.estimate.angle_to_baseline_rad.to_degrees(),
-        sigma: sheet_sigma(&h.estimate),
+        sigma: h.estimate.record_sigma(),
         transfer_rms_px: h.transfer_rms_px,
-    }
-}
-
-/// Sigmas of a plane in the units of the file.
-fn sheet_sigma(e: &SheetEstimate) -> SheetSigma {
-    let s = &e.sigmas;
-    SheetSigma {
-        distance_mm: s[0],
-        normal_rad: [s[1], s[2]],
-        abc_per_mm: [s[3], s[4], s[5]],
-        angles_deg: [s[6], s[7], s[8]].map(f64::to_degrees),
-        angle_to_baseline_deg: s[9].to_degrees(),
     }
 }
 

@@ -11,7 +11,7 @@ const HEADER: &str =
 ///
 /// One row per observation, RFC 4180 quoting; a number that does not exist is an empty field. `outlier` is 0 or 1.
 pub fn residuals_csv(record: &Record, table: &ResidualTable) -> String {
-    let names: Vec<String> = record.cameras.iter().map(|c| field(&c.name)).collect();
+    let names: Vec<String> = record.cameras.iter().map(|c| csv_field(&c.name)).collect();
     let mut out = String::with_capacity(table.len() * 130 + HEADER.len() + 2);
     out.push_str(HEADER);
     out.push('\n');
@@ -30,14 +30,14 @@ pub fn residuals_csv(record: &Record, table: &ResidualTable) -> String {
         match table.outlier(i) {
             None => out.push_str(",0,\n"),
             Some(reason) => {
-                let _ = writeln!(out, ",1,{}", field(reason));
+                let _ = writeln!(out, ",1,{}", csv_field(reason));
             }
         }
     }
     out
 }
 
-/// A text field: quoted where it holds a separator, a quote or a line end.
-fn field(text: &str) -> String {
+/// A text field of a CSV file: quoted where it holds a separator, a quote or a line end (RFC 4180).
+pub fn csv_field(text: &str) -> String {
     if text.contains([',', '"', '\n', '\r']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.into() }
 }

@@ -11,16 +11,17 @@
 //! Start: the features of both cameras meet near points p (middle of the shortest line between their rays); `abc . p = 1` is
 //! linear in abc.
 
+use super::parameter::{Parameter, stepped_camera, stepped_motion};
 use super::{SheetEstimate, plane_geometry, sigmas};
 use crate::bitangent::bitangents;
 use crate::bundle::NamedCovariance;
-use crate::camera::{Camera, INTRINSIC_NAMES, Intrinsics};
+use crate::camera::Camera;
 use crate::conic::fit_geometric;
 use crate::detect::EdgePoints;
 use crate::error::{Insufficient, Result};
 use crate::frames::{Cam, Rig};
 use crate::rigid::Motion;
-use nalgebra::{DMatrix, Matrix3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{DMatrix, Matrix3, SMatrix, Vector2, Vector3};
 
 /// Features of the same pair of discs in both cameras, real (distorted) pixels.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -92,24 +93,13 @@ struct Pair {
     second_from_first: Motion<Cam, Rig>,
 }
 
-/// One adjusted number of the two cameras.
-#[derive(Debug, Clone, Copy)]
-enum Held {
-    /// Camera and index of the intrinsic.
-    Intrinsic(usize, usize),
-    /// Part of a left step of the motion between the cameras.
-    Motion(usize),
-}
-
 /// Two cameras that are held, with what is known of them.
 #[derive(Debug, Clone)]
 pub struct HeldCameras {
     pair: Pair,
-    parameters: Vec<Held>,
+    parameters: Vec<Parameter>,
     covariance: DMatrix<f64>,
 }
-
-const STEP_NAMES: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
 
 impl HeldCameras {
     /// Cameras, motion between them (second camera from rig), their names, and a covariance whose rows have names such as
@@ -122,18 +112,11 @@ impl HeldCameras {
         names: &[String],
         covariance: &DMatrix<f64>,
     ) -> Self {
-        let parameter = |name: &String| {
-            let c = (0..2).find(|&c| name.strip_prefix(camera_names[c]).is_some_and(|r| r.starts_with('.')))?;
-            let rest = &name[camera_names[c].len() + 1..];
-            if let Some(k) = INTRINSIC_NAMES.iter().position(|n| *n == rest) {
-                return Some(Held::Intrinsic(c, k));
-            }
-            let step = rest.strip_prefix("cam_from_rig.").filter(|_| c == 1)?;
-            STEP_NAMES.iter().position(|n| *n == step).map(Held::Motion)
-        };
-        let own: Vec<(usize, Held)> = names.iter().enumerate().filter_map(|(i, n)| Some((i, parameter(n)?))).collect();
+        let parameter = |name: &String| Parameter::of(name, camera_names).filter(|p| !matches!(p, Parameter::Sheet(_)));
+        let own: Vec<(usize, Parameter)> =
+            names.iter().enumerate().filter_map(|(i, n)| Some((i, parameter(n)?))).collect();
         // A number without variance does not move.
-        let own: Vec<(usize, Held)> = own.into_iter().filter(|(i, _)| covariance[(*i, *i)] != 0.0).collect();
+        let own: Vec<(usize, Parameter)> = own.into_iter().filter(|(i, _)| covariance[(*i, *i)] != 0.0).collect();
         Self {
             pair: Pair { cameras, second_from_first },
             covariance: DMatrix::from_fn(own.len(), own.len(), |i, j| covariance[(own[i].0, own[j].0)]),
@@ -164,20 +147,12 @@ impl HeldCameras {
     }
 
     /// The cameras after a change of one parameter.
-    fn stepped(&self, parameter: Held, h: f64) -> Option<Pair> {
+    fn stepped(&self, parameter: Parameter, h: f64) -> Option<Pair> {
         let mut out = self.pair.clone();
         match parameter {
-            Held::Intrinsic(c, k) => {
-                let old = out.cameras[c].intrinsics();
-                let mut p = old.to_array();
-                p[k] += h;
-                out.cameras[c] = Camera::new(Intrinsics::from_array(&p, old.radial)).ok()?;
-            }
-            Held::Motion(k) => {
-                let mut d = SVector::<f64, 6>::zeros();
-                d[k] = h;
-                out.second_from_first = out.second_from_first.retract(&d);
-            }
+            Parameter::Intrinsic(c, k) => out.cameras[c] = stepped_camera(&out.cameras[c], k, h)?,
+            Parameter::Motion(k) => out.second_from_first = stepped_motion(&out.second_from_first, k, h),
+            Parameter::Sheet(_) => {}
         }
         Some(out)
     }

@@ -1,12 +1,11 @@
 //! The sheet as the common plane of the joint adjustment.
 
+use super::parameter::STEP_NAMES;
 use super::{SheetEstimate, plane_geometry, sigmas};
 use crate::bundle::NamedCovariance;
 use crate::frames::{Rig, Sheet};
 use crate::rigid::Motion;
 use nalgebra::{DMatrix, SMatrix, Vector3};
-
-const STEPS: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
 
 /// The common plane with its standard deviations, all correlations with the cameras included; `second` is the name of
 /// the second camera.
@@ -23,7 +22,7 @@ pub fn joint_sheet(covariance: &NamedCovariance, plane: &Motion<Rig, Sheet>, sec
     for k in 0..3 {
         // C = -R^T t: a left step moves it by -R^T v.
         let terms = cam.zip(second).map(|(m, name)| {
-            (0..3).map(|j| (format!("{name}.cam_from_rig.{}", STEPS[3 + j]), -m.rotation[(j, k)])).collect()
+            (0..3).map(|j| (format!("{name}.cam_from_rig.{}", STEP_NAMES[3 + j]), -m.rotation[(j, k)])).collect()
         });
         rows.push(terms.unwrap_or_default());
     }
@@ -40,7 +39,7 @@ pub fn joint_sheet(covariance: &NamedCovariance, plane: &Motion<Rig, Sheet>, sec
 }
 
 fn sheet_step(k: usize) -> String {
-    format!("sheet.rig_from_sheet.{}", STEPS[k])
+    format!("sheet.rig_from_sheet.{}", STEP_NAMES[k])
 }
 
 #[cfg(test)]

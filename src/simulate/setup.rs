@@ -3,16 +3,16 @@
 //! The *bench* is the nominal sheet: z = 0, x right, y up, z towards a camera at viewing angle 0. A camera aims at a
 //! point of it from `distance_mm`, at `viewing_angle_deg` about y and `elevation_deg` towards +y.
 //!
-//! Tilt of a focused camera (Scheimpflug; thin lens; F = f in mm, (a, b, c) = n / d of the bench in the camera frame):
+//! Tilt of a focused camera (Scheimpflug; F = f in mm, m the pupil ratio, (a, b, c) = n / d of the bench in the camera frame):
 //! ```text
-//! 1/F = 1/f_lens - c,   tan(beta) = a F,   tan(alpha) = b F cos(beta)
+//! 1/F = 1/f_lens - c/m,   tan(beta) = a F,   tan(alpha) = b F cos(beta)
 //! ```
 //!
 //! | symbol | identifier | unit | frame | source |
 //! |---|---|---|---|---|
 //! | R, t | `cam_from_bench` | 1, mm | Cam, Bench | scene |
 //! | (a, b, c) | `abc_per_mm` | 1/mm | Cam | the paper, section 4; method section 6 |
-//! | F | `image_distance_mm` | mm | Cam | thin lens |
+//! | F | `image_distance_mm` | mm | Cam | Gauss; a thin lens has m = 1 |
 //!
 //! Not valid for a camera whose axis runs in the sheet (viewing angle 90 degrees): refused.
 
@@ -276,7 +276,7 @@ fn place_camera(keys: &CameraKeys) -> std::result::Result<PlacedCamera, String> 
 fn intrinsics(keys: &CameraKeys, abc_per_mm: &Vector3<f64>) -> std::result::Result<Intrinsics, String> {
     let image_distance_mm = match (keys.f_px, keys.pixel_pitch_mm, keys.focal_length_mm) {
         (Some(f), Some(pitch), _) => Some(f * pitch),
-        (None, _, Some(lens)) => Some(1.0 / (1.0 / lens - abc_per_mm.z)),
+        (None, _, Some(lens)) => Some(1.0 / (1.0 / lens - abc_per_mm.z / keys.pupil_ratio)),
         _ => None,
     };
     let f_px = match (keys.f_px, image_distance_mm, keys.pixel_pitch_mm) {

@@ -7,26 +7,44 @@ use spivcal::bundle::{
     CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, State, TargetModel, TargetShape,
     ViewModel, ViewPlace, ViewState,
 };
-use spivcal::camera::{Camera, Intrinsics};
+use spivcal::camera::{Camera, Intrinsics, Radial};
 use spivcal::conic::fit_direct;
 use spivcal::detect::EdgePoints;
 use spivcal::frames::{Cam, Rig, Sheet, Target};
-use spivcal::rig::{CameraStart, RigProblem};
+use spivcal::rig::{CameraStart, OpenLabels, RigProblem};
 use spivcal::rigid::{Motion, rotation_exp};
+
+mod reference;
+mod scatter;
+
+pub(crate) use reference::{Draw, Problem};
+pub(crate) use scatter::{Bound, QUANTITIES, Run, Summary, band};
+
+const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// Finaliser of splitmix64: a bijection that spreads every bit over all others.
+fn mixed(x: u64) -> u64 {
+    let mut z = x.wrapping_add(STEP);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
 
 /// Small seeded generator (splitmix64) with normal numbers.
 pub(crate) struct Noise(u64);
 
 impl Noise {
     pub(crate) fn new(seed: u64) -> Self {
-        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x1234_5678_9abc_def0)
+        Self::stream(seed, 0)
+    }
+    /// A stream of its own for each seed and purpose. The state of splitmix64 walks by equal steps through all numbers, so that
+    /// states a few steps apart would share their draws: seed and purpose are mixed over all bits first.
+    pub(crate) fn stream(seed: u64, purpose: u64) -> Self {
+        Self(mixed(mixed(seed ^ 0x1234_5678_9abc_def0).wrapping_add(purpose)))
     }
     pub(crate) fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+        self.0 = self.0.wrapping_add(STEP);
+        (mixed(self.0) >> 11) as f64 / (1u64 << 53) as f64
     }
     pub(crate) fn normal(&mut self) -> f64 {
         let u = self.uniform().max(1e-300);
@@ -47,7 +65,170 @@ pub(crate) fn tilted_camera(tilt_beta: f64, tilt_alpha: f64) -> Camera {
     Camera::new(i).unwrap()
 }
 
-const SIGMA_PX: f64 = 0.02;
+/// A view of [`Parts`].
+#[derive(Clone, Copy)]
+pub(crate) struct PartView {
+    pub(crate) place: ViewPlace,
+    pub(crate) rig_from_target: Motion<Rig, Target>,
+    pub(crate) shape_mm: [f64; 3],
+}
+
+/// A grid of dots about the target's origin.
+#[derive(Clone, Copy)]
+pub(crate) struct Grid {
+    pub(crate) columns: i32,
+    pub(crate) rows: i32,
+    pub(crate) pitch_mm: f64,
+    pub(crate) radius_mm: f64,
+    pub(crate) print_error_mm: f64,
+    /// How much the views differ in tilt, turn and place: 1 as a hand holds it, 0 as on a traverse.
+    pub(crate) turn: f64,
+}
+
+impl Grid {
+    fn nodes(&self) -> Vec<Node> {
+        let (c, r) = (self.columns, self.rows);
+        let node = |k: i32| Node { x: f64::from(k % c - c / 2), y: f64::from(k / c - r / 2), level: 0.0 };
+        (0..c * r).map(node).collect()
+    }
+}
+
+/// What a scene is made of, in lens frames.
+#[derive(Clone)]
+pub(crate) struct Parts {
+    pub(crate) cameras: Vec<Camera>,
+    pub(crate) cam_from_rig: Motion<Cam, Rig>,
+    pub(crate) rig_from_sheet: Option<Motion<Rig, Sheet>>,
+    pub(crate) views: Vec<PartView>,
+    pub(crate) target: TargetModel,
+    pub(crate) shape_mm: [f64; 3],
+    pub(crate) offsets_mm: Vec<[f64; 4]>,
+    pub(crate) facts: Vec<Fact>,
+    pub(crate) free: [bool; 10],
+}
+
+impl Parts {
+    fn of(seed: u64, cameras: Vec<Camera>, grid: Option<Grid>, per_view: bool, plane: bool, points: bool) -> Self {
+        let mut noise = Noise::new(seed);
+        // The sheet 500 mm away, seen under 45 degrees from either side.
+        let rig_from_sheet: Motion<Rig, Sheet> = Motion::new(
+            rotation_exp(&Vector3::new(0.0, -45_f64.to_radians(), 0.0))
+                * rotation_exp(&Vector3::new(std::f64::consts::PI, 0.0, 0.0)),
+            Vector3::new(0.0, 0.0, 500.0),
+        );
+        let right_from_sheet: Motion<Cam, Sheet> = Motion::new(
+            rotation_exp(&Vector3::new(0.0, 45_f64.to_radians(), 0.0))
+                * rotation_exp(&Vector3::new(std::f64::consts::PI, 0.0, 0.0)),
+            Vector3::new(1.0, -2.0, 503.0),
+        );
+        let cam_from_rig = right_from_sheet * rig_from_sheet.inverse();
+        let shape_mm = grid.map_or([13.0, 6.0, 4.7], |g| [g.pitch_mm, g.radius_mm, 0.0]);
+        let lattice = grid.is_some();
+        let turning = grid.map_or(1.0, |g| g.turn);
+        let mut views = vec![];
+        for v in 0..6 {
+            let in_plane = plane && v >= 4;
+            let turn = if in_plane { [0.0, 0.0] } else { [0.45, 0.45].map(|t| turning * t * (noise.uniform() - 0.5)) };
+            let spin = turning * 3.0 * (noise.uniform() - 0.5);
+            let aside = [4.0 * turning * noise.normal(), 2.0 * turning * noise.normal()];
+            let shift = [-6.0 + aside[0], aside[1], if in_plane { 0.0 } else { 2.0 * noise.normal() }];
+            let rotation =
+                rotation_exp(&Vector3::new(turn[0], turn[1], 0.0)) * rotation_exp(&Vector3::new(0.0, 0.0, spin));
+            let sheet_from_target: Motion<Sheet, Target> =
+                Motion::new(rotation, Vector3::from(shift) + rotation * Vector3::new(0.0, 0.0, 0.0));
+            let own = [shape_mm[0] + noise.uniform(), shape_mm[1] - noise.uniform(), shape_mm[2] - noise.uniform()];
+            views.push(PartView {
+                place: if in_plane { ViewPlace::InPlane { z_mm: 0.0 } } else { ViewPlace::Free },
+                rig_from_target: rig_from_sheet * sheet_from_target,
+                shape_mm: if per_view { own } else { shape_mm },
+            });
+        }
+        let nodes = grid.map(|g| g.nodes());
+        let count = nodes.as_ref().map_or(0, Vec::len);
+        let shape = nodes.map_or(TargetShape::Pair { per_view }, TargetShape::Lattice);
+        let error = grid.map_or(0.0, |g| g.print_error_mm);
+        let offsets_mm = if points {
+            (0..count).map(|_| [error * noise.normal(), error * noise.normal(), 0.0, 0.0]).collect()
+        } else {
+            vec![]
+        };
+        let mut free = [true; 10];
+        (free[1], free[7], free[8], free[9]) = (false, false, false, false);
+        let target = TargetModel {
+            shape,
+            free: [per_view, true, !lattice],
+            offset_sigma_mm: points.then_some([0.02, 0.02, 0.02, 0.01]),
+        };
+        let mut facts = vec![];
+        for camera in 0..2 {
+            for (parameter, value) in [(2, 520.0), (3, 380.0)] {
+                facts.push(Fact::Intrinsic { camera, parameter, value, sigma: 50.0 });
+            }
+        }
+        if per_view {
+            facts.push(Fact::Baseline { value_mm: cam_from_rig.translation_mm.norm(), sigma_mm: 0.01 });
+        }
+        Parts {
+            views,
+            cameras,
+            cam_from_rig,
+            rig_from_sheet: plane.then_some(rig_from_sheet),
+            target,
+            shape_mm,
+            offsets_mm,
+            facts,
+            free,
+        }
+    }
+
+    /// The scene with exact contours.
+    pub(crate) fn scene(&self) -> Scene {
+        let model = Model {
+            cameras: ["left", "right"].map(|n| CameraModel { name: n.into(), free: self.free }).into(),
+            target: self.target.clone(),
+            views: self.views.iter().map(|v| ViewModel { place: v.place }).collect(),
+            facts: self.facts.clone(),
+            images: vec![],
+            loss: Loss::None,
+        };
+        // In the solver poses live in the frame of the pinhole along the sensor normal, where f and the tilts are free.
+        let pinhole = self.free[0] && self.free[4] && self.free[5];
+        let turn = |c: usize| if pinhole { self.cameras[c].cam_from_pinhole() } else { nalgebra::Matrix3::identity() };
+        let e: Motion<Cam, Cam> = Motion::new(turn(1), Vector3::zeros());
+        let e0: Motion<Rig, Rig> = Motion::new(turn(0), Vector3::zeros());
+        let in_plane = |v: &PartView| matches!(v.place, ViewPlace::InPlane { .. });
+        let view = |v: &PartView| ViewState {
+            first_from_target: e0.inverse() * v.rig_from_target,
+            plane_from_target: self.rig_from_sheet.filter(|_| in_plane(v)).map(|p| p.inverse() * v.rig_from_target),
+            shape_mm: v.shape_mm,
+        };
+        let truth = State {
+            cameras: self.cameras.iter().map(|c| *c.intrinsics()).collect(),
+            camera_from_first: vec![Motion::identity(), e.inverse() * self.cam_from_rig * e0],
+            first_from_plane: self.rig_from_sheet.map(|p| e0.inverse() * p),
+            views: self.views.iter().map(view).collect(),
+            shape_mm: self.shape_mm,
+            offsets_mm: self.offsets_mm.clone(),
+        };
+        let mut scene = Scene { model, cameras: self.cameras.clone(), truth };
+        for (v, view) in self.views.iter().enumerate() {
+            for (c, camera) in self.cameras.iter().enumerate() {
+                let cam_from_target: Motion<Cam, Target> = match c {
+                    0 => Motion::new(view.rig_from_target.rotation, view.rig_from_target.translation_mm),
+                    _ => self.cam_from_rig * view.rig_from_target,
+                };
+                let own = if self.target.per_view() { view.shape_mm } else { self.shape_mm };
+                scene.model.images.push(image(&self.target, camera, &cam_from_target, &own, &self.offsets_mm, v, c));
+            }
+        }
+        scene
+    }
+}
+
+/// Edge points per disc and standard deviation of each coordinate of one, px: centres good to 0.0045 px. Rendered discs of this size
+/// give 600 edge points of 0.017 px, centres good to 0.0008 px.
+const EDGE_POINTS: i32 = 40;
+pub(crate) const SIGMA_PX: f64 = 0.02;
 
 impl Scene {
     /// Six views, the last two in one sheet when `plane`; bubbles when `per_view`; a free 3 x 3 grid when `points`.
@@ -63,102 +244,13 @@ impl Scene {
 
     /// The same with other cameras at the same places.
     pub(crate) fn with_cameras(seed: u64, cameras: Vec<Camera>, per_view: bool, plane: bool, points: bool) -> Self {
-        let mut noise = Noise::new(seed);
-        // The sheet 500 mm away, seen under 45 degrees from either side.
-        let rig_from_sheet: Motion<Rig, Sheet> = Motion::new(
-            rotation_exp(&Vector3::new(0.0, -45_f64.to_radians(), 0.0))
-                * rotation_exp(&Vector3::new(std::f64::consts::PI, 0.0, 0.0)),
-            Vector3::new(0.0, 0.0, 500.0),
-        );
-        let right_from_sheet: Motion<Cam, Sheet> = Motion::new(
-            rotation_exp(&Vector3::new(0.0, 45_f64.to_radians(), 0.0))
-                * rotation_exp(&Vector3::new(std::f64::consts::PI, 0.0, 0.0)),
-            Vector3::new(1.0, -2.0, 503.0),
-        );
-        let cam_from_rig = right_from_sheet * rig_from_sheet.inverse();
-        let shape_mm = if points { [8.0, 2.5, 0.0] } else { [13.0, 6.0, 4.7] };
-        let mut views = vec![];
-        let mut places = vec![];
-        for v in 0..6 {
-            let in_plane = plane && v >= 4;
-            let turn =
-                if in_plane { [0.0, 0.0] } else { [0.45 * (noise.uniform() - 0.5), 0.45 * (noise.uniform() - 0.5)] };
-            let spin = 3.0 * (noise.uniform() - 0.5);
-            let shift =
-                [-6.0 + 4.0 * noise.normal(), 2.0 * noise.normal(), if in_plane { 0.0 } else { 2.0 * noise.normal() }];
-            let rotation =
-                rotation_exp(&Vector3::new(turn[0], turn[1], 0.0)) * rotation_exp(&Vector3::new(0.0, 0.0, spin));
-            let sheet_from_target: Motion<Sheet, Target> =
-                Motion::new(rotation, Vector3::from(shift) + rotation * Vector3::new(0.0, 0.0, 0.0));
-            let own = [shape_mm[0] + noise.uniform(), shape_mm[1] - noise.uniform(), shape_mm[2] - noise.uniform()];
-            views.push(ViewState {
-                first_from_target: rig_from_sheet * sheet_from_target,
-                plane_from_target: in_plane.then_some(sheet_from_target),
-                shape_mm: if per_view { own } else { shape_mm },
-            });
-            places.push(ViewModel { place: if in_plane { ViewPlace::InPlane { z_mm: 0.0 } } else { ViewPlace::Free } });
-        }
-        let shape = if points {
-            let nodes = (0..9).map(|k| Node { x: f64::from(k % 3) - 1.0, y: f64::from(k / 3) - 1.0, level: 0.0 });
-            TargetShape::Lattice(nodes.collect())
-        } else {
-            TargetShape::Pair { per_view }
-        };
-        let offsets_mm = if points {
-            (0..9).map(|_| [0.01 * noise.normal(), 0.01 * noise.normal(), 0.0, 0.0]).collect()
-        } else {
-            vec![]
-        };
-        let mut free = [true; 10];
-        (free[1], free[7], free[8], free[9]) = (false, false, false, false);
-        let target = TargetModel {
-            shape,
-            free: [per_view, true, !points],
-            offset_sigma_mm: points.then_some([0.02, 0.02, 0.02, 0.01]),
-        };
-        let mut facts = vec![];
-        for camera in 0..2 {
-            for (parameter, value) in [(2, 520.0), (3, 380.0)] {
-                facts.push(Fact::Intrinsic { camera, parameter, value, sigma: 50.0 });
-            }
-        }
-        if per_view {
-            facts.push(Fact::Baseline { value_mm: cam_from_rig.translation_mm.norm(), sigma_mm: 0.01 });
-        }
-        // In the solver poses live in the frame of the pinhole along the sensor normal.
-        let e: Vec<Motion<Cam, Cam>> =
-            cameras.iter().map(|c| Motion::new(c.cam_from_pinhole(), Vector3::zeros())).collect();
-        let e0: Motion<Rig, Rig> = Motion::new(cameras[0].cam_from_pinhole(), Vector3::zeros());
-        let truth = State {
-            cameras: cameras.iter().map(|c| *c.intrinsics()).collect(),
-            camera_from_first: vec![Motion::identity(), e[1].inverse() * cam_from_rig * e0],
-            first_from_plane: plane.then(|| e0.inverse() * rig_from_sheet),
-            views: views
-                .iter()
-                .map(|v| ViewState { first_from_target: e0.inverse() * v.first_from_target, ..*v })
-                .collect(),
-            shape_mm,
-            offsets_mm,
-        };
-        let mut model = Model {
-            cameras: ["left", "right"].map(|n| CameraModel { name: n.into(), free }).into(),
-            target,
-            views: places,
-            facts,
-            images: vec![],
-            loss: Loss::None,
-        };
-        for (v, view) in views.iter().enumerate() {
-            for (c, camera) in cameras.iter().enumerate() {
-                let cam_from_target: Motion<Cam, Target> = match c {
-                    0 => Motion::new(view.first_from_target.rotation, view.first_from_target.translation_mm),
-                    _ => cam_from_rig * view.first_from_target,
-                };
-                let own = if per_view { view.shape_mm } else { shape_mm };
-                model.images.push(image(&model.target, camera, &cam_from_target, &own, &truth.offsets_mm, v, c));
-            }
-        }
-        Self { model, cameras, truth }
+        let grid = Grid { columns: 3, rows: 3, pitch_mm: 8.0, radius_mm: 2.5, print_error_mm: 0.01, turn: 1.0 };
+        Parts::of(seed, cameras, points.then_some(grid), per_view, plane, points).scene()
+    }
+
+    /// The same with a grid as the target, no view in the sheet; every dot estimated when `points`.
+    pub(crate) fn with_grid(seed: u64, cameras: Vec<Camera>, grid: Grid, points: bool) -> Self {
+        Parts::of(seed, cameras, Some(grid), false, false, points).scene()
     }
 
     /// What a calibration from nothing but contours has to start from.
@@ -166,7 +258,7 @@ impl Scene {
         let ellipse = |d: &DiscObservation| fit_direct(&d.edge.u_px, &d.edge.v_px).unwrap();
         let mut values = [None; 10];
         (values[1], values[7], values[8], values[9]) = (Some(1.0), Some(0.0), Some(0.0), Some(1.0));
-        let start = CameraStart { size_px: [1024.0, 768.0], nominal_f_px: None, values };
+        let start = CameraStart { size_px: [1024.0, 768.0], nominal_f_px: None, values, radial: Radial::default() };
         let lattice = matches!(self.model.target.shape, TargetShape::Lattice(_));
         let spacing = (!self.model.target.per_view()).then_some(self.truth.shape_mm[0]);
         RigProblem {
@@ -175,6 +267,7 @@ impl Scene {
             shape_mm: [spacing, None, lattice.then_some(0.0)],
             image_names: self.model.images.iter().map(|i| format!("view {} camera {}", i.view, i.camera)).collect(),
             model: self.model.clone(),
+            open: OpenLabels::default(),
         }
     }
 
@@ -185,7 +278,7 @@ impl Scene {
 
     /// The truth, moved by `amount` of a start's worth of error.
     pub(crate) fn perturbed_by(&self, seed: u64, amount: f64) -> State {
-        let mut noise = Noise::new(seed ^ 77);
+        let mut noise = Noise::stream(seed, 3);
         let mut s = self.truth.clone();
         for c in &mut s.cameras {
             c.f_px *= 1.0 + amount * 0.01 * noise.normal();
@@ -210,7 +303,7 @@ impl Scene {
 
     /// The same scene with noisy edge points.
     pub(crate) fn with_noise(&self, seed: u64) -> Self {
-        let mut noise = Noise::new(seed ^ 0xabc);
+        let mut noise = Noise::stream(seed, 2);
         let mut out = self.clone();
         for edge in out.model.images.iter_mut().flat_map(|i| &mut i.discs).map(|d| &mut d.edge) {
             for i in 0..edge.u_px.len() {
@@ -238,8 +331,8 @@ fn image(
             radius += o[3];
         }
         let mut edge = EdgePoints::default();
-        for k in 0..40 {
-            let (s, c) = (std::f64::consts::TAU * f64::from(k) / 40.0).sin_cos();
+        for k in 0..EDGE_POINTS {
+            let (s, c) = (std::f64::consts::TAU * f64::from(k) / f64::from(EDGE_POINTS)).sin_cos();
             let q: Vector2<f64> =
                 camera.project_xyz(&cam_from_target.apply(&(center + Vector3::new(c, s, 0.0) * radius))).unwrap();
             edge.u_px.push(q.x);

@@ -1,0 +1,93 @@
+//! `convert`: other packages' calibrations.
+
+use super::Done;
+use super::arguments::{Convert, FromFormat, ToFormat};
+use super::files::{Output, fault, read_text};
+use crate::error::{Invalid, Result};
+use crate::exchange::{Conversion, ExportFormat, ImportFormat, ImportOptions, Loss, NamedText, export, import};
+use crate::record::Record;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+pub(super) fn run(command: &Convert) -> Result<Done> {
+    let folder = command.output.clone().unwrap_or_else(|| PathBuf::from("."));
+    let mut output = Output::default();
+    let (notes, losses, flags) = match (command.to, command.from) {
+        (Some(to), None) => {
+            let [file] = &command.files[..] else {
+                return Err(
+                    Invalid::Contradiction("--to writes one calibration; give one calibration.json".into()).into()
+                );
+            };
+            let record = Record::from_json(&read_text(file, "a calibration.json")?, &file.display().to_string())?;
+            let done = export(&record, export_format(to))?;
+            let told = told(&done);
+            done.result.into_iter().for_each(|(name, bytes)| output.add(name, bytes));
+            told
+        }
+        (None, Some(from)) => {
+            let options = ImportOptions { image_size_px: command.image_size, pixel_pitch_mm: command.pixel_pitch_mm };
+            let done = import(&inputs(&command.files, from)?, import_format(from), &options)?;
+            let told = told(&done);
+            output.add("calibration.json", done.result.to_json()?);
+            told
+        }
+        _ => return Err(Invalid::Contradiction("give either --to FORMAT or --from FORMAT".into()).into()),
+    };
+    let names: Vec<String> = output.names().iter().map(|n| folder.join(n).display().to_string()).collect();
+    output.commit(&folder)?;
+    let loss = |l: &Loss| json!({ "rms_px": l.rms_px, "max_px": l.max_px });
+    let json = json!({ "files": names, "loss": losses.iter().map(loss).collect::<Vec<_>>(), "notes": notes });
+    let mut text: String = names.iter().map(|n| format!("wrote {n}\n")).collect();
+    for (i, l) in losses.iter().enumerate().filter(|(_, l)| l.max_px > 0.0) {
+        text += &format!("camera {}: fitted, {:.2e} px rms, {:.2e} px at most\n", i + 1, l.rms_px, l.max_px);
+    }
+    notes.iter().for_each(|n| text += &format!("note: {n}\n"));
+    Ok(Done { text, json, flags })
+}
+
+fn told<T>(done: &Conversion<T>) -> (Vec<String>, Vec<Loss>, Vec<String>) {
+    (done.notes.clone(), done.losses.clone(), done.flags())
+}
+
+fn export_format(word: ToFormat) -> ExportFormat {
+    match word {
+        ToFormat::Opencv => ExportFormat::OpenCv,
+        ToFormat::OpencvXml => ExportFormat::OpenCvXml,
+        ToFormat::Openptv => ExportFormat::OpenPtv,
+        ToFormat::Matlab => ExportFormat::Matlab,
+        ToFormat::Csv => ExportFormat::Csv,
+    }
+}
+
+fn import_format(word: FromFormat) -> ImportFormat {
+    match word {
+        FromFormat::Opencv => ImportFormat::OpenCv,
+        FromFormat::Openptv => ImportFormat::OpenPtv,
+        FromFormat::Davis => ImportFormat::DaVis,
+        FromFormat::Uvmat => ImportFormat::Uvmat,
+    }
+}
+
+/// The files named, and the distortion file beside each OpenPTV orientation.
+fn inputs(files: &[PathBuf], from: FromFormat) -> Result<Vec<NamedText>> {
+    let named = |path: &Path| -> Result<NamedText> {
+        let text = read_text(path, "a calibration of another package")?;
+        Ok(NamedText { name: path.display().to_string(), text })
+    };
+    let mut out = Vec::new();
+    for path in files {
+        out.push(named(path)?);
+        let partner = path.with_extension("addpar");
+        if from == FromFormat::Openptv && path.extension().is_some_and(|e| e == "ori") && !files.contains(&partner) {
+            if !partner.exists() {
+                return Err(fault(
+                    &partner,
+                    "there is no such file; OpenPTV keeps the distortion there (k1 k2 k3 p1 p2 1 0)",
+                ));
+            }
+            out.push(named(&partner)?);
+        }
+    }
+    Ok(out)
+}

@@ -1,0 +1,296 @@
+//! The exact map of one camera, in bulk, structure of arrays.
+
+use crate::camera::Camera;
+use crate::error::{Invalid, Result};
+use crate::frames::{Cam, Sheet};
+use crate::record::Record;
+use crate::rigid::Motion;
+use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Vector2, Vector3};
+
+/// Pixel positions, px; `NaN` where a point has no image.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Pixels {
+    /// To the right, px.
+    pub u_px: Vec<f64>,
+    /// Down, px.
+    pub v_px: Vec<f64>,
+}
+
+/// Pixel positions with their derivatives by the point, px and px per mm; all `NaN` where a point has no image.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PixelJets {
+    /// To the right, px.
+    pub u_px: Vec<f64>,
+    /// Down, px.
+    pub v_px: Vec<f64>,
+    /// Derivative of u by x, px per mm.
+    pub du_dx: Vec<f64>,
+    /// Derivative of u by y, px per mm.
+    pub du_dy: Vec<f64>,
+    /// Derivative of u by z, px per mm.
+    pub du_dz: Vec<f64>,
+    /// Derivative of v by x, px per mm.
+    pub dv_dx: Vec<f64>,
+    /// Derivative of v by y, px per mm.
+    pub dv_dy: Vec<f64>,
+    /// Derivative of v by z, px per mm.
+    pub dv_dz: Vec<f64>,
+}
+
+/// Points in a plane z = const of the sheet frame, mm; `NaN` where the ray of a pixel does not meet it.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SheetPoints {
+    /// x in the sheet, mm.
+    pub x_mm: Vec<f64>,
+    /// y in the sheet, mm.
+    pub y_mm: Vec<f64>,
+}
+
+/// Points in a plane z = const with their derivatives by the pixel (mm per px) and along the ray (by z, 1); all `NaN`
+/// where the ray of a pixel does not meet the plane.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SheetJets {
+    /// x in the sheet, mm.
+    pub x_mm: Vec<f64>,
+    /// y in the sheet, mm.
+    pub y_mm: Vec<f64>,
+    /// Derivative of x by u, mm per px.
+    pub dx_du: Vec<f64>,
+    /// Derivative of x by v, mm per px.
+    pub dx_dv: Vec<f64>,
+    /// Derivative of y by u, mm per px.
+    pub dy_du: Vec<f64>,
+    /// Derivative of y by v, mm per px.
+    pub dy_dv: Vec<f64>,
+    /// Slope of the ray: derivative of x by z.
+    pub dx_dz: Vec<f64>,
+    /// Slope of the ray: derivative of y by z.
+    pub dy_dz: Vec<f64>,
+}
+
+/// View angles of pixels; `NaN` where a pixel does not see the sheet.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ViewAngles {
+    /// `atan(dx/dz)`: positive where the ray comes from +x when seen from +z, rad.
+    pub x_rad: Vec<f64>,
+    /// `atan(dy/dz)`, rad.
+    pub y_rad: Vec<f64>,
+    /// Angle between the ray and the sheet's normal, 0 to pi/2, rad.
+    pub to_normal_rad: Vec<f64>,
+}
+
+/// Where one pixel sees a plane z = const, with derivatives.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct PlaneHit {
+    pub(crate) xy_mm: Vector2<f64>,
+    /// By the pixel, mm per px.
+    pub(crate) dxy_dq: Matrix2<f64>,
+    /// Along the ray, by z.
+    pub(crate) slope: Vector2<f64>,
+}
+
+/// The exact map between the pixels of one camera and the sheet.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SheetMap {
+    camera: Camera,
+    cam_from_sheet: Motion<Cam, Sheet>,
+    size_px: [usize; 2],
+    /// Projection centre in the sheet frame, mm.
+    center_mm: Vector3<f64>,
+}
+
+pub(super) fn same_length(name: &str, wanted: usize, lists: &[&[f64]]) -> Result<()> {
+    match lists.iter().find(|l| l.len() != wanted) {
+        None => Ok(()),
+        Some(l) => Err(Invalid::value(
+            format!("number of {name}"),
+            l.len() as f64,
+            format!("lists of one length, as the first with {wanted}"),
+        )
+        .into()),
+    }
+}
+
+impl SheetMap {
+    /// The map of a camera in this place, with images of `size_px` (width, height).
+    pub fn new(camera: Camera, cam_from_sheet: Motion<Cam, Sheet>, size_px: [usize; 2]) -> Self {
+        Self { camera, cam_from_sheet, size_px, center_mm: cam_from_sheet.inverse().translation_mm }
+    }
+
+    /// The map of camera `camera` (its position in [`Record::cameras`]) to the record's sheet.
+    ///
+    /// # Errors
+    /// [`Invalid`] where the calibration has no such camera or no sheet.
+    pub fn from_record(record: &Record, camera: usize) -> Result<Self> {
+        let Some(c) = record.cameras.get(camera) else {
+            let n = record.cameras.len();
+            return Err(Invalid::value("camera", camera as f64, format!("0 to {}", n.saturating_sub(1))).into());
+        };
+        let Some(sheet) = &record.sheet else {
+            return Err(Invalid::Contradiction(
+                "the calibration has no laser sheet, so pixels have no place in it; mark the views recorded in the sheet with \
+                 sheet = true and calibrate, or find it with spivcal sheet"
+                    .into(),
+            )
+            .into());
+        };
+        let cam_from_rig = c.cam_from_rig.motion::<Cam, crate::frames::Rig>();
+        Ok(Self::new(Camera::new(c.intrinsics())?, cam_from_rig * sheet.rig_from_sheet.motion(), c.image_size_px))
+    }
+
+    /// The same camera seen from another frame of the sheet.
+    pub fn in_frame(&self, sheet_from_placed: &Motion<Sheet, Sheet>) -> Self {
+        Self::new(self.camera, self.cam_from_sheet * *sheet_from_placed, self.size_px)
+    }
+
+    /// The camera.
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+    /// Its place: camera coordinates from sheet coordinates.
+    pub fn cam_from_sheet(&self) -> &Motion<Cam, Sheet> {
+        &self.cam_from_sheet
+    }
+    /// Width and height of its images, px.
+    pub fn size_px(&self) -> [usize; 2] {
+        self.size_px
+    }
+
+    /// Image of one point; none where it has no image.
+    pub(crate) fn project(&self, p_mm: &Vector3<f64>) -> Option<Vector2<f64>> {
+        self.camera.project_xyz(&self.cam_from_sheet.apply(p_mm)).ok()
+    }
+
+    /// Image of one point with its derivative by the point, px per mm.
+    pub(crate) fn project_jet(&self, p_mm: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
+        let (q, dq_dp) = self.camera.image_of_point(&self.cam_from_sheet.apply(p_mm)).ok()?;
+        Some((q, dq_dp * self.cam_from_sheet.rotation))
+    }
+
+    /// Where one pixel sees the plane z = `z_mm`.
+    pub(crate) fn hit(&self, q: &Vector2<f64>, z_mm: f64) -> Option<PlaneHit> {
+        let jet = self.camera.unproject_jet(q).ok()?;
+        let r = &self.cam_from_sheet.rotation;
+        let ray = r.tr_mul(&jet.xy.push(1.0));
+        // Depth along the lens axis: the ray has unit z in the camera.
+        let depth_mm = (z_mm - self.center_mm.z) / ray.z;
+        if !(depth_mm > 0.0 && depth_mm.is_finite()) {
+            return None;
+        }
+        let slope = Vector2::new(ray.x, ray.y) / ray.z;
+        let xy_mm = self.center_mm.xy() + slope * (z_mm - self.center_mm.z);
+        // d(ray)/d(ideal point): the first two columns of R^T; what is along z is made up for by the depth.
+        let dray: Matrix3x2<f64> = r.fixed_rows::<2>(0).transpose();
+        let in_plane = Matrix2::from_fn(|i, j| dray[(i, j)] - slope[i] * dray[(2, j)]) * depth_mm;
+        Some(PlaneHit { xy_mm, dxy_dq: in_plane * jet.dxy_dq, slope })
+    }
+
+    /// Images of points (x, y, z) of the sheet frame, mm.
+    ///
+    /// # Errors
+    /// [`Invalid::Value`] where the lists differ in length.
+    pub fn pixel_of_sheet(&self, x_mm: &[f64], y_mm: &[f64], z_mm: &[f64]) -> Result<Pixels> {
+        same_length("points", x_mm.len(), &[y_mm, z_mm])?;
+        let mut out = Pixels { u_px: Vec::with_capacity(x_mm.len()), v_px: Vec::with_capacity(x_mm.len()) };
+        for i in 0..x_mm.len() {
+            let q = self.project(&Vector3::new(x_mm[i], y_mm[i], z_mm[i]));
+            let q = q.unwrap_or(Vector2::repeat(f64::NAN));
+            out.u_px.push(q.x);
+            out.v_px.push(q.y);
+        }
+        Ok(out)
+    }
+
+    /// As [`SheetMap::pixel_of_sheet`], with derivatives by x, y and z.
+    ///
+    /// # Errors
+    /// [`Invalid::Value`] where the lists differ in length.
+    pub fn pixel_of_sheet_jets(&self, x_mm: &[f64], y_mm: &[f64], z_mm: &[f64]) -> Result<PixelJets> {
+        same_length("points", x_mm.len(), &[y_mm, z_mm])?;
+        let mut out = PixelJets::default();
+        for i in 0..x_mm.len() {
+            let jet = self.project_jet(&Vector3::new(x_mm[i], y_mm[i], z_mm[i]));
+            out.push(jet.unwrap_or((Vector2::repeat(f64::NAN), Matrix2x3::repeat(f64::NAN))));
+        }
+        Ok(out)
+    }
+
+    /// Where pixels see the plane z = `z_mm` of the sheet frame.
+    ///
+    /// ```
+    /// use nalgebra::{Matrix3, Vector3};
+    /// use spivcal::camera::{Camera, Intrinsics};
+    /// use spivcal::dewarp::SheetMap;
+    /// use spivcal::rigid::Motion;
+    /// // A camera 500 mm above the sheet; it sees y up, so its frame is turned about x.
+    /// let turn = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
+    /// let camera = Camera::new(Intrinsics::pinhole(5000.0, 511.5, 383.5))?;
+    /// let map = SheetMap::new(camera, Motion::new(turn, Vector3::new(0.0, 0.0, 500.0)), [1024, 768]);
+    /// let points = map.sheet_of_pixel(&[611.5], &[383.5], &[0.0])?;
+    /// assert!((points.x_mm[0] - 10.0).abs() < 1e-12 && points.y_mm[0].abs() < 1e-12);
+    /// let back = map.pixel_of_sheet(&points.x_mm, &points.y_mm, &[0.0])?;
+    /// assert!((back.u_px[0] - 611.5).abs() < 1e-9);
+    /// # Ok::<(), spivcal::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Invalid::Value`] where the lists differ in length.
+    pub fn sheet_of_pixel(&self, u_px: &[f64], v_px: &[f64], z_mm: &[f64]) -> Result<SheetPoints> {
+        let SheetJets { x_mm, y_mm, .. } = self.sheet_of_pixel_jets(u_px, v_px, z_mm)?;
+        Ok(SheetPoints { x_mm, y_mm })
+    }
+
+    /// As [`SheetMap::sheet_of_pixel`], with derivatives by u and v, and along the ray by z.
+    ///
+    /// # Errors
+    /// [`Invalid::Value`] where the lists differ in length.
+    pub fn sheet_of_pixel_jets(&self, u_px: &[f64], v_px: &[f64], z_mm: &[f64]) -> Result<SheetJets> {
+        same_length("pixels", u_px.len(), &[v_px, z_mm])?;
+        let nowhere = PlaneHit {
+            xy_mm: Vector2::repeat(f64::NAN),
+            dxy_dq: Matrix2::repeat(f64::NAN),
+            slope: Vector2::repeat(f64::NAN),
+        };
+        let mut out = SheetJets::default();
+        for i in 0..u_px.len() {
+            out.push(&self.hit(&Vector2::new(u_px[i], v_px[i]), z_mm[i]).unwrap_or(nowhere));
+        }
+        Ok(out)
+    }
+
+    /// View angles of pixels at the plane z = 0; their signs are those of the table above.
+    ///
+    /// # Errors
+    /// [`Invalid::Value`] where the lists differ in length.
+    pub fn view_angles(&self, u_px: &[f64], v_px: &[f64]) -> Result<ViewAngles> {
+        let jets = self.sheet_of_pixel_jets(u_px, v_px, &vec![0.0; u_px.len()])?;
+        let atan = |slopes: &[f64]| slopes.iter().map(|s| s.atan()).collect();
+        let to_normal_rad = jets.dx_dz.iter().zip(&jets.dy_dz).map(|(x, y)| x.hypot(*y).atan()).collect();
+        Ok(ViewAngles { x_rad: atan(&jets.dx_dz), y_rad: atan(&jets.dy_dz), to_normal_rad })
+    }
+}
+
+impl PixelJets {
+    pub(super) fn push(&mut self, (q, d): (Vector2<f64>, Matrix2x3<f64>)) {
+        let lists =
+            [&mut self.du_dx, &mut self.du_dy, &mut self.du_dz, &mut self.dv_dx, &mut self.dv_dy, &mut self.dv_dz];
+        for (k, list) in lists.into_iter().enumerate() {
+            list.push(d[(k / 3, k % 3)]);
+        }
+        self.u_px.push(q.x);
+        self.v_px.push(q.y);
+    }
+}
+
+impl SheetJets {
+    fn push(&mut self, hit: &PlaneHit) {
+        self.x_mm.push(hit.xy_mm.x);
+        self.y_mm.push(hit.xy_mm.y);
+        self.dx_du.push(hit.dxy_dq.m11);
+        self.dx_dv.push(hit.dxy_dq.m12);
+        self.dy_du.push(hit.dxy_dq.m21);
+        self.dy_dv.push(hit.dxy_dq.m22);
+        self.dx_dz.push(hit.slope.x);
+        self.dy_dz.push(hit.slope.y);
+    }
+}

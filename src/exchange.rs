@@ -1,0 +1,201 @@
+//! Other people's formats: a calibration written for another package, or read from it.
+//!
+//! Every format states cameras in a world whose plane z = 0 is the laser sheet (mm). Where a format holds the camera of
+//! this library exactly, the numbers are converted; where it does not, the nearest camera that it can hold is fitted
+//! over the whole image, on the sheet and [2 % of the distance](Conversion::notes) before and behind it, and the loss is stated in px.
+//!
+//! | format | written | read | conventions |
+//! |---|---|---|---|
+//! | `opencv` | YAML, XML | YAML, XML | `M1 D1 M2 D2 R T` as OpenCV's stereo sample writes them, 14 coefficients with the tilt; pixel (0, 0) is the centre of the first pixel; camera frames rolled as OpenCV's tilt wants it; `R_sheet T_sheet`: first camera from sheet |
+//! | `openptv` | `.ori`, `.addpar` | the same | mm on the sensor, y up, z towards the viewer; the centre of the first pixel is (0.5, 0.5); distortion about the image centre; no glass |
+//! | `davis` | - | `Calibration.xml` (pinhole), `MarkPositionTable.xml` | focal length in mm over the sensor's pixel size, `R = Rz Ry Rx`, distortion k1 k2 p1 p2 on normalised coordinates |
+//! | `uvmat` | - | XML (`GeometryCalib`) | image y up from the lower edge, pixel centres at half numbers, one radial coefficient |
+//! | `matlab` | `.mat` (level 5) | - | pixel (1, 1) is the centre of the first pixel; plain matrices for `cameraIntrinsics` and `rigidtform3d`: no tilt, so the nearest camera with tangential terms is fitted. PIVlab's own calibration file holds MATLAB objects, which only MATLAB can write |
+//! | `csv` | tables | - | everything in the record |
+//!
+//! Covariances travel only in `csv`: no other format has a place for them, and a calibration read from one has none.
+
+mod csv;
+mod davis;
+mod distorted;
+mod imported;
+mod marks;
+mod matlab;
+mod opencv;
+mod openptv;
+mod refit;
+mod storage;
+mod uvmat;
+mod xml;
+
+use crate::camera::Camera;
+use crate::error::{Invalid, Result};
+use crate::frames::{Cam, Rig, Sheet};
+use crate::record::Record;
+use crate::rigid::Motion;
+
+pub use refit::Loss;
+
+/// Formats that can be written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ExportFormat {
+    /// OpenCV file storage, YAML.
+    OpenCv,
+    /// OpenCV file storage, XML.
+    OpenCvXml,
+    /// OpenPTV orientation and distortion files.
+    OpenPtv,
+    /// MATLAB level 5 file of plain matrices.
+    Matlab,
+    /// Tables of everything.
+    Csv,
+}
+
+/// Formats that can be read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ImportFormat {
+    /// OpenCV file storage, YAML or XML.
+    OpenCv,
+    /// OpenPTV `.ori` files, each followed by its `.addpar` where there is one.
+    OpenPtv,
+    /// DaVis `Calibration.xml` or `MarkPositionTable.xml`.
+    DaVis,
+    /// UVMAT XML, one file per camera.
+    Uvmat,
+}
+
+/// A file as text with its name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NamedText {
+    /// Name as the user gave it; also names the camera where the format does not.
+    pub name: String,
+    /// Its content.
+    pub text: String,
+}
+
+/// What a format does not say itself.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ImportOptions {
+    /// Width and height of the images, px.
+    pub image_size_px: Option<[usize; 2]>,
+    /// Size of a pixel, mm.
+    pub pixel_pitch_mm: Option<f64>,
+}
+
+/// What a conversion did.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Conversion<T> {
+    /// Files, or the record.
+    pub result: T,
+    /// Loss per camera, in the order of the cameras; [`Loss::NONE`] where the format holds the camera exactly.
+    pub losses: Vec<Loss>,
+    /// What was assumed or left away, in words.
+    pub notes: Vec<String>,
+}
+
+/// A loss above this is told as a flag: it is larger than what a good calibration leaves, px.
+pub const LOSS_LIMIT_PX: f64 = 0.02;
+
+impl<T> Conversion<T> {
+    /// What the user must know before using the result: losses above [`LOSS_LIMIT_PX`].
+    pub fn flags(&self) -> Vec<String> {
+        let large = self.losses.iter().enumerate().filter(|(_, l)| !(l.max_px <= LOSS_LIMIT_PX));
+        large
+            .map(|(i, l)| {
+                format!(
+                    "camera {}: the format cannot hold this camera; the nearest one differs by {:.3} px rms, {:.3} px at most",
+                    i + 1,
+                    l.rms_px,
+                    l.max_px
+                )
+            })
+            .collect()
+    }
+}
+
+/// Writes a calibration in another package's format: names and bytes of the files.
+///
+/// # Errors
+/// [`Invalid::Contradiction`] where the format needs what the record does not have, or cannot hold the cameras at all.
+pub fn export(record: &Record, format: ExportFormat) -> Result<Conversion<Vec<(String, Vec<u8>)>>> {
+    let rig = Cameras::of(record)?;
+    match format {
+        ExportFormat::OpenCv => opencv::export(&rig, storage::Syntax::Yaml),
+        ExportFormat::OpenCvXml => opencv::export(&rig, storage::Syntax::Xml),
+        ExportFormat::OpenPtv => openptv::export(&rig),
+        ExportFormat::Matlab => matlab::export(&rig),
+        ExportFormat::Csv => Ok(csv::export(record)),
+    }
+}
+
+/// Reads a calibration of another package.
+///
+/// The record has cameras and the sheet (the plane z = 0 of the format's world), but no views and no standard deviations.
+///
+/// # Errors
+/// [`Invalid::Syntax`] with file and line or key where the text is not of the format; [`Invalid::Contradiction`] where an
+/// option is missing or the content has no meaning here.
+pub fn import(files: &[NamedText], format: ImportFormat, options: &ImportOptions) -> Result<Conversion<Record>> {
+    if files.is_empty() {
+        return Err(Invalid::Contradiction("no file to read".into()).into());
+    }
+    let found = match format {
+        ImportFormat::OpenCv => opencv::import(files, options)?,
+        ImportFormat::OpenPtv => openptv::import(files, options)?,
+        ImportFormat::DaVis => davis::import(files, options)?,
+        ImportFormat::Uvmat => uvmat::import(files, options)?,
+    };
+    imported::record(found, files)
+}
+
+/// One camera in a world whose plane z = 0 is the sheet.
+#[derive(Debug, Clone)]
+struct WorldCamera {
+    name: String,
+    image_size_px: [usize; 2],
+    pixel_pitch_mm: Option<f64>,
+    camera: Camera,
+    cam_from_world: Motion<Cam, Sheet>,
+    loss: Loss,
+}
+
+/// Cameras read from a file, and what was assumed.
+struct Found {
+    cameras: Vec<WorldCamera>,
+    notes: Vec<String>,
+    program: &'static str,
+}
+
+/// The cameras of a record in the sheet's frame.
+struct Cameras {
+    cameras: Vec<WorldCamera>,
+    notes: Vec<String>,
+}
+
+impl Cameras {
+    fn of(record: &Record) -> Result<Self> {
+        let sheet = record.sheet.as_ref().ok_or_else(|| {
+            Invalid::Contradiction(
+                "this calibration has no laser sheet, so there is no plane z = 0 to write; record a view in the sheet \
+                 (sheet = true) or run `spivcal sheet` first"
+                    .into(),
+            )
+        })?;
+        let rig_from_sheet: Motion<Rig, Sheet> = sheet.rig_from_sheet.motion();
+        let cameras = record.cameras.iter().map(|c| {
+            let cam_from_rig: Motion<Cam, Rig> = c.cam_from_rig.motion();
+            Ok(WorldCamera {
+                name: c.name.clone(),
+                image_size_px: c.image_size_px,
+                pixel_pitch_mm: c.pixel_pitch_mm,
+                camera: Camera::new(c.intrinsics())?,
+                cam_from_world: cam_from_rig * rig_from_sheet,
+                loss: Loss::NONE,
+            })
+        });
+        Ok(Self { cameras: cameras.collect::<Result<_>>()?, notes: Vec::new() })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,114 @@
+//! Tables of everything: one number per row with its name, unit and standard deviation, and the covariance.
+
+use super::Conversion;
+use crate::record::{Pose, Record};
+use crate::report::csv_field as field;
+use std::fmt::Write;
+
+/// A number; empty where it does not exist.
+fn number(x: f64) -> String {
+    if x.is_finite() { x.to_string() } else { String::new() }
+}
+
+struct Table(String);
+
+impl Table {
+    fn new() -> Self {
+        Self("owner,quantity,value,sigma,unit\n".into())
+    }
+    fn row(&mut self, owner: &str, quantity: &str, value: f64, sigma: f64, unit: &str) {
+        // Writing to a String cannot fail.
+        let _ = writeln!(self.0, "{},{quantity},{},{},{unit}", field(owner), number(value), number(sigma));
+    }
+    fn pose(&mut self, owner: &str, name: &str, pose: &Pose) {
+        for (i, row) in pose.rotation.iter().enumerate() {
+            for (j, x) in row.iter().enumerate() {
+                self.row(owner, &format!("{name}.r{}{}", i + 1, j + 1), *x, f64::NAN, "1");
+            }
+        }
+        for (axis, x) in ["tx", "ty", "tz"].iter().zip(pose.translation_mm) {
+            self.row(owner, &format!("{name}.{axis}"), x, f64::NAN, "mm");
+        }
+    }
+}
+
+fn cameras(record: &Record) -> String {
+    let mut t = Table::new();
+    for c in &record.cameras {
+        let (o, s) = (c.name.as_str(), &c.sigma);
+        t.row(o, "image_width", c.image_size_px[0] as f64, f64::NAN, "px");
+        t.row(o, "image_height", c.image_size_px[1] as f64, f64::NAN, "px");
+        t.row(o, "f", c.f_px, s.f_px, "px");
+        t.row(o, "aspect", c.aspect, s.aspect, "1");
+        t.row(o, "cx", c.cx_px, s.cx_px, "px");
+        t.row(o, "cy", c.cy_px, s.cy_px, "px");
+        t.row(o, "alpha", c.alpha_rad, s.alpha_rad, "rad");
+        t.row(o, "beta", c.beta_rad, s.beta_rad, "rad");
+        for (name, x, sigma) in [("k1", c.k1, s.k1), ("k2", c.k2, s.k2), ("k3", c.k3, s.k3)] {
+            t.row(o, name, x, sigma, "1");
+        }
+        t.row(o, "pupil_ratio", c.pupil_ratio, s.pupil_ratio, "1");
+        t.row(o, "effective.f", c.effective.f_px, s.effective.f_px, "px");
+        t.row(o, "effective.cx", c.effective.cx_px, s.effective.cx_px, "px");
+        t.row(o, "effective.cy", c.effective.cy_px, s.effective.cy_px, "px");
+        t.row(o, "rms", c.rms_px, f64::NAN, "px");
+        t.pose(o, "cam_from_rig", &c.cam_from_rig);
+    }
+    t.0
+}
+
+fn sheet(record: &Record) -> Option<String> {
+    let s = record.sheet.as_ref()?;
+    let mut t = Table::new();
+    t.row("sheet", "distance", s.distance_mm, s.sigma.distance_mm, "mm");
+    for (i, name) in ["a", "b", "c"].iter().enumerate() {
+        t.row("sheet", name, s.abc_per_mm[i], s.sigma.abc_per_mm[i], "1/mm");
+    }
+    for (i, name) in ["normal_x", "normal_y", "normal_z"].iter().enumerate() {
+        t.row("sheet", name, s.normal_in_rig[i], f64::NAN, "1");
+    }
+    for (i, x) in s.angles_deg.iter().enumerate() {
+        t.row("sheet", &format!("theta{}", i + 1), *x, s.sigma.angles_deg[i], "deg");
+    }
+    t.row("sheet", "angle_to_baseline", s.angle_to_baseline_deg, s.sigma.angle_to_baseline_deg, "deg");
+    t.pose("sheet", "rig_from_sheet", &s.rig_from_sheet);
+    Some(t.0)
+}
+
+fn views(record: &Record) -> String {
+    let mut t = Table::new();
+    for v in &record.views {
+        let owner = format!("view{}", v.index);
+        t.row(&owner, "in_sheet", f64::from(u8::from(v.in_sheet)), f64::NAN, "1");
+        for (camera, rms) in &v.rms_px {
+            t.row(&owner, &field(&format!("rms.{camera}")), *rms, f64::NAN, "px");
+        }
+        if let Some(pose) = &v.rig_from_target {
+            t.pose(&owner, "rig_from_target", pose);
+        }
+    }
+    t.0
+}
+
+fn covariance(record: &Record) -> String {
+    let c = &record.covariance;
+    let mut out = String::from("name");
+    c.names.iter().for_each(|n| out += &format!(",{}", field(n)));
+    out.push('\n');
+    for (name, row) in c.names.iter().zip(&c.matrix) {
+        out += &field(name);
+        row.iter().for_each(|x| out += &format!(",{}", number(*x)));
+        out.push('\n');
+    }
+    out
+}
+
+/// `cameras.csv`, `sheet.csv`, `views.csv`, `covariance.csv`.
+pub(super) fn export(record: &Record) -> Conversion<Vec<(String, Vec<u8>)>> {
+    let mut result = vec![("cameras.csv".to_string(), cameras(record).into_bytes())];
+    result.extend(sheet(record).map(|t| ("sheet.csv".to_string(), t.into_bytes())));
+    result.push(("views.csv".into(), views(record).into_bytes()));
+    result.push(("covariance.csv".into(), covariance(record).into_bytes()));
+    let losses = vec![super::Loss::NONE; record.cameras.len()];
+    Conversion { result, losses, notes: Vec::new() }
+}

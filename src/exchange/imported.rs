@@ -1,0 +1,136 @@
+//! Cameras read from another package as a record of this one.
+
+use super::{Conversion, Found, Loss, NamedText};
+use crate::camera::Camera;
+use crate::error::{Invalid, Result};
+use crate::frames::{Cam, Rig, Sheet};
+use crate::record::{
+    self, CameraSigma, Covariance, Effective, FORMAT, Fit, Pose, Provenance, Record, RigSigma, Target, TargetSigma,
+    VERSION,
+};
+use crate::rigid::Motion;
+use crate::sheet::SheetEstimate;
+use nalgebra::{Matrix3, Vector3};
+
+/// The record of the cameras found; the first becomes the rig frame, the plane z = 0 the sheet.
+pub(super) fn record(found: Found, files: &[NamedText]) -> Result<Conversion<Record>> {
+    let Found { cameras, mut notes, program } = found;
+    let first = cameras.first().ok_or_else(|| Invalid::Contradiction("the file holds no camera".into()))?;
+    let mut rig_from_world: Motion<Rig, Sheet> =
+        Motion::new(first.cam_from_world.rotation, first.cam_from_world.translation_mm);
+    if -rig_from_world.rotation.column(2).dot(&rig_from_world.translation_mm) < 0.0 {
+        // The sheet's z faces the first camera; a world that looks the other way is turned half about x.
+        rig_from_world.rotation *= Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
+        notes.push(
+            "z of the file's world points away from the first camera; the sheet's frame is that world turned by half a \
+             turn about x, so y and z (and v and w) change sign"
+                .into(),
+        );
+    }
+    let world_from_rig =
+        Motion::<Rig, Sheet>::new(first.cam_from_world.rotation, first.cam_from_world.translation_mm).inverse();
+    let cam_from_rig: Vec<Motion<Cam, Rig>> = cameras
+        .iter()
+        .enumerate()
+        .map(|(i, c)| if i == 0 { Motion::identity() } else { c.cam_from_world * world_from_rig })
+        .collect();
+    let center = cam_from_rig.get(1).map(|m| m.inverse().translation_mm);
+    let normal = -rig_from_world.rotation.column(2).into_owned();
+    let estimate = SheetEstimate::of_plane(normal, normal.dot(&rig_from_world.translation_mm), center);
+    let mut sheet = estimate.to_record(program, Vec::new());
+    // The frame is the file's, not the default one of a plane.
+    sheet.rig_from_sheet = Pose::from(&rig_from_world);
+    let losses: Vec<Loss> = cameras.iter().map(|c| c.loss).collect();
+    let result = Record {
+        format: FORMAT.into(),
+        version: VERSION,
+        rig: cam_from_rig.get(1).map(rig),
+        cameras: cameras.iter().zip(&cam_from_rig).map(|(c, pose)| camera(c, pose)).collect(),
+        sheet: Some(sheet),
+        target: no_target(),
+        scale: None,
+        views: Vec::new(),
+        fit: no_fit(program, &losses),
+        provenance: Provenance {
+            program: format!("spivcal {}", env!("CARGO_PKG_VERSION")),
+            rig_file: files.iter().map(|f| f.name.as_str()).collect::<Vec<_>>().join(", "),
+            ..Provenance::default()
+        },
+        covariance: Covariance::default(),
+    };
+    notes.push("the file holds no standard deviations: all of them are unknown (null)".into());
+    Ok(Conversion { result, losses, notes })
+}
+
+fn camera(c: &super::WorldCamera, pose: &Motion<Cam, Rig>) -> record::Camera {
+    let i = c.camera.intrinsics();
+    let e = Camera::effective_pinhole(&c.camera);
+    record::Camera {
+        name: c.name.clone(),
+        image_size_px: c.image_size_px,
+        f_px: i.f_px,
+        aspect: i.aspect,
+        cx_px: i.cx_px,
+        cy_px: i.cy_px,
+        alpha_rad: i.alpha_rad,
+        beta_rad: i.beta_rad,
+        k1: i.k[0],
+        k2: i.k[1],
+        k3: i.k[2],
+        radial: i.radial.into(),
+        pupil_ratio: i.pupil_ratio,
+        pixel_pitch_mm: c.pixel_pitch_mm,
+        effective: Effective { f_px: e.f_px, cx_px: e.cx_px, cy_px: e.cy_px },
+        sigma: CameraSigma::default(),
+        cam_from_rig: Pose::from(pose),
+        rms_px: c.loss.rms_px,
+        edge_rms_px: None,
+        observations: 0,
+    }
+}
+
+fn rig(second: &Motion<Cam, Rig>) -> record::Rig {
+    record::Rig {
+        baseline_mm: second.translation_mm.norm(),
+        axes_angle_deg: second.rotation.m33.clamp(-1.0, 1.0).acos().to_degrees(),
+        sigma: RigSigma { baseline_mm: f64::NAN, axes_angle_deg: f64::NAN },
+    }
+}
+
+fn no_target() -> Target {
+    Target {
+        kind: "none".into(),
+        radii_mm: Vec::new(),
+        spacing_mm: f64::NAN,
+        sigma: TargetSigma { radii_mm: Vec::new(), spacing_mm: f64::NAN, step_mm: None },
+        adjust: "none".into(),
+        step_mm: None,
+        extent_mm: None,
+        shift_rms_mm: None,
+        points: Vec::new(),
+    }
+}
+
+fn no_fit(program: &str, losses: &[Loss]) -> Fit {
+    let n = losses.len().max(1) as f64;
+    Fit {
+        rms_px: (losses.iter().map(|l| l.rms_px * l.rms_px).sum::<f64>() / n).sqrt(),
+        chi2: 0.0,
+        degrees_of_freedom: 0,
+        redundancy: f64::NAN,
+        observations: 0,
+        iterations: 0,
+        newton_decrement: f64::NAN,
+        termination: format!("read from {program}"),
+        nullity: 0,
+        undetermined: Vec::new(),
+        outliers: 0,
+        converged: true,
+        flags: Vec::new(),
+        observation_model: String::new(),
+        loss: String::new(),
+        sigma_scale: 1.0,
+        parameters: Vec::new(),
+        near_null: Vec::new(),
+    }
+}

@@ -1,0 +1,185 @@
+//! OpenCV: `M1 D1 M2 D2 R T` of the stereo sample, the tilt in the last two of 14 coefficients, and the sheet.
+//!
+//! `p_in_camera2 = R p_in_camera1 + T` and `p_in_camera1 = R_sheet p_in_sheet + T_sheet`, mm, in OpenCV's camera frames, which
+//! are rolled about the lens axis against those of this library (see `camera::OpenCvTilted`). A file with
+//! `camera_matrix` and `distortion_coefficients` is read as one camera.
+
+use super::distorted::{OpenCvCamera, fit_scheimpflug};
+use super::refit::volume;
+use super::storage::{self, Matrix, Node, Storage, Syntax};
+use super::{Cameras, Conversion, Found, ImportOptions, Loss, NamedText, WorldCamera};
+use crate::camera::{Camera, Intrinsics, OpenCvTilted};
+use crate::error::{Invalid, Result};
+use crate::frames::{Cam, Sheet};
+use crate::rigid::{Motion, orthonormalised};
+use nalgebra::{Matrix3, Vector3};
+
+/// A camera as OpenCV holds it: its model, the pose of the sheet in OpenCV's frame, what is lost.
+struct Held {
+    model: OpenCvTilted,
+    opencv_from_sheet: Motion<Cam, Sheet>,
+    loss: Loss,
+}
+
+fn held(c: &WorldCamera) -> Result<Held> {
+    let (model, pose, loss) = match c.camera.to_opencv() {
+        Ok(model) => (model, c.cam_from_world, Loss::NONE),
+        Err(_) => {
+            // A pupil ratio or the other polynomial: the nearest camera with neither.
+            let i = c.camera.intrinsics();
+            let mut start = Intrinsics { pupil_ratio: 1.0, radial: Default::default(), ..*i };
+            if i.radial != start.radial {
+                start.k = i.k.map(|k| -k);
+            }
+            let seen = volume(&c.camera, &c.cam_from_world, c.image_size_px);
+            let (camera, pose, loss) = fit_scheimpflug(&Camera::new(start)?, &c.cam_from_world, &seen)?;
+            (camera.to_opencv()?, pose, loss)
+        }
+    };
+    let turn: Motion<Cam, Cam> = Motion::new(model.cam_from_opencv().transpose(), Vector3::zeros());
+    Ok(Held { model, opencv_from_sheet: turn * pose, loss })
+}
+
+fn rows(m: &Matrix3<f64>) -> Matrix {
+    Matrix { rows: 3, columns: 3, data: m.transpose().as_slice().to_vec() }
+}
+
+fn column(data: Vec<f64>) -> Matrix {
+    Matrix { rows: data.len(), columns: 1, data }
+}
+
+/// One file with all cameras.
+pub(super) fn export(rig: &Cameras, syntax: Syntax) -> Result<Conversion<Vec<(String, Vec<u8>)>>> {
+    let all = rig.cameras.iter().map(held).collect::<Result<Vec<_>>>()?;
+    let mut nodes = Vec::new();
+    for (i, (c, h)) in rig.cameras.iter().zip(&all).enumerate() {
+        let (m, n) = (&h.model, i + 1);
+        nodes.push(Node::Word(format!("name{n}"), c.name.clone()));
+        nodes.push(Node::Number(format!("image_width{n}"), c.image_size_px[0] as f64));
+        nodes.push(Node::Number(format!("image_height{n}"), c.image_size_px[1] as f64));
+        let k = Matrix3::new(m.fx_px, 0.0, m.cx_px, 0.0, m.fy_px, m.cy_px, 0.0, 0.0, 1.0);
+        nodes.push(Node::Matrix(format!("M{n}"), rows(&k)));
+        nodes.push(Node::Matrix(format!("D{n}"), column(m.distortion_coefficients().to_vec())));
+    }
+    if let [first, second] = &all[..] {
+        let motion = second.opencv_from_sheet * first.opencv_from_sheet.inverse();
+        nodes.push(Node::Matrix("R".into(), rows(&motion.rotation)));
+        nodes.push(Node::Matrix("T".into(), column(motion.translation_mm.as_slice().to_vec())));
+    }
+    if let Some(first) = all.first() {
+        nodes.push(Node::Matrix("R_sheet".into(), rows(&first.opencv_from_sheet.rotation)));
+        nodes.push(Node::Matrix("T_sheet".into(), column(first.opencv_from_sheet.translation_mm.as_slice().to_vec())));
+    }
+    let name = match syntax {
+        Syntax::Yaml => "opencv.yml",
+        Syntax::Xml => "opencv.xml",
+    };
+    let mut notes = rig.notes.clone();
+    notes.push(
+        "project with cv::projectPoints and all 14 coefficients; OpenCV's camera frames are rolled about the lens axis \
+         against those of calibration.json, and R, T, R_sheet, T_sheet are in OpenCV's"
+            .into(),
+    );
+    let losses = all.iter().map(|h| h.loss).collect();
+    Ok(Conversion { result: vec![(name.into(), storage::write(&nodes, syntax).into_bytes())], losses, notes })
+}
+
+fn missing(file: &NamedText, what: &str) -> crate::Error {
+    Invalid::Syntax { file: file.name.clone(), line: 0, message: format!("there is no {what}") }.into()
+}
+
+fn matrix3(file: &NamedText, s: &Storage, key: &str) -> Result<Matrix3<f64>> {
+    let m = s.matrices.get(key).ok_or_else(|| missing(file, &format!("matrix {key}")))?;
+    if (m.rows, m.columns) != (3, 3) {
+        let message = format!("{key} is {} x {}: expected 3 x 3", m.rows, m.columns);
+        return Err(Invalid::Syntax { file: file.name.clone(), line: 0, message }.into());
+    }
+    Ok(Matrix3::from_row_slice(&m.data))
+}
+
+/// A pose of two matrices; a 3-vector in the place of the rotation is a rotation vector.
+fn pose(file: &NamedText, s: &Storage, rotation: &str, translation: &str) -> Result<Option<Motion<Cam, Sheet>>> {
+    let Some(r) = s.matrices.get(rotation) else { return Ok(None) };
+    let turn = match r.data.len() {
+        3 => crate::rigid::rotation_exp(&Vector3::from_row_slice(&r.data)),
+        _ => matrix3(file, s, rotation)?,
+    };
+    let gap = (turn * turn.transpose() - Matrix3::identity()).abs().max();
+    if !(gap < 1e-5) || turn.determinant() < 0.0 {
+        let message = format!("{rotation} is not a rotation: R R^T differs from 1 by {gap:.1e}");
+        return Err(Invalid::Syntax { file: file.name.clone(), line: 0, message }.into());
+    }
+    let t = s.matrices.get(translation).filter(|t| t.data.len() == 3);
+    let t = t.ok_or_else(|| missing(file, &format!("vector {translation} of 3 numbers")))?;
+    Ok(Some(Motion::new(orthonormalised(&turn), Vector3::from_row_slice(&t.data))))
+}
+
+fn model(file: &NamedText, s: &Storage, camera_matrix: &str, coefficients: &str) -> Result<OpenCvCamera> {
+    let k = matrix3(file, s, camera_matrix)?;
+    if k.m12.abs() > 1e-9 * k.m11.abs() {
+        let message = format!("{camera_matrix} has a skew of {}: the camera of this library has none", k.m12);
+        return Err(Invalid::Syntax { file: file.name.clone(), line: 0, message }.into());
+    }
+    let mut d = [0.0; 14];
+    if let Some(found) = s.matrices.get(coefficients) {
+        if ![4, 5, 8, 12, 14].contains(&found.data.len()) {
+            let message =
+                format!("{coefficients} has {} coefficients: OpenCV knows 4, 5, 8, 12 or 14", found.data.len());
+            return Err(Invalid::Syntax { file: file.name.clone(), line: 0, message }.into());
+        }
+        d[..found.data.len()].copy_from_slice(&found.data);
+    }
+    Ok(OpenCvCamera { fx_px: k.m11, fy_px: k.m22, cx_px: k.m13, cy_px: k.m23, d })
+}
+
+fn size(file: &NamedText, s: &Storage, n: &str, options: &ImportOptions) -> Result<[usize; 2]> {
+    let of = |key: &str| {
+        s.numbers.get(&format!("{key}{n}")).or(s.numbers.get(key)).copied().filter(|x| *x >= 1.0).map(|x| x as usize)
+    };
+    match (of("image_width"), of("image_height"), options.image_size_px) {
+        (Some(w), Some(h), _) => Ok([w, h]),
+        (_, _, Some(given)) => Ok(given),
+        _ => Err(missing(file, "image size (image_width, image_height); give it with --image-size WxH")),
+    }
+}
+
+/// The cameras of one file.
+pub(super) fn import(files: &[NamedText], options: &ImportOptions) -> Result<Found> {
+    let [file] = files else {
+        return Err(Invalid::Contradiction("OpenCV keeps all cameras in one file; give one".into()).into());
+    };
+    let s = storage::read(file)?;
+    let keys: Vec<[&str; 3]> = if s.matrices.contains_key("M1") {
+        [["M1", "D1", "1"], ["M2", "D2", "2"]].into_iter().filter(|k| s.matrices.contains_key(k[0])).collect()
+    } else if s.matrices.contains_key("camera_matrix") {
+        vec![["camera_matrix", "distortion_coefficients", ""]]
+    } else {
+        return Err(missing(file, "camera: expected the matrices M1, D1 (and M2, D2, R, T), or camera_matrix"));
+    };
+    let mut notes = Vec::new();
+    let sheet = pose(file, &s, "R_sheet", "T_sheet")?.unwrap_or_else(|| {
+        notes.push(
+            "the file has no R_sheet, T_sheet: the sheet is set at 1000 mm in front of the first camera, facing it; find \
+             it with `spivcal sheet`"
+                .into(),
+        );
+        Motion::new(Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0)), Vector3::new(0.0, 0.0, 1000.0))
+    });
+    let mut cameras = Vec::new();
+    for (i, [matrix, coefficients, n]) in keys.into_iter().enumerate() {
+        let opencv_from_sheet = if i == 0 {
+            sheet
+        } else {
+            let motion =
+                pose(file, &s, "R", "T")?.ok_or_else(|| missing(file, "matrix R (second camera from first)"))?;
+            Motion::<Cam, Cam>::new(motion.rotation, motion.translation_mm) * sheet
+        };
+        let image_size_px = size(file, &s, n, options)?;
+        let (camera, cam_from_world, loss) =
+            model(file, &s, matrix, coefficients)?.to_scheimpflug(&opencv_from_sheet, image_size_px)?;
+        let name = s.words.get(&format!("name{n}")).cloned().unwrap_or_else(|| format!("camera{}", i + 1));
+        let pixel_pitch_mm = options.pixel_pitch_mm;
+        cameras.push(WorldCamera { name, image_size_px, pixel_pitch_mm, camera, cam_from_world, loss });
+    }
+    Ok(Found { cameras, notes, program: "opencv" })
+}

@@ -1,0 +1,309 @@
+use super::refit::{moved, volume};
+use super::*;
+use crate::camera::{Intrinsics, Radial};
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+const SIZE: [usize; 2] = [1024, 768];
+
+fn lens(tilt_deg: f64, k1: f64) -> Intrinsics {
+    let mut i = Intrinsics::pinhole(8889.0, 515.0, 380.0);
+    (i.alpha_rad, i.beta_rad, i.aspect) = (0.01, f64::to_radians(tilt_deg), 1.002);
+    i.k[0] = k1;
+    i
+}
+
+fn world_camera(name: &str, intrinsics: Intrinsics, angle_deg: f64) -> WorldCamera {
+    // The world's z faces the cameras; each looks at its origin from 500 mm.
+    let a = f64::to_radians(angle_deg);
+    let turn = Matrix3::new(a.cos(), 0.0, a.sin(), 0.0, 1.0, 0.0, -a.sin(), 0.0, a.cos());
+    let rotation = turn * Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
+    WorldCamera {
+        name: name.into(),
+        image_size_px: SIZE,
+        pixel_pitch_mm: Some(0.00625),
+        camera: Camera::new(intrinsics).unwrap(),
+        cam_from_world: Motion::new(rotation, Vector3::new(0.4, -0.7, 500.0)),
+        loss: Loss::NONE,
+    }
+}
+
+fn record_of(left: Intrinsics, right: Intrinsics) -> Record {
+    let cameras = vec![world_camera("left", left, -45.0), world_camera("right, far", right, 45.0)];
+    imported::record(Found { cameras, notes: vec![], program: "test" }, &[]).unwrap().result
+}
+
+fn texts(files: &[(String, Vec<u8>)]) -> Vec<NamedText> {
+    let text = |b: &[u8]| String::from_utf8(b.to_vec()).unwrap();
+    files.iter().map(|(name, bytes)| NamedText { name: name.clone(), text: text(bytes) }).collect()
+}
+
+/// Largest distance of the images that two records give of the measured volume, px, per camera.
+fn gaps(a: &Record, b: &Record) -> Vec<f64> {
+    let (a, b) = (Cameras::of(a).unwrap().cameras, Cameras::of(b).unwrap().cameras);
+    assert_eq!(a.len(), b.len());
+    let pairs = a.iter().zip(&b);
+    pairs
+        .map(|(x, y)| {
+            let seen = volume(&x.camera, &x.cam_from_world, SIZE);
+            assert!(seen.len() > 600);
+            let gap =
+                |s: &refit::Seen| (y.camera.project_xyz(&y.cam_from_world.apply(&s.xyz_mm)).unwrap() - s.pixel).norm();
+            seen.iter().map(gap).fold(0.0, f64::max)
+        })
+        .collect()
+}
+
+const OPTIONS: ImportOptions = ImportOptions { image_size_px: Some(SIZE), pixel_pitch_mm: Some(0.00625) };
+
+#[test]
+fn opencv_carries_the_tilted_rig_exactly() {
+    let record = record_of(lens(6.34, -0.15), lens(-6.34, 0.1));
+    for format in [ExportFormat::OpenCv, ExportFormat::OpenCvXml] {
+        let out = export(&record, format).unwrap();
+        assert_eq!(out.losses, vec![Loss::NONE; 2]);
+        let back = import(&texts(&out.result), ImportFormat::OpenCv, &ImportOptions::default()).unwrap();
+        assert!(gaps(&record, &back.result).iter().all(|g| *g < 1e-8), "{:?}", gaps(&record, &back.result));
+        let names: Vec<_> = back.result.cameras.iter().map(|c| c.name.as_str()).collect();
+        assert_eq!(names, ["left", "right, far"]);
+        for (x, y) in record.cameras.iter().zip(&back.result.cameras) {
+            for (a, b) in x.intrinsics().to_array().iter().zip(y.intrinsics().to_array()) {
+                assert!((a - b).abs() < 1e-10 * (1.0 + a.abs()), "{a} {b}");
+            }
+        }
+        let (a, b) = (record.sheet.as_ref().unwrap(), back.result.sheet.as_ref().unwrap());
+        assert!((a.distance_mm - b.distance_mm).abs() < 1e-9);
+    }
+}
+
+/// What a format cannot hold is fitted, and the loss that is told is the loss that a user has.
+#[test]
+fn the_other_polynomial_is_refitted_with_its_loss() {
+    let mut left = lens(6.34, 0.15);
+    left.radial = Radial::DistortedToIdeal;
+    let record = record_of(left, lens(-6.34, -0.1));
+    let out = export(&record, ExportFormat::OpenCv).unwrap();
+    let back = import(&texts(&out.result), ImportFormat::OpenCv, &OPTIONS).unwrap();
+    let real = gaps(&record, &back.result);
+    assert!(real[0] > 0.0 && real[0] < 0.01, "{real:?}");
+    assert!((out.losses[0].max_px - real[0]).abs() < 1e-6, "{:?} {real:?}", out.losses);
+    assert!(out.flags().is_empty());
+}
+
+#[test]
+fn coefficients_that_this_library_has_not_are_refitted() {
+    let record = record_of(lens(6.34, -0.15), lens(-6.34, 0.1));
+    let mut file = texts(&export(&record, ExportFormat::OpenCv).unwrap().result).remove(0);
+    let d = "rows: 14\n   cols: 1\n   dt: d\n   data: [ -0.15, 0.0, 0.0, 0.0,";
+    assert!(file.text.contains(d));
+    file.text = file.text.replacen(d, &d.replace("0.0, 0.0, 0.0,", "0.0, 0.002, -0.001,"), 1);
+    let back = import(&[file], ImportFormat::OpenCv, &OPTIONS).unwrap();
+    // Decentring is nearly a tilt; what is left is told.
+    assert!(back.losses[0].max_px > 1e-6 && back.losses[0].max_px < 0.2, "{:?}", back.losses);
+    assert_eq!(back.losses[1], Loss::NONE);
+    assert!((back.result.cameras[0].rms_px - back.losses[0].rms_px).abs() < 1e-15);
+}
+
+#[test]
+fn openptv_is_exact_without_distortion_and_honest_with_it() {
+    let plain = record_of(lens(6.34, 0.0), lens(-6.34, 0.0));
+    let out = export(&plain, ExportFormat::OpenPtv).unwrap();
+    assert!(out.losses.iter().all(|l| l.max_px < 1e-7), "{:?}", out.losses);
+    let back = import(&texts(&out.result), ImportFormat::OpenPtv, &OPTIONS).unwrap();
+    assert!(gaps(&plain, &back.result).iter().all(|g| *g < 1e-6), "{:?}", gaps(&plain, &back.result));
+    let bent = record_of(lens(6.34, -0.15), lens(-6.34, 0.1));
+    let out = export(&bent, ExportFormat::OpenPtv).unwrap();
+    let back = import(&texts(&out.result), ImportFormat::OpenPtv, &OPTIONS).unwrap();
+    for (k, gap) in gaps(&bent, &back.result).into_iter().enumerate() {
+        assert!(gap <= out.losses[k].max_px + back.losses[k].max_px + 1e-6, "{gap} {:?} {:?}", out.losses, back.losses);
+        assert!(gap < 0.1, "{gap}");
+    }
+}
+
+/// The formula of OpenPTV's documentation on numbers that can be checked by hand.
+#[test]
+fn openptv_by_hand() {
+    // A camera 100 mm above the origin, looking down (-z): image x to the right is world x, y up is world y.
+    let ori = "0 0 100\n0 0 0\n\n1 0 0\n0 1 0\n0 0 1\n\n0 0\n10\n\n0 0 50\n";
+    let addpar = "0 0 0 0 0 1 0\n";
+    let file = |name: &str, text: &str| NamedText { name: name.into(), text: text.into() };
+    let options = ImportOptions { image_size_px: Some([200, 100]), pixel_pitch_mm: Some(0.1) };
+    let back = import(&[file("a.ori", ori), file("a.addpar", addpar)], ImportFormat::OpenPtv, &options).unwrap();
+    let c = &Cameras::of(&back.result).unwrap().cameras[0];
+    // x = 10 * 5 / 100 = 0.5 mm = 5 px right of the centre (100), minus half a pixel; y = 0.2 mm = 2 px up.
+    let q = c.camera.project_xyz(&c.cam_from_world.apply(&Vector3::new(5.0, 2.0, 0.0))).unwrap();
+    assert!((q - Vector2::new(104.5, 47.5)).norm() < 1e-12, "{q}");
+    assert_eq!(c.name, "a");
+}
+
+const DAVIS: &str = r#"<?xml version="1.0"?>
+<Calibration><CoordinateMapper CameraIdentifier="1" Type="PinholeOpenCV">
+<CommonParameters><OriginalImageSize Width="1024" Height="768"/></CommonParameters>
+<InternalCameraParameters><SensorPixelSizeMm Value="0.005"/><FocalLengthPixel x="50" y="50"/>
+<PrincipalPoint x="500" y="400"/>
+<RadialDistortion radialDistortionCoefficient1="K1" radialDistortionCoefficient2="0"/>
+<TangentialDistortion tangentialDistortionCoefficient1="P1" tangentialDistortionCoefficient2="0"/></InternalCameraParameters>
+<ExternalCameraParameters><TranslationMm Tx="1" Ty="2" Tz="400"/><RotationAngles Rx="3.141592653589793" Ry="0" Rz="0"/>
+</ExternalCameraParameters></CoordinateMapper></Calibration>"#;
+
+fn davis(text: &str) -> Result<Conversion<Record>> {
+    let file = NamedText { name: "Calibration.xml".into(), text: text.into() };
+    import(&[file], ImportFormat::DaVis, &OPTIONS)
+}
+
+#[test]
+fn davis_pinhole_by_hand() {
+    let back = davis(&DAVIS.replace("K1", "0.2").replace("P1", "0")).unwrap();
+    let c = &Cameras::of(&back.result).unwrap().cameras[0];
+    // Half a turn about x: (30, 20, 0) -> (31, -18, 400).
+    let (x, y) = (31.0 / 400.0, -18.0 / 400.0);
+    let g = 1.0 + 0.2 * (x * x + y * y);
+    let q = c.camera.project_xyz(&c.cam_from_world.apply(&Vector3::new(30.0, 20.0, 0.0))).unwrap();
+    assert!((q - Vector2::new(500.0 + 10_000.0 * x * g, 400.0 + 10_000.0 * y * g)).norm() < 1e-9, "{q}");
+    assert_eq!(back.losses, vec![Loss::NONE]);
+    assert_eq!(c.pixel_pitch_mm, Some(0.005));
+    let tangential = davis(&DAVIS.replace("K1", "0.2").replace("P1", "0.001")).unwrap();
+    assert!(tangential.losses[0].max_px > 0.0);
+}
+
+#[test]
+fn davis_polynomials_are_refused_with_the_way_out() {
+    let text = DAVIS.replace("PinholeOpenCV", "Polynomial3rdOrder").replace("K1", "0").replace("P1", "0");
+    let message = davis(&text).unwrap_err().to_string();
+    assert!(message.contains("Calibration.xml:2") && message.contains("MarkPositionTable"), "{message}");
+}
+
+fn marks_of(c: &WorldCamera, depths: &[f64]) -> String {
+    let mut out = String::from("<MarkPositionTable><Camera CameraNumber=\"1\"><View>");
+    for z in depths {
+        for (i, j) in (-6..=6).flat_map(|i| (-5..=5).map(move |j| (i, j))) {
+            let x = Vector3::new(f64::from(i) * 4.0, f64::from(j) * 4.0, *z);
+            let q = c.camera.project_xyz(&c.cam_from_world.apply(&x)).unwrap();
+            out += &format!(
+                "<Mark w=\"1\"><WorldPos x=\"{}\" y=\"{}\" z=\"{}\"/><RawPos x=\"{}\" y=\"{}\"/></Mark>",
+                x.x, x.y, x.z, q.x, q.y
+            );
+        }
+    }
+    out + "</View></Camera></MarkPositionTable>"
+}
+
+#[test]
+fn davis_marks_become_the_camera_that_saw_them() {
+    let c = world_camera("c", lens(6.34, -0.15), 30.0);
+    let back = davis(&marks_of(&c, &[-3.0, 0.0, 3.0])).unwrap();
+    assert!(back.losses[0].max_px < 1e-5, "{:?}", back.losses);
+    let found = &Cameras::of(&back.result).unwrap().cameras[0];
+    let x = Vector3::new(11.0, -7.0, 1.0);
+    let q = |c: &WorldCamera| c.camera.project_xyz(&c.cam_from_world.apply(&x)).unwrap();
+    assert!((q(&c) - q(found)).norm() < 1e-4);
+    let flat = davis(&marks_of(&c, &[0.0])).unwrap_err().to_string();
+    assert!(flat.contains("one plane"), "{flat}");
+}
+
+#[test]
+fn uvmat_by_hand() {
+    let xml = "<ImaDoc><GeometryCalib><CalibrationType>3D_extrinsic</CalibrationType><CoordUnit>cm</CoordUnit>\
+               <fx_fy>5000 5010</fx_fy><Cx_Cy>512 384</Cx_Cy><kc>-0.3</kc><Tx_Ty_Tz>1 2 50</Tx_Ty_Tz>\
+               <R>1 0 0</R><R>0 1 0</R><R>0 0 -1</R></GeometryCalib></ImaDoc>";
+    let file = NamedText { name: "run/left.xml".into(), text: xml.into() };
+    let back = import(&[file], ImportFormat::Uvmat, &OPTIONS).unwrap();
+    let c = &Cameras::of(&back.result).unwrap().cameras[0];
+    // Physical (3, 1, 0) cm -> (4, 3, 50) cm.
+    let (x, y) = (4.0 / 50.0, 3.0 / 50.0);
+    let g = 1.0 - 0.3 * (x * x + y * y);
+    let (left, bottom) = (5000.0 * x * g + 512.0, 5010.0 * y * g + 384.0);
+    // The world's z faces away or towards: the sheet's frame may be turned about x, points of y = 0 tell nothing of it.
+    let flipped = if back.notes.iter().any(|n| n.contains("half a turn")) { -1.0 } else { 1.0 };
+    let q = c.camera.project_xyz(&c.cam_from_world.apply(&Vector3::new(30.0, flipped * 10.0, 0.0))).unwrap();
+    assert!((q - Vector2::new(left - 0.5, 767.5 - bottom)).norm() < 1e-9, "{q}");
+    assert_eq!(c.name, "left");
+}
+
+/// The container read back byte by byte, as its specification says.
+#[test]
+fn matlab_file_holds_the_nearest_untilted_camera() {
+    let record = record_of(lens(6.34, -0.15), lens(-6.34, 0.1));
+    let out = export(&record, ExportFormat::Matlab).unwrap();
+    let bytes = &out.result[0].1;
+    assert_eq!(&bytes[124..128], &[0, 1, b'I', b'M']);
+    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+    let (mut at, mut names, mut k1) = (128, vec![], vec![]);
+    while at < bytes.len() {
+        assert_eq!(word(at), 14);
+        let next = at + 8 + word(at + 4);
+        let (rows, columns) = (word(at + 32), word(at + 36));
+        let name_length = word(at + 44);
+        let name = std::str::from_utf8(&bytes[at + 48..at + 48 + name_length]).unwrap().to_string();
+        let data = at + 48 + name_length.div_ceil(8) * 8;
+        assert_eq!((word(data), word(data + 4)), (9, 8 * rows * columns), "{name}");
+        if name == "K1" {
+            k1 = bytes[data + 8..data + 8 + 72].chunks(8).map(|b| f64::from_le_bytes(b.try_into().unwrap())).collect();
+        }
+        names.push(name);
+        at = next;
+    }
+    assert_eq!(at, bytes.len());
+    assert_eq!(names[..6], ["imageSize1", "K1", "radial1", "tangential1", "R1", "t1"]);
+    let e = record.cameras[0].effective;
+    assert!((k1[0] - e.f_px).abs() < 0.02 * e.f_px && k1[8] == 1.0, "{k1:?}");
+    // Tilt and distortion together have no exact untilted counterpart: the loss is told, and flagged.
+    assert!(out.losses.iter().all(|l| l.max_px > LOSS_LIMIT_PX && l.max_px < 0.2), "{:?}", out.losses);
+    assert_eq!(out.flags().len(), 2);
+}
+
+#[test]
+fn csv_has_every_number_and_its_sigma() {
+    let mut record = record_of(lens(6.34, -0.15), lens(-6.34, 0.1));
+    record.cameras[1].sigma.k1 = 0.25;
+    record.covariance.names = vec!["left.f_px".into(), "odd,name".into()];
+    record.covariance.matrix = vec![vec![4.0, 0.5], vec![0.5, f64::NAN]];
+    let files = texts(&export(&record, ExportFormat::Csv).unwrap().result);
+    let text = |name: &str| &files.iter().find(|f| f.name == name).unwrap().text;
+    assert!(text("cameras.csv").contains("\n\"right, far\",k1,0.1,0.25,1\n"), "{}", text("cameras.csv"));
+    assert_eq!(text("covariance.csv"), "name,left.f_px,\"odd,name\"\nleft.f_px,4,0.5\n\"odd,name\",0.5,\n");
+    assert!(text("sheet.csv").contains("sheet,distance,"));
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_by_name() {
+    let file = |text: &str| NamedText { name: "x.yml".into(), text: text.into() };
+    let refusal = |text: &str, format| import(&[file(text)], format, &OPTIONS).unwrap_err().to_string();
+    let cases = [
+        ("", ImportFormat::OpenCv, "expected an OpenCV"),
+        ("%YAML:1.0\n---\na: [", ImportFormat::OpenCv, "not YAML"),
+        ("%YAML:1.0\n---\na: 1\n", ImportFormat::OpenCv, "M1"),
+        (
+            "<opencv_storage><M1 type_id=\"opencv-matrix\"><rows>3</rows><cols>3</cols><data>1 2</data></M1></opencv_storage>",
+            ImportFormat::OpenCv,
+            "9 numbers, found 2",
+        ),
+        ("<a", ImportFormat::DaVis, "not XML"),
+        ("<a/>", ImportFormat::DaVis, "CoordinateMapper"),
+        ("<a/>", ImportFormat::Uvmat, "GeometryCalib"),
+        ("1 2 3", ImportFormat::OpenPtv, "no .ori file"),
+    ];
+    for (text, format, expected) in cases {
+        let message = refusal(text, format);
+        assert!(message.contains(expected), "{text}: {message}");
+    }
+    let ori = NamedText { name: "a.ori".into(), text: "0 0 0 nan".into() };
+    let message = import(&[ori], ImportFormat::OpenPtv, &OPTIONS).unwrap_err().to_string();
+    assert!(message.contains("a.ori:1") && message.contains("nan"), "{message}");
+    let mut record = record_of(lens(6.34, 0.0), lens(-6.34, 0.0));
+    record.cameras[0].pixel_pitch_mm = None;
+    assert!(export(&record, ExportFormat::OpenPtv).unwrap_err().to_string().contains("pixel_pitch_mm"));
+    record.sheet = None;
+    assert!(export(&record, ExportFormat::OpenCv).unwrap_err().to_string().contains("no laser sheet"));
+}
+
+#[test]
+fn a_record_read_back_is_a_valid_file() {
+    let record = record_of(lens(6.34, -0.15), lens(-6.34, 0.1));
+    let out = export(&record, ExportFormat::OpenCv).unwrap();
+    let back = import(&texts(&out.result), ImportFormat::OpenCv, &OPTIONS).unwrap().result;
+    let text = back.to_json().unwrap();
+    let read = Record::from_json(&text, "calibration.json").unwrap();
+    assert_eq!(read.cameras.len(), 2);
+    assert!(crate::report::text(&read).contains("right, far"));
+    assert!(moved(&Motion::identity(), &[0.0; 6]).translation_mm.norm() == 0.0);
+}

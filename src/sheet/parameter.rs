@@ -1,0 +1,50 @@
+//! The named numbers of two cameras and a sheet, and what a change of one does.
+
+use crate::camera::{Camera, INTRINSIC_NAMES, Intrinsics};
+use crate::rigid::Motion;
+use nalgebra::SVector;
+
+/// Ends of the names of a left step (see [`crate::rigid`]).
+pub(super) const STEP_NAMES: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
+
+/// One adjusted number.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Parameter {
+    /// Camera and index of the intrinsic.
+    Intrinsic(usize, usize),
+    /// Part of a left step of the motion of the second camera against the rig.
+    Motion(usize),
+    /// Part of a left step of the sheet against the rig.
+    Sheet(usize),
+}
+
+impl Parameter {
+    /// The number of this name; `None` for one that belongs to neither the two cameras nor the sheet.
+    pub(super) fn of(name: &str, camera_names: [&str; 2]) -> Option<Self> {
+        let step = |rest: &str| STEP_NAMES.iter().position(|n| *n == rest);
+        if let Some(rest) = name.strip_prefix("sheet.rig_from_sheet.") {
+            return step(rest).map(Parameter::Sheet);
+        }
+        let c = (0..2).find(|&c| name.strip_prefix(camera_names[c]).is_some_and(|r| r.starts_with('.')))?;
+        let rest = &name[camera_names[c].len() + 1..];
+        if let Some(k) = INTRINSIC_NAMES.iter().position(|n| *n == rest) {
+            return Some(Parameter::Intrinsic(c, k));
+        }
+        step(rest.strip_prefix("cam_from_rig.").filter(|_| c == 1)?).map(Parameter::Motion)
+    }
+}
+
+/// The camera after a change of one intrinsic; `None` where there is no such camera.
+pub(super) fn stepped_camera(camera: &Camera, k: usize, h: f64) -> Option<Camera> {
+    let old = camera.intrinsics();
+    let mut p = old.to_array();
+    p[k] += h;
+    Camera::new(Intrinsics::from_array(&p, old.radial)).ok()
+}
+
+/// The motion after a left step of one part.
+pub(super) fn stepped_motion<A, B>(motion: &Motion<A, B>, k: usize, h: f64) -> Motion<A, B> {
+    let mut d = SVector::<f64, 6>::zeros();
+    d[k] = h;
+    motion.retract(&d)
+}
