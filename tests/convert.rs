@@ -68,5 +68,9 @@ fn real_openptv_orientations_are_read() {
     let r = record(&scratch.path().join("calibration.json"));
     // 70 mm over 12 um pixels; the distance of the centres in the first lines of the two files.
     assert!((r.cameras[0].f_px - 70.0 / 0.012).abs() < 1e-9);
-    assert!((r.rig.unwrap().baseline_mm - 196.638_449_353).abs() < 1e-6, "{:?}", r.cameras[1].cam_from_rig.translation_mm);
+    assert!(
+        (r.rig.unwrap().baseline_mm - 196.638_449_353).abs() < 1e-6,
+        "{:?}",
+        r.cameras[1].cam_from_rig.translation_mm
+    );
 }

@@ -77,7 +77,8 @@ pub(crate) fn refine(
         let last = round + 1 == MOST_ROUNDS;
         if still || last {
             check_size(&model, start, options)?;
-            if coverage < options.min_coverage {
+            // One sector more or less is chance: on a small dot it is a good part of the contour.
+            if coverage + 1.0 / (s.sectors.len() as f64) < options.min_coverage {
                 return Err(RejectionReason::Incomplete { coverage });
             }
             return finish(&model, start, options, s);
