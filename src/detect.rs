@@ -2,11 +2,14 @@
 
 mod band;
 mod candidate;
+mod contour;
 mod edge_model;
 mod find;
+mod light;
 pub mod pattern;
 mod plane;
 mod refine;
+mod sectors;
 mod trace;
 
 pub use find::find_discs;

@@ -1,8 +1,10 @@
 //! Discs are found to the Cramer-Rao bound, without bias, with sigmas that are true.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
+mod detect_table;
 mod render;
 
+use detect_table::{Condition, Light};
 use nalgebra::SVector;
 use render::Random;
 use render::accuracy::{Case, bound, cases};
@@ -76,5 +78,25 @@ fn scatter_reaches_the_bound_and_sigmas_are_true() {
         assert!(mean < 1.1 * (1.0 + 1.7 * 0.056), "{}: centres at {mean} times the bound", case.name);
         // Mean of 80 chi-square numbers of 5 degrees of freedom: 5 +- sqrt(10 / 80).
         assert!((s.nees - 5.0).abs() < 3.5 * s.nees_sigma, "{}: nees {}", case.name, s.nees);
+    }
+}
+
+/// A few rows of `cargo bench --bench detect_table`.
+#[test]
+fn the_table_of_conditions_in_short() {
+    let rows = [(Light::Slanted, 12.0, 8, false), (Light::Glare, 15.0, 8, false), (Light::Even, 4.0, 16, true)];
+    for (k, (light, semi_minor_px, bits, bright)) in rows.into_iter().enumerate() {
+        let c = Condition { semi_minor_px, ratio: 1.2, blur_px: 0.8, light, bits, noise: 0.015, bright };
+        let (scenes, shots) = (8, 10);
+        let row = c.run(scenes, shots, 40 + k as u64);
+        println!("row {k}: ratio {:.2?} bias {:.4?} z^2 {:.2}", row.ratio, row.bias_px, row.z2);
+        assert_eq!(row.found, scenes * shots);
+        // 320 errors: their root mean square is known to 4 %.
+        assert!(row.overall() < 1.15 + 3.5 * 0.04, "row {k}: {} times the bound", row.overall());
+        for j in 0..4 {
+            let of_mean = row.bound_px[j] / ((scenes * shots) as f64).sqrt();
+            assert!(row.bias_px[j].abs() < 0.005 + 3.5 * of_mean, "row {k}: bias {} px", row.bias_px[j]);
+        }
+        assert!((0.6..1.6).contains(&row.z2), "row {k}: sigmas are not true, z^2 {}", row.z2);
     }
 }

@@ -373,3 +373,24 @@ fn equal_inputs_give_equal_bits_and_strides_do_not_matter() {
         find_discs(&GrayView::new(Samples::U8(&strided), 150, 130, 163).unwrap(), &DetectOptions::default()).unwrap();
     assert_eq!(a, b);
 }
+
+#[test]
+fn any_number_of_threads_gives_the_same_bits() {
+    let spots: Vec<Spot> = (0..12)
+        .map(|i| Spot {
+            u: 40.3 + 70.0 * f64::from(i % 4),
+            v: 40.7 + 70.0 * f64::from(i / 4),
+            a: 20.0,
+            b: 14.0,
+            phi: 0.3,
+        })
+        .collect();
+    let grey = dark(300, 230, 0.9, &spots).noisy_u8(2.0, &mut Random(5));
+    let find = || find_discs(&GrayView::new(Samples::U8(&grey), 300, 230, 300).unwrap(), &DetectOptions::default());
+    let alone = find().unwrap();
+    assert_eq!(alone.discs.len(), 12);
+    for threads in [1, 2, 5] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        assert_eq!(pool.install(find).unwrap(), alone, "{threads} threads");
+    }
+}

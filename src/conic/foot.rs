@@ -21,11 +21,28 @@ pub(crate) struct Frame {
 #[derive(Default)]
 pub(crate) struct Foot {
     pub(crate) distance: f64,
-    pub(crate) curvature: f64,
-    pub(crate) cos: f64,
-    pub(crate) sin: f64,
     /// Derivative of the distance with respect to the regular coordinates.
     pub(crate) row: [f64; 5],
+}
+
+/// A point of the contour.
+pub(crate) struct OnContour {
+    pub(crate) u: f64,
+    pub(crate) v: f64,
+    pub(crate) normal_u: f64,
+    pub(crate) normal_v: f64,
+    /// Normal in the frame of the axes divided by the semi-axes, 1/px.
+    pub(crate) climb: [f64; 2],
+    /// Derivative of the distance of a fixed point there with respect to the regular coordinates.
+    pub(crate) row: [f64; 5],
+}
+
+/// Foot points of several pixels.
+pub(crate) struct Feet<const N: usize> {
+    pub(crate) distance: [f64; N],
+    pub(crate) curvature: [f64; N],
+    pub(crate) cos: [f64; N],
+    pub(crate) sin: [f64; N],
 }
 
 impl Frame {
@@ -95,16 +112,77 @@ impl Frame {
         let big_n = (b * b * c * c + a * a * s * s).sqrt();
         let (nx, ny) = (b * c / big_n, a * s / big_n);
         let distance = (x - a * c) * nx + (y - b * s) * ny;
+        let row = self.row(c, s, nx, ny, big_n);
+        Foot { distance, row }
+    }
+
+    /// Everything about the point at the eccentric angle with cosine `c` and sine `s`.
+    pub(crate) fn on_contour(&self, c: f64, s: f64) -> OnContour {
+        let (a, b) = (self.a, self.b);
+        let big_n = (b * b * c * c + a * a * s * s).sqrt();
+        let (nx, ny) = (b * c / big_n, a * s / big_n);
+        OnContour {
+            u: self.u0 + self.cos * a * c - self.sin * b * s,
+            v: self.v0 + self.sin * a * c + self.cos * b * s,
+            normal_u: self.cos * nx - self.sin * ny,
+            normal_v: self.sin * nx + self.cos * ny,
+            climb: [nx / a, ny / b],
+            row: self.row(c, s, nx, ny, big_n),
+        }
+    }
+
+    /// Derivative of the distance with respect to the regular coordinates, for a foot point with normal `(nx, ny)`.
+    #[inline]
+    fn row(&self, c: f64, s: f64, nx: f64, ny: f64, big_n: f64) -> [f64; 5] {
         let (da, db) = (-nx * c, -ny * s);
         let along = da - db;
-        let across = -(a + b) * c * s / big_n;
-        let row = [
+        let across = -(self.a + self.b) * c * s / big_n;
+        [
             -(self.cos * nx - self.sin * ny),
             -(self.sin * nx + self.cos * ny),
             da + db,
             self.cos2 * along - self.sin2 * across,
             self.sin2 * along + self.cos2 * across,
-        ];
-        Foot { distance, curvature: a * b / (big_n * big_n * big_n), cos: c, sin: s, row }
+        ]
+    }
+
+    /// Foot points of `N` pixels at once, given in the frame of the axes (origin in the centre, x along the major axis, px): the same
+    /// Newton steps as [`Frame::foot`], without branches.
+    #[inline]
+    pub(crate) fn feet<const N: usize>(&self, x: &[f64; N], y: &[f64; N]) -> Feet<N> {
+        let (a, b) = (self.a, self.b);
+        let e2 = a * a - b * b;
+        let (mut c, mut s) = ([0.0; N], [0.0; N]);
+        for i in 0..N {
+            let (p, q) = (x[i] * b, y[i] * a);
+            let norm = (p * p + q * q).sqrt();
+            let at_centre = norm == 0.0;
+            c[i] = if at_centre { 0.0 } else { p / norm };
+            s[i] = if at_centre { 1.0 } else { q / norm };
+        }
+        for _ in 0..6 {
+            let mut largest = 0.0_f64;
+            for i in 0..N {
+                let (ax, by) = (x[i] * a, y[i] * b);
+                let f = e2 * c[i] * s[i] - ax * s[i] + by * c[i];
+                let df = e2 * (c[i] * c[i] - s[i] * s[i]) - ax * c[i] - by * s[i];
+                let t = if df < 0.0 { -f / df } else { 0.0 };
+                let t = t.clamp(-0.5, 0.5);
+                let inverse = 1.0 / (1.0 + t * t).sqrt();
+                (c[i], s[i]) = ((c[i] - t * s[i]) * inverse, (s[i] + t * c[i]) * inverse);
+                largest = largest.max(t.abs());
+            }
+            if largest < 1e-3 {
+                break;
+            }
+        }
+        let (mut distance, mut curvature) = ([0.0; N], [0.0; N]);
+        for i in 0..N {
+            let big_n = (b * b * c[i] * c[i] + a * a * s[i] * s[i]).sqrt();
+            let inverse = 1.0 / big_n;
+            distance[i] = ((x[i] - a * c[i]) * b * c[i] + (y[i] - b * s[i]) * a * s[i]) * inverse;
+            curvature[i] = a * b * inverse * inverse * inverse;
+        }
+        Feet { distance, curvature, cos: c, sin: s }
     }
 }

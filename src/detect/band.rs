@@ -1,34 +1,24 @@
-//! The pixels around one ellipse, collected once and reused while the edge model settles.
+//! The pixels around one ellipse with their distances from it, eight at a time.
 
 use crate::conic::{Ellipse, Frame};
-use crate::image::GrayView;
+use crate::detect::contour::Contour;
+use crate::image::{GrayView, Samples};
 
-/// Pixels of the band around one ellipse, structure of arrays, reused from disc to disc.
+/// Pixels worked on together.
+pub(crate) const LANES: usize = 8;
+
+/// Pixels of the band around one ellipse, structure of arrays padded to whole lanes, reused from disc to disc.
 #[derive(Debug, Default)]
 pub(crate) struct Band {
-    pub(crate) u: Vec<f64>,
-    pub(crate) v: Vec<f64>,
     pub(crate) grey: Vec<f64>,
-    /// Eccentric angle of the foot point when collected, rad.
-    pub(crate) angle: Vec<f64>,
-    /// Its cosine and sine when collected.
-    pub(crate) cos: Vec<f64>,
-    pub(crate) sin: Vec<f64>,
-    /// The same, following the ellipse; start of the next search for the foot point.
-    pub(crate) foot_cos: Vec<f64>,
-    pub(crate) foot_sin: Vec<f64>,
-    /// So far off that the edge does not reach it: its distance when collected is good enough.
-    pub(crate) far: Vec<bool>,
-    /// Whether the pixel counts.
-    pub(crate) keep: Vec<bool>,
-    /// Data minus model, grey levels.
-    pub(crate) residual: Vec<f64>,
-    /// Signed distance from the ellipse, px.
+    /// Signed distance from the ellipse, px; NaN in the padding and beyond the reach.
     pub(crate) distance: Vec<f64>,
-    /// P.
-    pub(crate) inside: Vec<f64>,
-    /// d(model)/d(outward shift of the edge), grey/px.
-    pub(crate) response: Vec<f64>,
+    /// Curvature of the ellipse at the foot point, 1/px.
+    pub(crate) curvature: Vec<f64>,
+    /// Sector of the foot point.
+    pub(crate) sector: Vec<u32>,
+    x: Vec<f64>,
+    y: Vec<f64>,
 }
 
 /// How far the band reaches from the ellipse, px.
@@ -39,26 +29,17 @@ pub(crate) struct Reach {
 }
 
 impl Band {
-    fn clear(&mut self) {
-        self.u.clear();
-        self.v.clear();
-        self.grey.clear();
-        self.angle.clear();
-        self.cos.clear();
-        self.sin.clear();
-        self.far.clear();
-        self.distance.clear();
+    /// Number of places, padding included.
+    pub(crate) fn len(&self) -> usize {
+        self.grey.len()
     }
 
-    /// Eccentric angle of the foot point of a pixel on the ellipse last evaluated, rad.
-    pub(crate) fn foot_angle(&self, i: usize) -> f64 {
-        self.foot_sin[i].atan2(self.foot_cos[i])
-    }
-
-    /// Collects the pixels of the image within `reach` of the ellipse; beyond `edge_px` the edge is not felt.
-    pub(crate) fn collect(&mut self, view: &GrayView, ellipse: &Ellipse, reach: Reach, edge_px: f64) {
-        self.clear();
+    /// Collects the pixels of the image within `reach` of the ellipse, which `contour` has cut into sectors.
+    pub(crate) fn collect(&mut self, view: &GrayView, ellipse: &Ellipse, contour: &Contour, reach: Reach) {
         let frame = Frame::new(ellipse);
+        for list in [&mut self.grey, &mut self.x, &mut self.y] {
+            list.clear();
+        }
         // The parallel curve of an ellipse lies inside the ellipse with both axes grown by this much.
         let bulge = (frame.a + frame.b) / (2.0 * (frame.a * frame.b).sqrt());
         let (outer, inner) = (reach.outer_px * bulge, reach.inner_px * bulge);
@@ -75,38 +56,68 @@ impl Band {
             if hi < lo {
                 continue;
             }
+            let (lo, hi) = (lo as usize, hi as usize);
             let hole = if ai > 0.0 && bi > 0.0 { frame.row_span(dv, ai, bi) } else { None };
-            let (hole_lo, hole_hi) =
-                hole.map_or((f64::INFINITY, f64::NEG_INFINITY), |(l, h)| (frame.u0 + l, frame.u0 + h));
-            let mut u = lo as usize;
-            while u <= hi as usize {
-                let uf = u as f64;
-                if uf > hole_lo && uf < hole_hi {
-                    u = (hole_hi.ceil() as usize).max(u + 1);
-                    continue;
+            match hole {
+                // Columns strictly inside the hole are left out.
+                Some((l, h)) => {
+                    let left = (frame.u0 + l).floor().clamp(lo as f64 - 1.0, hi as f64);
+                    let right = (frame.u0 + h).ceil().clamp(left + 1.0, hi as f64 + 1.0);
+                    self.push(view, &frame, v, lo, (left + 1.0) as usize);
+                    self.push(view, &frame, v, right as usize, hi + 1);
                 }
-                let foot = frame.foot(uf, v as f64, None);
-                if foot.distance >= -reach.inner_px && foot.distance <= reach.outer_px {
-                    self.u.push(uf);
-                    self.v.push(v as f64);
-                    self.grey.push(f64::from(view.get(u, v)));
-                    self.angle.push(foot.sin.atan2(foot.cos));
-                    self.cos.push(foot.cos);
-                    self.sin.push(foot.sin);
-                    self.far.push(foot.distance.abs() > edge_px);
-                    self.distance.push(foot.distance);
-                }
-                u += 1;
+                None => self.push(view, &frame, v, lo, hi + 1),
             }
         }
-        let n = self.u.len();
-        self.keep.clear();
-        self.keep.resize(n, true);
-        self.foot_cos.clone_from(&self.cos);
-        self.foot_sin.clone_from(&self.sin);
-        for list in [&mut self.residual, &mut self.inside, &mut self.response] {
+        self.measure(&frame, contour, reach);
+    }
+
+    /// Takes the columns `from..to` of a row.
+    fn push(&mut self, view: &GrayView, frame: &Frame, v: usize, from: usize, to: usize) {
+        if from >= to {
+            return;
+        }
+        let row = v * view.stride();
+        match view.samples() {
+            Samples::U8(s) => self.grey.extend(s[row + from..row + to].iter().map(|x| f64::from(*x))),
+            Samples::U16(s) => self.grey.extend(s[row + from..row + to].iter().map(|x| f64::from(*x))),
+            Samples::F32(s) => self.grey.extend(s[row + from..row + to].iter().map(|x| f64::from(*x))),
+        }
+        let dv = v as f64 - frame.v0;
+        let (x0, y0) = (frame.sin * dv - frame.cos * frame.u0, frame.cos * dv + frame.sin * frame.u0);
+        self.x.extend((from..to).map(|u| x0 + frame.cos * u as f64));
+        self.y.extend((from..to).map(|u| y0 - frame.sin * u as f64));
+    }
+
+    /// Distances, curvatures and sectors of all pixels.
+    fn measure(&mut self, frame: &Frame, contour: &Contour, reach: Reach) {
+        let seen = self.grey.len();
+        let n = seen.div_ceil(LANES) * LANES;
+        self.grey.resize(n, 0.0);
+        self.x.resize(n, frame.a);
+        self.y.resize(n, 0.0);
+        for list in [&mut self.distance, &mut self.curvature] {
             list.clear();
             list.resize(n, 0.0);
+        }
+        self.sector.clear();
+        for at in (0..n).step_by(LANES) {
+            let (mut x, mut y) = ([0.0; LANES], [0.0; LANES]);
+            x.copy_from_slice(&self.x[at..at + LANES]);
+            y.copy_from_slice(&self.y[at..at + LANES]);
+            let feet = frame.feet(&x, &y);
+            for i in 0..LANES {
+                let d = feet.distance[i];
+                let mut kept = at + i < seen && d >= -reach.inner_px && d <= reach.outer_px;
+                let mut sector = 0;
+                if kept {
+                    sector = contour.sector(feet.cos[i], feet.sin[i]);
+                    kept = d <= contour.outer_px[sector];
+                }
+                self.distance[at + i] = if kept { d } else { f64::NAN };
+                self.sector.push(sector as u32);
+            }
+            self.curvature[at..at + LANES].copy_from_slice(&feet.curvature);
         }
     }
 }

@@ -4,8 +4,7 @@
 //! that start at a real edge are followed. A disc seen at several sizes is kept at the finest. Nothing here depends on a threshold
 //! given by the user: the least gradient follows from the noise of the image itself.
 
-use crate::conic::Ellipse;
-use crate::detect::band::Reach;
+use crate::conic::{Ellipse, Frame};
 use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd};
 use crate::detect::plane::Plane;
 use crate::detect::refine::{Scratch, Start, refine};
@@ -15,6 +14,7 @@ use crate::error::{Invalid, Result};
 use crate::frames::Pixel;
 use crate::image::GrayView;
 use crate::target::{MarkKind, Polarity};
+use rayon::prelude::*;
 
 /// A region with less than this part of the typical contrast is texture.
 const TEXTURE: f64 = 0.15;
@@ -59,15 +59,8 @@ pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection>
     drop_texture(&mut seen, f64::from(image.noise()), options);
     drop_repeats(&mut seen);
     let mut detection = Detection::default();
-    let mut scratch = Scratch::default();
-    let rooms = rooms(&seen.candidates);
-    for (candidate, room) in seen.candidates.iter().zip(&rooms) {
-        if !wanted(candidate.bright, options.polarity) {
-            continue;
-        }
-        let start =
-            Start { ellipse: candidate.ellipse, blur_px: candidate.blur_px, bright: candidate.bright, room: *room };
-        match refine(view, &start, options, &mut scratch) {
+    for (candidate, refined) in refine_all(view, &seen.candidates, options) {
+        match refined {
             Ok(disc) if detection.discs.iter().any(|d| one_and_the_same(d, &disc)) => {}
             Ok(disc) => detection.discs.push(disc),
             Err(reason) => detection.rejections.push(rejection(candidate, reason)),
@@ -82,6 +75,34 @@ pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection>
     drop_dust(&mut detection);
     keep_telling_rejections(&mut detection);
     Ok(detection)
+}
+
+/// Refines the candidates of the polarity wanted, in their order. The threads are those of the pool that the caller runs in; without
+/// one there is one thread. Each disc depends on the image alone, so the result does not depend on their number.
+fn refine_all<'a>(
+    view: &GrayView,
+    candidates: &'a [Candidate],
+    options: &DetectOptions,
+) -> Vec<(&'a Candidate, std::result::Result<Disc, RejectionReason>)> {
+    let around = surroundings(candidates);
+    let wanted: Vec<_> = candidates.iter().zip(&around).filter(|(c, _)| wanted(c.bright, options.polarity)).collect();
+    let one = |scratch: &mut Scratch, (candidate, around): &(&'a Candidate, &Surroundings)| {
+        let start = Start {
+            ellipse: candidate.ellipse,
+            blur_px: candidate.blur_px,
+            bright: candidate.bright,
+            contrast: candidate.contrast,
+            inner_px: around.inner_px,
+            neighbours: &around.neighbours,
+        };
+        (*candidate, refine(view, &start, options, scratch))
+    };
+    if rayon::current_thread_index().is_some() && wanted.len() > 1 {
+        wanted.par_iter().map_init(Scratch::default, one).collect()
+    } else {
+        let mut scratch = Scratch::default();
+        wanted.iter().map(|w| one(&mut scratch, w)).collect()
+    }
 }
 
 fn check_options(o: &DetectOptions) -> Result<()> {
@@ -257,36 +278,58 @@ fn drop_repeats(seen: &mut Seen) {
     seen.rejected = rejected;
 }
 
-/// How far the band around each candidate may reach: not into its neighbours, not into its own hole.
-fn rooms(candidates: &[Candidate]) -> Vec<Reach> {
+/// What lies around one candidate.
+struct Surroundings {
+    /// How far the band may reach inwards, px: not into a hole of the disc.
+    inner_px: f64,
+    /// Other edges within sight.
+    neighbours: Vec<Ellipse>,
+}
+
+/// How far the bands around the candidates look at most, px.
+const SIGHT_PX: f64 = 40.0;
+
+/// What lies around each candidate: its own hole, its neighbours.
+fn surroundings(candidates: &[Candidate]) -> Vec<Surroundings> {
     candidates
         .iter()
         .map(|c| {
             let e = &c.ellipse;
-            let mut room = Reach { inner_px: 0.9 * e.semi_minor_px, outer_px: 40.0 };
+            let mut around = Surroundings { inner_px: 0.9 * e.semi_minor_px, neighbours: vec![] };
             for other in candidates {
                 let o = &other.ellipse;
-                let apart = distance(e.center_px, o.center_px);
-                if apart > e.semi_major_px + o.semi_major_px + 40.0 || std::ptr::eq(c, other) {
+                let reach = e.semi_major_px + o.semi_major_px + SIGHT_PX;
+                let (du, dv) = (e.center_px.u_px - o.center_px.u_px, e.center_px.v_px - o.center_px.v_px);
+                if du * du + dv * dv > reach * reach || std::ptr::eq(c, other) || other.contrast <= 0.3 * c.contrast {
                     continue;
                 }
-                let weighty = other.contrast > 0.3 * c.contrast;
+                let apart = du.hypot(dv);
                 if apart < 0.6 * e.semi_minor_px && o.semi_major_px < 0.85 * e.semi_minor_px {
-                    if other.bright != c.bright && weighty {
-                        room.inner_px = room.inner_px.min(0.6 * (e.semi_minor_px - o.semi_major_px - apart).max(2.0));
+                    if other.bright != c.bright {
+                        around.inner_px =
+                            around.inner_px.min(0.6 * (e.semi_minor_px - o.semi_major_px - apart).max(2.0));
                     }
-                } else if apart > e.semi_minor_px && weighty {
-                    // Along the line of centres; conservative for slim ellipses.
-                    let gap = apart - e.semi_major_px - o.semi_major_px;
-                    // A spot of the other polarity upon the contour (glare) spoils a few sectors, not the whole band.
-                    if gap > 2.0 || other.bright == c.bright {
-                        room.outer_px = room.outer_px.min(0.6 * gap.max(2.0));
+                } else if apart > e.semi_minor_px {
+                    // A spot of the other polarity upon the contour (glare) spoils a few sectors, which show it themselves.
+                    let gap = least_gap_px(e, o);
+                    if gap < SIGHT_PX && (gap > 2.0 || other.bright == c.bright) {
+                        around.neighbours.push(*o);
                     }
                 }
             }
-            room
+            around
         })
         .collect()
+}
+
+/// Least distance between two ellipses that lie side by side, px; not positive where they meet. To a few per cent of the smaller radius.
+fn least_gap_px(e: &Ellipse, other: &Ellipse) -> f64 {
+    let (frame, mut least) = (Frame::new(e), f64::INFINITY);
+    for k in 0..64 {
+        let p = other.point(f64::from(k) / 64.0 * std::f64::consts::TAU);
+        least = least.min(frame.foot(p.u_px, p.v_px, None).distance);
+    }
+    least
 }
 
 /// A disc around a region of the other polarity is a ring; the hole itself is no disc.

@@ -1,0 +1,64 @@
+//! Accuracy of detection over a table of conditions: scatter over the Cramer-Rao bound, bias, truth of the sigmas. Seeded.
+//!
+//! `cargo bench --bench detect_table` prints the table; `SPIVCAL_TABLE=wide` adds the discs of 100 and 400 px (minutes).
+#![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
+
+#[path = "../tests/detect_table/mod.rs"]
+mod detect_table;
+#[path = "../tests/render/mod.rs"]
+mod render;
+
+use detect_table::{Condition, Light};
+
+fn main() {
+    let wide = std::env::var("SPIVCAL_TABLE").is_ok_and(|x| x == "wide");
+    let radii: &[f64] = if wide { &[4.0, 8.0, 15.0, 40.0, 100.0, 400.0] } else { &[4.0, 8.0, 15.0, 40.0] };
+    println!(
+        "scatter about the truth over the Cramer-Rao bound (u v a b), bias in px, mean squared z of the sigmas given"
+    );
+    println!(
+        "{:>6} {:>5} {:>5} {:>8} {:>5} {:>23}  {:>31}  {:>5} {:>5}",
+        "b px", "a/b", "blur", "light", "bits", "ratio", "bias px", "z^2", "found"
+    );
+    let mut seed = 1;
+    for &semi_minor_px in radii {
+        for (ratio, blur_px, light, bits, bright) in conditions() {
+            if blur_px > 0.45 * semi_minor_px {
+                continue;
+            }
+            seed += 1;
+            let c = Condition { semi_minor_px, ratio, blur_px, light, bits, noise: 0.015, bright };
+            let (scenes, shots) = if semi_minor_px > 50.0 { (4, 8) } else { (20, 8) };
+            let row = c.run(scenes, shots, seed);
+            let name = match light {
+                Light::Even => "even",
+                Light::Slanted => "slanted",
+                Light::Smoke => "smoke",
+                Light::Glare => "glare",
+            };
+            let [r0, r1, r2, r3] = row.ratio;
+            let [b0, b1, b2, b3] = row.bias_px;
+            println!(
+                "{semi_minor_px:6} {ratio:5} {blur_px:5} {name:>8} {bits:5} {r0:5.2} {r1:5.2} {r2:5.2} {r3:5.2}  {b0:+7.4} {b1:+7.4} {b2:+7.4} {b3:+7.4}  {:5.2} {:3}/{}",
+                row.z2,
+                row.found,
+                scenes * shots
+            );
+        }
+    }
+}
+
+/// a/b, blur, light, bits, bright.
+fn conditions() -> [(f64, f64, Light, u32, bool); 9] {
+    [
+        (1.2, 0.8, Light::Even, 8, false),
+        (1.2, 0.8, Light::Even, 16, true),
+        (1.2, 0.5, Light::Even, 8, false),
+        (1.2, 1.7, Light::Even, 8, false),
+        (1.2, 3.0, Light::Even, 16, true),
+        (2.5, 0.8, Light::Even, 8, false),
+        (1.2, 0.8, Light::Slanted, 8, false),
+        (1.2, 0.8, Light::Smoke, 16, true),
+        (1.2, 0.8, Light::Glare, 8, false),
+    ]
+}

@@ -1,0 +1,330 @@
+//! The light on either side of the edge: how rich a model the image asks for, and how noisy it is.
+//!
+//! A *surface* is a polynomial of the place in the image, in units of the semi-axes, `X = x/a`, `Y = y/b`, so that `X = cos t`,
+//! `Y = sin t` on the contour:
+//!
+//! ```text
+//! L = c_0 + c_1 rho + c_2 X + c_3 Y + c_4 (X^2 - Y^2) + c_5 2 X Y,     rho = X^2 + Y^2 - 1
+//! ```
+//!
+//! The slope along the normal follows from the same numbers: light that rises across the disc costs two of them, not a slope per place.
+//! `c_1` moves no level on the contour, only the radial slope; it is all but held at zero unless the pixels away from the edge
+//! show it (a free radial slope costs half of what the image tells about the axes).
+//!
+//! Smoke follows no polynomial: there what it adds to the best one, levels and slopes, stands at *nodes* around the contour, tied to
+//! their neighbours as loosely as the pixels away from the edge show them to differ.
+//!
+//! | symbol | identifier | unit | meaning |
+//! |---|---|---|---|
+//! | c_0 .. c_5 | order of `Side::basis` | grey | coefficients of a surface |
+//! | - | `gradient`, `bend` | grey | standard deviation of the first and second derivatives of the light in units of the semi-axes |
+//!
+//! Smoke has no preferred direction in the plane of the disc; in the image it is foreshortened with the disc, which the units of the
+//! semi-axes take out.
+//!
+//! Not valid where the light changes within a few blurs.
+
+use crate::detect::contour::Contour;
+use crate::detect::edge_model::Solution;
+use crate::detect::sectors::{Away, Sectors};
+use nalgebra::{SMatrix, SVector};
+
+/// Length of contour from node to node, px.
+const NODE_PX: f64 = 6.0;
+/// Most nodes around a contour.
+const MOST_NODES: usize = 400;
+/// Standard deviation of a radial slope that the image shows, grey steps per semi-axis.
+const RADIAL: f64 = 0.15;
+/// A slope held too tightly drags the edge along with it, one held too loosely costs little: the prior is this much wider than measured.
+const LOOSE: f64 = 4.0;
+/// How much `chi^2` must fall for two more coefficients: their mean, 3.5 standard deviations, and 4 for having looked.
+const WORTH: f64 = 13.0;
+
+/// Light on both sides.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Light {
+    /// A polynomial inside and one outside.
+    Surface([Side; 2]),
+    /// Nodes around the contour: how many, and the priors of either side.
+    Nodes(usize, [NodePrior; 2]),
+}
+
+/// One polynomial.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Side {
+    /// 0, 1 or 2.
+    pub(crate) degree: usize,
+    /// Standard deviation of `c_1`, grey.
+    pub(crate) radial: f64,
+    /// Step of the edge: the scale of everything, grey.
+    pub(crate) step: f64,
+}
+
+/// What is known of light at nodes before seeing the edge.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct NodePrior {
+    pub(crate) gradient: f64,
+    pub(crate) bend: f64,
+    /// Surface about which the light varies, grey.
+    about: SVector<f64, 6>,
+}
+
+/// The same at one node, standard deviations.
+pub(crate) struct AtNode {
+    /// Of the difference of the levels of two neighbouring nodes, grey.
+    pub(crate) level_step: f64,
+    /// Of a slope, grey/px.
+    pub(crate) slope: f64,
+    /// Of the difference of the slopes of two neighbouring nodes, grey/px.
+    pub(crate) slope_step: f64,
+}
+
+impl NodePrior {
+    /// Level and slope of the surface on a sector.
+    pub(crate) fn surface(&self, contour: &Contour, k: usize) -> (f64, f64) {
+        let (value, climb) = Side::basis(contour, k);
+        let sum = |x: &[f64; Side::MOST]| self.about.iter().zip(x).map(|(c, x)| c * x).sum();
+        (sum(&value), sum(&climb))
+    }
+
+    /// At node `i` of `nodes`.
+    pub(crate) fn at(&self, contour: &Contour, i: usize, nodes: usize) -> AtNode {
+        let k = i * contour.len() / nodes;
+        let (along, across) = (contour.turn[k] * contour.perimeter_px / nodes as f64, contour.steepness(k));
+        AtNode {
+            level_step: self.gradient * along,
+            slope: LOOSE * self.gradient * across,
+            // A mixed second derivative has a third of the variance of a pure one.
+            slope_step: self.bend * along * across / 3.0_f64.sqrt(),
+        }
+    }
+}
+
+impl Side {
+    /// Most coefficients.
+    pub(crate) const MOST: usize = 6;
+
+    /// A polynomial without radial slope.
+    pub(crate) fn plain(degree: usize, step: f64) -> Self {
+        Self { degree, radial: 1e-5 * step, step }
+    }
+
+    /// Number of coefficients.
+    pub(crate) fn count(&self) -> usize {
+        2 + 2 * self.degree
+    }
+
+    /// Standard deviations of the coefficients before seeing the image, grey: weak, to keep hidden stretches finite.
+    pub(crate) fn prior_sigmas(&self) -> [f64; Self::MOST] {
+        let s = self.step;
+        [1e3 * s, self.radial, 2.0 * s, 2.0 * s, s, s]
+    }
+
+    /// The polynomials on a sector of the contour and their derivatives along the normal, 1 and 1/px.
+    #[inline]
+    pub(crate) fn basis(contour: &Contour, k: usize) -> ([f64; Self::MOST], [f64; Self::MOST]) {
+        let (c, s, [gx, gy]) = (contour.cos[k], contour.sin[k], contour.climb[k]);
+        let value = [1.0, 0.0, c, s, c * c - s * s, 2.0 * c * s];
+        let climb = [0.0, 2.0 * (c * gx + s * gy), gx, gy, 2.0 * (c * gx - s * gy), 2.0 * (s * gx + c * gy)];
+        (value, climb)
+    }
+}
+
+/// Places of the coefficients as they come in with the degree, the radial slope last.
+const ORDER: [usize; Side::MOST] = [0, 2, 3, 4, 5, 1];
+
+/// Sums of squares that polynomials leave on the pixels away from the edge.
+struct Fits {
+    matrix: SMatrix<f64, 6, 6>,
+    right: SVector<f64, 6>,
+    squares: f64,
+}
+
+impl Fits {
+    fn new(contour: &Contour, sectors: &Sectors, side: usize) -> Self {
+        let mut fits = Self { matrix: SMatrix::zeros(), right: SVector::zeros(), squares: 0.0 };
+        for k in (0..contour.len()).filter(|k| sectors.keep[*k]) {
+            let x = &sectors.away[side][k];
+            if x.n == 0.0 {
+                continue;
+            }
+            let (value, climb) = Side::basis(contour, k);
+            for i in 0..Side::MOST {
+                for j in 0..=i {
+                    fits.matrix[(i, j)] += value[i] * value[j] * x.n
+                        + (value[i] * climb[j] + climb[i] * value[j]) * x.d
+                        + climb[i] * climb[j] * x.dd;
+                }
+                fits.right[i] += value[i] * x.y + climb[i] * x.yd;
+            }
+            fits.squares += x.yy;
+        }
+        let lower = fits.matrix;
+        fits.matrix = SMatrix::from_fn(|i, j| lower[(i.max(j), i.min(j))]);
+        fits
+    }
+
+    /// Sum of squares left by the coefficients listed, and these.
+    fn left_by(&self, which: &[usize]) -> Option<(f64, SVector<f64, 6>)> {
+        let n = which.len();
+        let reduced = SMatrix::<f64, 6, 6>::from_fn(|i, j| match (i < n, j < n) {
+            (true, true) => self.matrix[(which[i], which[j])],
+            _ => f64::from(u8::from(i == j)),
+        });
+        let right = SVector::<f64, 6>::from_fn(|i, _| if i < n { self.right[which[i]] } else { 0.0 });
+        let x = reduced.cholesky()?.solve(&right);
+        let mut all = SVector::zeros();
+        which.iter().enumerate().for_each(|(i, w)| all[*w] = x[i]);
+        Some(((self.squares - right.dot(&x)).max(0.0), all))
+    }
+}
+
+/// What the pixels away from the edge say about one side.
+struct Verdict {
+    side: Side,
+    /// Whether no polynomial follows the light.
+    smoke: bool,
+    prior: NodePrior,
+}
+
+/// The poorest model of the light that the pixels away from the edge do not contradict.
+pub(crate) fn choose(contour: &Contour, sectors: &Sectors, step: f64) -> Light {
+    let nodes = ((contour.perimeter_px / NODE_PX) as usize).clamp(6, MOST_NODES);
+    let verdicts = [0, 1].map(|side| judge(contour, sectors, side, step.abs(), nodes));
+    if verdicts.iter().any(|v| v.smoke) {
+        Light::Nodes(nodes, verdicts.map(|v| v.prior))
+    } else {
+        Light::Surface(verdicts.map(|v| v.side))
+    }
+}
+
+/// Sums in equal stretches of the contour, about a polynomial or about zero.
+fn stretches(contour: &Contour, sectors: &Sectors, side: usize, count: usize, about: &SVector<f64, 6>) -> Vec<Away> {
+    let mut all = vec![Away::default(); count];
+    for k in (0..contour.len()).filter(|k| sectors.keep[*k]) {
+        let x = sectors.away[side][k];
+        let (value, climb) = Side::basis(contour, k);
+        let level: f64 = (0..Side::MOST).map(|i| about[i] * value[i]).sum();
+        let slope: f64 = (0..Side::MOST).map(|i| about[i] * climb[i]).sum();
+        let rest = Away { y: x.y - level * x.n - slope * x.d, yy: x.about(level, slope), ..x };
+        all[k * count / contour.len()].add(&rest);
+    }
+    all
+}
+
+fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: usize) -> Verdict {
+    let floor = 1e-4 * step;
+    let mut verdict = Verdict {
+        side: Side::plain(0, step),
+        smoke: false,
+        prior: NodePrior { gradient: floor, bend: floor, about: SVector::zeros() },
+    };
+    let fits = Fits::new(contour, sectors, side);
+    let degrees: Vec<_> = [1, 3, 5].iter().map_while(|n| fits.left_by(&ORDER[..*n])).collect();
+    let seen: f64 = (0..contour.len()).filter(|k| sectors.keep[*k]).map(|k| sectors.away[side][k].n).sum();
+    if degrees.len() < 3 || seen < 12.0 {
+        // Too few pixels to ask. On a small disc a gradient of the light and a shift of the centre look alike; a large one can bear it.
+        verdict.side.degree = usize::from(contour.perimeter_px > 40.0);
+        return verdict;
+    }
+    // Scatter within short stretches only: what varies between them is what is asked for.
+    let about = stretches(contour, sectors, side, nodes, &degrees[2].1);
+    let told: Vec<&Away> = about.iter().filter(|x| x.n >= 2.0).collect();
+    let freedom: f64 = told.iter().map(|x| x.n - 1.0).sum();
+    let scatter: f64 = told.iter().map(|x| x.yy - x.y * x.y / x.n).sum();
+    let least = (1e-6 * step).powi(2).max(1e-300);
+    let variance = if freedom >= 6.0 { scatter / freedom } else { degrees[2].0 / (seen - 5.0) }.max(least);
+    let fall = |a: usize, b: usize| (degrees[a].0 - degrees[b].0) / variance;
+    verdict.side.degree = if fall(1, 2) > WORTH && seen > 24.0 { 2 } else { usize::from(fall(0, 1) > WORTH) };
+    let degree = verdict.side.degree;
+    if degree == 2 {
+        // Light that bends along the contour bends across it as well.
+        let c = &degrees[2].1;
+        verdict.side.radial = (0.5 * (c[4] * c[4] + c[5] * c[5])).sqrt();
+    }
+    let mut with_radial: Vec<usize> = ORDER[..1 + 2 * degree].to_vec();
+    with_radial.push(1);
+    if let Some((left, _)) = fits.left_by(&with_radial) {
+        if (degrees[degree].0 - left) / variance > 16.0 {
+            verdict.side.radial = verdict.side.radial.max(0.5 * RADIAL * step);
+        }
+    }
+    let between: f64 = told.iter().map(|x| x.y * x.y / x.n).sum::<f64>() / variance;
+    let freedom = told.len() as f64 - 5.0;
+    verdict.smoke = freedom >= 6.0 && between > freedom + 3.5 * (2.0 * freedom).sqrt();
+    verdict.prior = node_prior(contour, &about, variance, floor);
+    verdict.prior.about = degrees[2].1;
+    verdict
+}
+
+/// How much neighbouring stretches differ, beyond their noise.
+fn node_prior(contour: &Contour, raw: &[Away], variance: f64, floor: f64) -> NodePrior {
+    let nodes = raw.len();
+    let spacing = contour.perimeter_px / nodes as f64;
+    let (mut first, mut firsts, mut second, mut seconds) = (0.0, 0.0, 0.0, 0.0);
+    for i in 0..nodes {
+        let (a, b, c) = (&raw[i], &raw[(i + 1) % nodes], &raw[(i + 2) % nodes]);
+        if a.n < 2.0 || b.n < 2.0 {
+            continue;
+        }
+        let (ma, mb) = (a.y / a.n, b.y / b.n);
+        let along = (spacing * contour.turn[(i + 1) % nodes * contour.len() / nodes]).powi(2);
+        first += (ma - mb).powi(2) - variance * (1.0 / a.n + 1.0 / b.n);
+        firsts += along;
+        if c.n >= 2.0 {
+            second += (ma - 2.0 * mb + c.y / c.n).powi(2) - variance * (1.0 / a.n + 4.0 / b.n + 1.0 / c.n);
+            seconds += along * along;
+        }
+    }
+    let root = |sum: f64, weight: f64| if weight > 0.0 { (sum / weight).max(floor * floor).sqrt() } else { floor };
+    NodePrior { gradient: root(first, firsts), bend: root(second, seconds), about: SVector::zeros() }
+}
+
+impl Light {
+    /// How strongly the light bends on either side where the model does not follow it, grey in units of the semi-axes.
+    pub(crate) fn bends(&self) -> [f64; 2] {
+        match self {
+            Light::Surface(_) => [0.0; 2],
+            Light::Nodes(_, priors) => priors.map(|p| p.bend),
+        }
+    }
+}
+
+/// Noise variance inside and outside, from the pixels away from the edge in the sectors that count; none where too few.
+pub(crate) fn noise(
+    sectors: &Sectors,
+    light: &Light,
+    found: &Solution,
+    step: f64,
+    sorted: &mut Vec<f64>,
+) -> [Option<f64>; 2] {
+    [0, 1].map(|side| {
+        let each = |k: usize| {
+            let x = &sectors.away[side][k];
+            let (level, slope) = (found.level[side][k], found.slope[side][k]);
+            let squares = x.about(level, slope);
+            match light {
+                Light::Surface(_) => (squares, x.n),
+                // The nodes follow the noise a little; what scatters within a sector is the noise itself.
+                Light::Nodes(..) if x.n > 1.0 => {
+                    let sum = x.y - level * x.n - slope * x.d;
+                    ((squares - sum * sum / x.n).max(0.0), x.n - 1.0)
+                }
+                Light::Nodes(..) => (0.0, 0.0),
+            }
+        };
+        let kept = || (0..sectors.len()).filter(|k| sectors.keep[*k]).map(each).filter(|x| x.1 > 0.0);
+        let unknowns = if let Light::Surface(sides) = light { sides[side].count() as f64 - 1.0 } else { 0.0 };
+        let freedom = kept().map(|x| x.1).sum::<f64>() - unknowns;
+        if freedom < 8.0 {
+            return None;
+        }
+        sorted.clear();
+        sorted.extend(kept().map(|x| x.0 / x.1));
+        let middle = sorted.len() / 2;
+        let median = *sorted.select_nth_unstable_by(middle, f64::total_cmp).1;
+        // A few glints must not make the rest look noisy, a few odd values on a clipped ground must still count.
+        let clip = (8.0 * median).max((0.05 * step).powi(2));
+        Some(kept().map(|x| x.0.min(clip * x.1)).sum::<f64>() / freedom)
+    })
+}

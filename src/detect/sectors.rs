@@ -1,0 +1,283 @@
+//! What the pixels of each sector of the contour say, summed up once: everything after works on sectors, not on pixels.
+//!
+//! In a sector the model of [`crate::detect::edge_model`] is linear in six local numbers,
+//!
+//! ```text
+//! g(d) = shift E e + ds E f + L_in P + L_out Q + S_in (P d - s^2 e) + S_out (Q d + s^2 e),     Q = 1 - P,  E = L_in - L_out
+//! z = d / s + kappa s / 2,   P = Phi(-z),   e = phi(z) / s,   f = -phi(z) (kappa / 2 - d / s^2)
+//! ```
+//!
+//! (a light that rises along the normal is blurred with the disc: `(x 1[x < 0]) * G_s = P d - s^2 e` for a straight edge),
+//!
+//! so the weighted sums of products of the columns `(e, f, P, Q, P d - s^2 e, Q d + s^2 e, g)` are all that the image has to say about
+//! them (the step `E` is put in later). Sums of the pixels away from the edge, on either side, are kept beside them: they judge noise and light.
+
+use crate::detect::band::{Band, LANES};
+use crate::detect::contour::Contour;
+use nalgebra::{SMatrix, SVector};
+
+/// Columns of the sums: six local numbers and the grey level.
+const COLUMNS: usize = 7;
+/// Products of two columns, lower triangle.
+const PRODUCTS: usize = COLUMNS * (COLUMNS + 1) / 2;
+/// Beyond this many blurs the edge is not felt.
+const FAR: f64 = 4.5;
+/// Beyond this many blurs a pixel shows the light of its side; what is left of the edge is taken off.
+const AWAY: f64 = 2.3;
+
+/// Pixels that share the error of light that bends.
+const SHARING: f64 = 10.0;
+
+/// Sums over the pixels of one side away from the edge.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Away {
+    pub(crate) n: f64,
+    pub(crate) d: f64,
+    pub(crate) dd: f64,
+    pub(crate) y: f64,
+    pub(crate) yd: f64,
+    pub(crate) yy: f64,
+}
+
+impl Away {
+    #[inline]
+    fn push(&mut self, d: f64, y: f64) {
+        self.n += 1.0;
+        self.d += d;
+        self.dd += d * d;
+        self.y += y;
+        self.yd += y * d;
+        self.yy += y * y;
+    }
+
+    pub(crate) fn add(&mut self, o: &Away) {
+        self.n += o.n;
+        self.d += o.d;
+        self.dd += o.dd;
+        self.y += o.y;
+        self.yd += o.yd;
+        self.yy += o.yy;
+    }
+
+    /// Sum of squares about `level + slope d`.
+    pub(crate) fn about(&self, level: f64, slope: f64) -> f64 {
+        let cross = level * self.y + slope * self.yd;
+        let square = level * level * self.n + 2.0 * level * slope * self.d + slope * slope * self.dd;
+        (self.yy - 2.0 * cross + square).max(0.0)
+    }
+}
+
+/// Sums of all sectors of one contour, reused from disc to disc.
+#[derive(Debug, Default)]
+pub(crate) struct Sectors {
+    products: Vec<[f64; PRODUCTS]>,
+    /// Inside, outside.
+    pub(crate) away: [Vec<Away>; 2],
+    pub(crate) pixels: Vec<u32>,
+    /// Sectors that count.
+    pub(crate) keep: Vec<bool>,
+}
+
+/// What a pixel is weighed and explained with.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Lens {
+    pub(crate) blur_px: f64,
+    /// Noise variance inside and outside, grey^2.
+    pub(crate) variance: [f64; 2],
+    /// Second derivatives of the light that the model does not follow, inside and outside, grey in units of the semi-axes.
+    pub(crate) bends: [f64; 2],
+    /// Inside minus outside, roughly, grey.
+    pub(crate) step: f64,
+    /// Taken off every grey level: sums of squares of small numbers are exact.
+    pub(crate) ground: f64,
+}
+
+impl Sectors {
+    pub(crate) fn len(&self) -> usize {
+        self.keep.len()
+    }
+
+    fn clear(&mut self, count: usize) {
+        self.products.clear();
+        self.products.resize(count, [0.0; PRODUCTS]);
+        for side in &mut self.away {
+            side.clear();
+            side.resize(count, Away::default());
+        }
+        self.pixels.clear();
+        self.pixels.resize(count, 0);
+        self.keep.clear();
+        self.keep.resize(count, true);
+    }
+
+    /// Sums up the pixels of a band.
+    pub(crate) fn sum_up(&mut self, band: &Band, contour: &Contour, lens: &Lens) {
+        self.clear(contour.len());
+        // Light that bends away from its tangent by `bend d^2 / 2`; neighbouring pixels share that error.
+        let bent = |k: usize, d: f64| {
+            let bend = 0.5 * lens.bends[usize::from(d > 0.0)] * contour.steepness(k).powi(2) * d * d;
+            SHARING * bend * bend
+        };
+        let smooth = lens.bends == [0.0; 2];
+        let inverse = 1.0 / lens.blur_px;
+        let (mut z, mut inside, mut density) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+        for at in (0..band.len()).step_by(LANES) {
+            let (d, kappa) = (&band.distance[at..at + LANES], &band.curvature[at..at + LANES]);
+            for i in 0..LANES {
+                z[i] = d[i] * inverse + 0.5 * kappa[i] * lens.blur_px;
+            }
+            normal_tails(&z, &mut inside, &mut density);
+            for i in 0..LANES {
+                let d = d[i];
+                if d.is_nan() {
+                    continue;
+                }
+                let k = band.sector[at + i] as usize;
+                let y = band.grey[at + i] - lens.ground;
+                self.pixels[k] += 1;
+                if z[i] > AWAY {
+                    self.away[1][k].push(d, y - lens.step * inside[i]);
+                } else if z[i] < -AWAY {
+                    self.away[0][k].push(d, y + lens.step * (1.0 - inside[i]));
+                }
+                let bent = if smooth { 0.0 } else { bent(k, d) };
+                if z[i] > FAR {
+                    self.push_far(k, 1, 1.0 / (lens.variance[1] + bent), d, y);
+                } else if z[i] < -FAR {
+                    self.push_far(k, 0, 1.0 / (lens.variance[0] + bent), d, y);
+                } else {
+                    let (p, q) = (inside[i], 1.0 - inside[i]);
+                    let weight = 1.0 / (lens.variance[0] * p + lens.variance[1] * q + bent);
+                    let e = density[i] * inverse;
+                    let f = density[i] * (d * inverse * inverse - 0.5 * kappa[i]);
+                    let mixed = lens.blur_px * density[i];
+                    self.push_near(k, weight, [e, f, p, q, p * d - mixed, q * d + mixed, y]);
+                }
+            }
+        }
+    }
+
+    #[inline]
+    fn push_near(&mut self, k: usize, weight: f64, column: [f64; COLUMNS]) {
+        let sums = &mut self.products[k];
+        let mut at = 0;
+        for a in 0..COLUMNS {
+            let w = weight * column[a];
+            for b in 0..=a {
+                sums[at + b] += w * column[b];
+            }
+            at += a + 1;
+        }
+    }
+
+    /// A pixel that sees one side only.
+    #[inline]
+    fn push_far(&mut self, k: usize, side: usize, weight: f64, d: f64, y: f64) {
+        let sums = &mut self.products[k];
+        let (level, slope) = (2 + side, 4 + side);
+        sums[place(level, level)] += weight;
+        sums[place(slope, level)] += weight * d;
+        sums[place(slope, slope)] += weight * d * d;
+        sums[place(6, level)] += weight * y;
+        sums[place(6, slope)] += weight * y * d;
+        sums[place(6, 6)] += weight * y * y;
+    }
+
+    /// Normal matrix and right side of the local numbers of sector `k` with the step of the light there.
+    pub(crate) fn local(&self, k: usize, step: f64) -> (SMatrix<f64, 6, 6>, SVector<f64, 6>) {
+        let sums = &self.products[k];
+        let scale = |a: usize| if a < 2 { step } else { 1.0 };
+        let normal = SMatrix::from_fn(|a, b| sums[place(a.max(b), a.min(b))] * scale(a) * scale(b));
+        (normal, SVector::from_fn(|a, _| sums[place(6, a)] * scale(a)))
+    }
+
+    /// Weighted sum of the squared grey levels of sector `k`.
+    pub(crate) fn squares(&self, k: usize) -> f64 {
+        self.products[k][place(6, 6)]
+    }
+
+    /// What sector `k` says about the shift of its edge, 1/px^2.
+    pub(crate) fn information(&self, k: usize, step: f64) -> f64 {
+        self.products[k][0] * step * step
+    }
+
+    /// Step of the grey level that sector `k` shows by itself, its edge where the ellipse is; none where it sees one side only.
+    pub(crate) fn own_step(&self, k: usize) -> Option<f64> {
+        let s = &self.products[k];
+        let (pp, qp, qq) = (s[place(2, 2)], s[place(3, 2)], s[place(3, 3)]);
+        let (yp, yq) = (s[place(6, 2)], s[place(6, 3)]);
+        let det = pp * qq - qp * qp;
+        (det > 1e-9 * (pp + qq) * (pp + qq)).then(|| ((qq * yp - qp * yq) - (pp * yq - qp * yp)) / det)
+    }
+}
+
+/// Place of a product in the lower triangle, `a >= b`.
+#[inline]
+const fn place(a: usize, b: usize) -> usize {
+    a * (a + 1) / 2 + b
+}
+
+/// `(Phi(-z), phi(z))` of the normal distribution for many `z`, without branches: Abramowitz and Stegun 7.1.26, error below 1.5e-7.
+#[inline]
+pub(crate) fn normal_tails(z: &[f64; LANES], tail: &mut [f64; LANES], density: &mut [f64; LANES]) {
+    const INVERSE_ROOT_TAU: f64 = 0.398_942_280_401_432_7;
+    for i in 0..LANES {
+        let x = (z[i].abs() * std::f64::consts::FRAC_1_SQRT_2).min(6.0);
+        let gauss = exp_of_negative(-x * x);
+        let t = 1.0 / (1.0 + 0.327_591_1 * x);
+        let poly =
+            t * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
+        let half = 0.5 * poly * gauss;
+        tail[i] = if z[i] > 0.0 { half } else { 1.0 - half };
+        density[i] = INVERSE_ROOT_TAU * gauss;
+    }
+}
+
+/// `exp(x)` for `-40 <= x <= 0`, relative error below 1e-10: `2^n` times the power series on `|r| <= ln 2 / 2`.
+#[inline]
+fn exp_of_negative(x: f64) -> f64 {
+    // Adding 1.5 * 2^52 rounds to the nearest whole number and leaves it in the low bits.
+    const ROUND: f64 = 6_755_399_441_055_744.0;
+    let shifted = x * std::f64::consts::LOG2_E + ROUND;
+    let n = shifted - ROUND;
+    let r = (x - n * 0.693_147_180_369_123_8) - n * 1.908_214_929_270_587_7e-10;
+    let series = 1.0
+        + r * (1.0
+            + r * (1.0 / 2.0
+                + r * (1.0 / 6.0
+                    + r * (1.0 / 24.0
+                        + r * (1.0 / 120.0 + r * (1.0 / 720.0 + r * (1.0 / 5040.0 + r * (1.0 / 40320.0))))))));
+    let power = f64::from_bits(shifted.to_bits().wrapping_add(1023) << 52);
+    series * power
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tails_agree_with_the_exponential_and_the_integral() {
+        // Phi(-z) by Simpson's rule from the density.
+        let simpson = |z: f64| {
+            let (n, top) = (4000, 9.0);
+            let h = (top - z) / f64::from(n);
+            let phi = |x: f64| (-0.5 * x * x).exp() / std::f64::consts::TAU.sqrt();
+            (0..=n)
+                .map(|i| {
+                    let w = if i == 0 || i == n { 1.0 } else { f64::from(2 + 2 * (i % 2)) };
+                    w * phi(z + h * f64::from(i))
+                })
+                .sum::<f64>()
+                * h
+                / 3.0
+        };
+        for k in -50..=50 {
+            let z = 0.11 * f64::from(k);
+            let (mut tail, mut density) = ([0.0; LANES], [0.0; LANES]);
+            normal_tails(&[z; LANES], &mut tail, &mut density);
+            let phi = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
+            assert!((density[3] - phi).abs() < 1e-10, "density at {z}: {} against {phi}", density[3]);
+            assert!((tail[5] - simpson(z)).abs() < 2e-7, "tail at {z}: {} against {}", tail[5], simpson(z));
+        }
+    }
+}

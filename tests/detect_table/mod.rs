@@ -1,0 +1,236 @@
+//! One condition of the table of detection accuracy: images drawn, discs found, errors against the Cramer-Rao bound.
+#![allow(dead_code, missing_docs, unreachable_pub, clippy::unwrap_used, clippy::expect_used)]
+
+use crate::render::{Clean, Random, Spot, draw};
+use nalgebra::{DMatrix, SVector};
+use spivcal::detect::{DetectOptions, Disc, find_discs};
+use spivcal::image::{GrayView, Samples};
+use std::f64::consts::{PI, TAU};
+
+/// Light on the disc and around it, as a factor.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Light {
+    Even,
+    /// Rises by 30 % across the disc.
+    Slanted,
+    /// Smoke in the disc alone: eight waves, 30 % together; the shortest half a disc long.
+    Smoke,
+    /// A saturated spot of a quarter of the radius on the contour.
+    Glare,
+}
+
+#[derive(Clone, Copy)]
+pub struct Condition {
+    pub semi_minor_px: f64,
+    /// Major over minor semi-axis.
+    pub ratio: f64,
+    pub blur_px: f64,
+    pub light: Light,
+    pub bits: u32,
+    /// Of the step.
+    pub noise: f64,
+    pub bright: bool,
+}
+
+/// What came out, in the order centre u, centre v, semi-major, semi-minor.
+pub struct Row {
+    pub bias_px: [f64; 4],
+    /// Scatter over the bound.
+    pub ratio: [f64; 4],
+    pub bound_px: [f64; 4],
+    /// Mean of (error / sigma)^2 of the covariance given.
+    pub z2: f64,
+    pub found: usize,
+}
+
+impl Row {
+    /// Root mean square of the four ratios.
+    pub fn overall(&self) -> f64 {
+        (self.ratio.iter().map(|r| r * r).sum::<f64>() / 4.0).sqrt()
+    }
+}
+
+impl Condition {
+    fn size(&self) -> usize {
+        (2.0 * (self.semi_minor_px * self.ratio + 5.0 * self.blur_px) + 24.0) as usize
+    }
+
+    fn spot(&self, du: f64, dv: f64) -> Spot {
+        let middle = (self.size() / 2) as f64;
+        Spot { u: middle + du, v: middle + dv, a: self.semi_minor_px * self.ratio, b: self.semi_minor_px, phi: 0.4 }
+    }
+
+    fn levels(&self) -> (f64, f64) {
+        let full = if self.bits == 8 { 255.0 } else { 60_000.0 };
+        if self.bright { (0.1 * full, 0.6 * full) } else { (0.65 * full, 0.15 * full) }
+    }
+
+    fn step(&self) -> f64 {
+        (self.levels().1 - self.levels().0).abs()
+    }
+
+    /// Waves of smoke about the middle of the image: wave numbers (1/px), phase, height.
+    fn waves(&self, seed: u64) -> Vec<[f64; 4]> {
+        let mut random = Random(seed);
+        (0..8)
+            .map(|i| {
+                let wavelength = self.semi_minor_px * (1.0 + 3.0 * f64::from(i) / 7.0);
+                let t = TAU * random.uniform();
+                let k = TAU / wavelength;
+                [k * t.cos(), k * t.sin(), TAU * random.uniform(), 0.3 / 8.0_f64.sqrt()]
+            })
+            .collect()
+    }
+
+    fn draw(&self, spot: &Spot, psf: f64, levels: (f64, f64), waves: &[[f64; 4]]) -> Clean {
+        let (ground, disc) = levels;
+        let middle = (self.size() / 2) as f64;
+        let across = 2.0 * self.semi_minor_px;
+        draw(self.size(), self.size(), psf, |u, v, h| {
+            let (x, y) = (u - middle, v - middle);
+            let cover = spot.cover(u, v, h);
+            match self.light {
+                Light::Even | Light::Glare => ground + (disc - ground) * cover,
+                Light::Slanted => (ground + (disc - ground) * cover) * (1.0 + 0.3 * (0.8 * x + 0.6 * y) / across),
+                Light::Smoke => {
+                    let smoke: f64 = waves.iter().map(|w| w[3] * (w[0] * x + w[1] * y + w[2]).sin()).sum();
+                    ground + (disc * (1.0 + smoke) - ground) * cover
+                }
+            }
+        })
+    }
+
+    /// Cramer-Rao covariance of (u, v, a, b) with angle, blur, levels and light unknown, by differences of drawn images. Of the
+    /// light, what the scene is made of is unknown: the two slopes, or sine and cosine of every wave within their spread.
+    fn bound(&self, waves: &[[f64; 4]], hidden: &dyn Fn(f64, f64) -> bool) -> [f64; 4] {
+        let spot = self.spot(0.0, 0.0);
+        let span = self.step();
+        let at = |d: [f64; 8]| {
+            let s =
+                Spot { u: spot.u + d[0], v: spot.v + d[1], a: spot.a + d[2], b: spot.b + d[3], phi: spot.phi + d[4] };
+            let levels = (self.levels().0 + d[6], self.levels().1 + d[7]);
+            self.draw(&s, self.blur_px + d[5], levels, waves).grey
+        };
+        let steps = [0.05, 0.05, 0.05, 0.05, 0.05 / spot.a, 0.03, 0.01 * span, 0.01 * span];
+        let mut columns: Vec<(Vec<f64>, f64)> = (0..8)
+            .map(|k| {
+                let (mut up, mut down) = ([0.0; 8], [0.0; 8]);
+                up[k] = steps[k];
+                down[k] = -steps[k];
+                let column = at(up).iter().zip(at(down)).map(|(x, y)| (x - y) / (2.0 * steps[k])).collect();
+                (column, 0.0)
+            })
+            .collect();
+        columns.extend(self.light_columns(&spot, waves));
+        let quantised = if self.bits == 8 { 1.0 / 12.0 } else { 0.0 };
+        let variance = (self.noise * span).powi(2) + quantised;
+        let size = self.size();
+        let seen: Vec<usize> = (0..size * size).filter(|i| !hidden((i % size) as f64, (i / size) as f64)).collect();
+        let n = columns.len();
+        let fisher = DMatrix::from_fn(n, n, |i, j| {
+            let dot: f64 = seen.iter().map(|p| columns[i].0[*p] * columns[j].0[*p]).sum();
+            dot / variance + if i == j { columns[i].1 } else { 0.0 }
+        });
+        // Unknowns differ by orders of magnitude: scale before inverting.
+        let scale: Vec<f64> = (0..n).map(|i| fisher[(i, i)].sqrt()).collect();
+        let scaled = DMatrix::from_fn(n, n, |i, j| fisher[(i, j)] / (scale[i] * scale[j]));
+        let inverse = scaled.try_inverse().unwrap();
+        std::array::from_fn(|k| inverse[(k, k)].sqrt() / scale[k])
+    }
+
+    /// Derivatives of the image by the unknowns of the light, each with the weight of its prior.
+    fn light_columns(&self, spot: &Spot, waves: &[[f64; 4]]) -> Vec<(Vec<f64>, f64)> {
+        let (ground, disc) = self.levels();
+        let middle = (self.size() / 2) as f64;
+        let image = |f: &dyn Fn(f64, f64) -> f64, inside: f64, outside: f64| {
+            draw(self.size(), self.size(), self.blur_px, |u, v, h| {
+                f(u - middle, v - middle) * (outside + (inside - outside) * spot.cover(u, v, h))
+            })
+            .grey
+        };
+        match self.light {
+            Light::Even | Light::Glare => vec![],
+            Light::Slanted => [(disc, 0.0), (0.0, ground)]
+                .iter()
+                .flat_map(|(i, o)| [(image(&|x, _| x, *i, *o), 0.0), (image(&|_, y| y, *i, *o), 0.0)])
+                .collect(),
+            Light::Smoke => waves
+                .iter()
+                .flat_map(|w| {
+                    let phase = |x: f64, y: f64| w[0] * x + w[1] * y;
+                    let weight = 2.0 / (w[3] * w[3]);
+                    [
+                        (image(&|x, y| phase(x, y).sin(), disc, 0.0), weight),
+                        (image(&|x, y| phase(x, y).cos(), disc, 0.0), weight),
+                    ]
+                })
+                .collect(),
+        }
+    }
+
+    fn find(&self, clean: &Clean, random: &mut Random) -> Vec<Disc> {
+        let (w, h, sigma) = (clean.width, clean.height, self.noise * self.step());
+        let options = DetectOptions::default();
+        let found = if self.bits == 8 {
+            let p = clean.noisy_u8(sigma, random);
+            find_discs(&GrayView::new(Samples::U8(&p), w, h, w).unwrap(), &options)
+        } else {
+            let p = clean.noisy_u16(sigma, random);
+            find_discs(&GrayView::new(Samples::U16(&p), w, h, w).unwrap(), &options)
+        };
+        found.unwrap().discs
+    }
+
+    /// Draws `scenes` scenes, each at another place within the pixel and in other smoke, and measures `shots` noisy images of each.
+    pub fn run(&self, scenes: usize, shots: usize, seed: u64) -> Row {
+        let mut random = Random(seed);
+        let (mut errors, mut z2, mut bound) = (Vec::new(), 0.0, [0.0; 4]);
+        for scene in 0..scenes {
+            let spot = self.spot((scene as f64 * 0.618).fract() - 0.5, (scene as f64 * 0.414).fract() - 0.5);
+            let waves = self.waves(seed * 1000 + scene as u64);
+            let mut clean = self.draw(&spot, self.blur_px, self.levels(), &waves);
+            let (radius, turn) = (0.25 * self.semi_minor_px, TAU * random.uniform());
+            let (s, c) = spot.phi.sin_cos();
+            let (x, y) = (spot.a * turn.cos(), spot.b * turn.sin());
+            let (gu, gv) = (spot.u + c * x - s * y, spot.v + s * x + c * y);
+            if self.light == Light::Glare {
+                let top = if self.bits == 8 { 255.0 } else { 60_000.0 };
+                for (i, g) in clean.grey.iter_mut().enumerate() {
+                    let d = ((i % clean.width) as f64 - gu).hypot((i / clean.width) as f64 - gv);
+                    *g = (*g + 3.0 * top * (-0.5 * (d / (0.4 * radius)).powi(2)).exp()).min(top);
+                }
+            }
+            if scene == 0 || self.light == Light::Smoke {
+                let hidden = |u: f64, v: f64| self.light == Light::Glare && (u - gu).hypot(v - gv) < 1.3 * radius;
+                let b = self.bound(&waves, &hidden);
+                let share = if self.light == Light::Smoke { scenes as f64 } else { 1.0 };
+                (0..4).for_each(|k| bound[k] += b[k] * b[k] / share);
+            }
+            for _ in 0..shots {
+                let discs = self.find(&clean, &mut random);
+                let Some(disc) = discs.iter().find(|d| {
+                    (d.ellipse.center_px.u_px - spot.u).hypot(d.ellipse.center_px.v_px - spot.v) < self.semi_minor_px
+                }) else {
+                    continue;
+                };
+                let e = &disc.ellipse;
+                let turned = (e.angle_rad - spot.phi + 0.5 * PI).rem_euclid(PI) - 0.5 * PI;
+                let all = SVector::<f64, 5>::from([
+                    e.center_px.u_px - spot.u,
+                    e.center_px.v_px - spot.v,
+                    e.semi_major_px - spot.a,
+                    e.semi_minor_px - spot.b,
+                    turned,
+                ]);
+                z2 += all.dot(&(disc.covariance.try_inverse().unwrap() * all)) / 5.0;
+                errors.push([all[0], all[1], all[2], all[3]]);
+            }
+        }
+        let n = errors.len().max(2) as f64;
+        let bound_px = bound.map(f64::sqrt);
+        let bias_px = std::array::from_fn(|k| errors.iter().map(|e| e[k]).sum::<f64>() / n);
+        // About the truth, not about the mean: what a scene does to all its images counts.
+        let ratio = std::array::from_fn(|k| (errors.iter().map(|e| e[k] * e[k]).sum::<f64>() / n).sqrt() / bound_px[k]);
+        Row { bias_px, ratio, bound_px, z2: z2 / n, found: errors.len() }
+    }
+}
