@@ -28,9 +28,9 @@ mod placement;
 mod resample;
 mod soloff;
 
-pub use map::{NoMeeting, PixelJets, Pixels, SheetJets, SheetMap, SheetPoints, ViewAngles};
 pub use grid::SheetGrid;
 pub use kernel::{Kernel, Sampler};
+pub use map::{NoMeeting, PixelJets, Pixels, SheetJets, SheetMap, SheetPoints, ViewAngles};
 pub use placement::Placement;
 pub(crate) use resample::resample;
 pub use resample::{Dewarped, dewarp};

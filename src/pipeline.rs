@@ -10,8 +10,8 @@ mod png;
 mod residual_rows;
 mod sheet_alone;
 mod sheet_part;
-mod workers;
 mod tiff_file;
+mod workers;
 
 pub use calibrate::{CalibrateOptions, CalibrationOutput, calibrate};
 pub use files::{Output, read_text};
@@ -20,8 +20,8 @@ pub use load::load_image;
 pub use model::{AXIS_POINT_SIGMA, LOSS_SIGMAS, POINT_SIGMA};
 pub use png::png_bytes;
 pub use sheet_alone::{SheetOptions, SheetOutput, TRANSFER_LIMIT_PX, find_sheet};
-pub use workers::Workers;
 pub use tiff_file::{ImageScale, tiff_bytes};
+pub use workers::Workers;
 
 use crate::error::Result;
 use crate::image::GrayImage;

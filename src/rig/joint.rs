@@ -7,7 +7,8 @@ use super::print::labels_by_print;
 use super::starts::{best_start, joint_start};
 use super::{Mono, Pose, RigProblem, RigSolution, rms_of};
 use crate::bundle::{
-    AdjustOptions, Fact, Iteration, Model, PlanePosition, SolveOptions, State, Termination, ViewPlace, ViewState, adjust,
+    AdjustOptions, Fact, Iteration, Model, PlanePosition, SolveOptions, State, Termination, ViewPlace, ViewState,
+    adjust,
 };
 use crate::detect::pattern::Relabelling;
 use crate::error::{Error, Insufficient, Result, Unusable};

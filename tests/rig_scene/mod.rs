@@ -6,8 +6,7 @@ use nalgebra::{DMatrix, Vector2, Vector3};
 use spivcal::bitangent::{EXTERNAL_CROSSING, ExternalUse, POINTS, bitangents};
 use spivcal::bundle::{
     CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, PairObservation, PlanePosition, State,
-    TargetModel,
-    TargetShape, ViewModel, ViewPlace, ViewState,
+    TargetModel, TargetShape, ViewModel, ViewPlace, ViewState,
 };
 use spivcal::camera::{Camera, Intrinsics, Radial};
 use spivcal::conic::{fit_direct, fit_geometric};
