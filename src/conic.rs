@@ -26,7 +26,7 @@ mod geometry;
 pub use circle::image_of_circle;
 pub(crate) use fit::fit_geometric_from;
 pub use fit::{EllipseFit, fit_direct, fit_geometric};
-pub(crate) use foot::{Foot, Frame};
+pub(crate) use foot::Frame;
 pub(crate) use geometry::{covariance_from_regular, from_regular, parameters_by_regular, to_regular};
 
 use crate::frames::Pixel;

@@ -79,6 +79,20 @@ pub struct Placement {
     pub flip_x: bool,
 }
 
+impl Placement {
+    /// How a sheet frame was placed: where it is not the default one, its own origin and x axis.
+    pub fn of_frame(rig_from_sheet: &Motion<Rig, Sheet>) -> Self {
+        let (t, x) = (rig_from_sheet.translation_mm, rig_from_sheet.rotation.column(0).into_owned());
+        let n = -rig_from_sheet.rotation.column(2).into_owned();
+        let on_axis = t.x.hypot(t.y) <= SAME_FRAME * t.norm();
+        let along_rig = (x - laid(&Vector3::x(), &n).0).norm() <= SAME_FRAME;
+        Self { origin_in_rig_mm: (!on_axis).then_some(t), x_in_rig: (!along_rig).then_some(x), flip_x: false }
+    }
+}
+
+/// Frames that differ by less, relative, were placed in the same way.
+const SAME_FRAME: f64 = 1e-9;
+
 /// A direction laid into the plane of normal n, and how much it turns about n per turn of the plane along it.
 fn laid(direction: &Vector3<f64>, n: &Vector3<f64>) -> (Vector3<f64>, f64) {
     let along = direction - n * n.dot(direction);

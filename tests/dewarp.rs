@@ -43,7 +43,7 @@ fn departure(map: &SheetMap, pixels: Pixels, grid: &SheetGrid, kernel: Kernel, g
         sum += (level - gain * brightness(x, y)).powi(2);
         count += 1.0;
     }
-    (sum / count as f64).sqrt()
+    (sum / count).sqrt()
 }
 
 #[test]

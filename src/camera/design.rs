@@ -91,7 +91,7 @@ mod tests {
         focal_length_mm: 50.0,
         pixel_pitch_mm: 0.00625,
         object_distance_mm: 500.0,
-        angle_rad: 0.785398163397448,
+        angle_rad: std::f64::consts::FRAC_PI_4,
         angle_vertical_rad: -0.2,
     };
 

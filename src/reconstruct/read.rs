@@ -136,7 +136,7 @@ pub fn parse_field(text: &str, file: &str) -> Result<FieldTable> {
     if table.x.is_empty() {
         return Err(fault(file, line, "there is a header but no vector below it; export the field again"));
     }
-    table.to_our_convention();
+    table.turn_to_our_convention();
     Ok(table)
 }
 
@@ -221,7 +221,7 @@ impl FieldTable {
     }
 
     /// Pixels from the centre of the first pixel, y down.
-    fn to_our_convention(&mut self) {
+    fn turn_to_our_convention(&mut self) {
         match self.format {
             FieldFormat::Csv => {}
             FieldFormat::PivLab => self.x.iter_mut().chain(&mut self.y).for_each(|p| *p -= 1.0),

@@ -391,11 +391,11 @@ impl VectorField {
         self.flags.push(match s {
             Some(s) => {
                 let far = s.chi2.sqrt() > RESIDUAL_SIGMAS * self.sigma;
-                flag::LOWERED * u8::from(s.lowered) | flag::RESIDUAL * u8::from(far)
+                (flag::LOWERED * u8::from(s.lowered)) | (flag::RESIDUAL * u8::from(far))
             }
             None => {
                 let [a, b] = missing();
-                flag::FIRST_MISSING * u8::from(a) | flag::SECOND_MISSING * u8::from(b)
+                (flag::FIRST_MISSING * u8::from(a)) | (flag::SECOND_MISSING * u8::from(b))
             }
         });
     }

@@ -1,13 +1,13 @@
 //! A sheet given as a plane in the frame of an older sheet.
 
-use super::{SheetEstimate, plane_geometry, sigmas};
+use super::{Placement, SheetEstimate, plane_geometry, sigmas};
 use crate::frames::{Rig, Sheet};
 use crate::rigid::Motion;
 use nalgebra::{Matrix3, SMatrix, Vector3, Vector4};
 
 impl SheetEstimate {
     /// The sheet `z = a + b x + c y` of an older sheet's frame, with the covariance of (a, b, c) (mm, 1, 1); `second_center_mm` is
-    /// the second projection centre in the rig frame. Cameras and older frame are held.
+    /// the second projection centre in the rig frame. Cameras and older frame are held; the new frame is placed as the older one was.
     pub fn from_plane(
         rig_from_older: &Motion<Rig, Sheet>,
         abc: &Vector3<f64>,
@@ -29,7 +29,7 @@ impl SheetEstimate {
             moved.fixed_view_mut::<3, 1>(0, k).copy_from(&n.cross(&d.xyz()));
             moved[(3, k)] = d.w;
         }
-        let geometry = plane_geometry(n, at.w, second_center_mm);
+        let geometry = plane_geometry(n, at.w, second_center_mm, &Placement::of_frame(rig_from_older));
         let by_plane = geometry.derivative.fixed_columns::<4>(0) * moved;
         let mut estimate = geometry.estimate;
         estimate.sigmas = sigmas(&(by_plane * covariance * by_plane.transpose()));
