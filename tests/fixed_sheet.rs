@@ -11,7 +11,7 @@ mod rig_scene;
 
 use nalgebra::{SVector, Vector3};
 use rig_scene::{Bound, Parts, Problem, given_sigmas, true_stereo};
-use spivcal::bundle::{Fact, NamedCovariance, Termination, ViewPlace, adjust, named_covariance};
+use spivcal::bundle::{Fact, NamedCovariance, PlanePosition, Termination, ViewPlace, adjust, named_covariance};
 use spivcal::camera::{Camera, Intrinsics};
 use spivcal::rigid::{Motion, rotation_exp};
 use spivcal::sheet::{RESPONSES, SheetUncertainty, StereoSheet};
@@ -158,7 +158,7 @@ fn a_parallel_shift_does_not_suffice() {
     assert_eq!(nullity(&shifted(scaled())), 1, "a view parallel to the sheet, step unknown, a length known");
     let known_step = |parts: Parts| {
         let mut parts = shifted(parts);
-        parts.views[4].place = ViewPlace::InPlane { z_mm: 4.0 };
+        parts.views[4].place = ViewPlace::InPlane { z_mm: 4.0, known: PlanePosition::Exact };
         parts
     };
     assert_eq!(nullity(&known_step(bare())), 1, "the step is the metric fact");

@@ -119,7 +119,7 @@ fn departures(f: &VectorField) -> [[f64; 2]; 3] {
         }
     }
     assert!(n > 300.0, "{n}");
-    [0, 1, 2].map(|a| [largest[a], (sum[a] / n as f64).sqrt()])
+    [0, 1, 2].map(|a| [largest[a], (sum[a] / n).sqrt()])
 }
 
 /// Slope of measured w against true w, less one: the bias of the out-of-plane gain.
@@ -177,12 +177,12 @@ fn sigmas_are_those_of_the_scatter() {
             (0..3).for_each(|a| sums[a] += (d[a] / f.sigma_mm[a][i]).powi(2));
             n += 1.0;
         }
-        let ratio = sums.map(|s| (s / n as f64).sqrt());
+        let ratio = sums.map(|s| (s / n).sqrt());
         println!("{unit:?}: scatter over sigma {ratio:.3?}, estimated sigma {:.4}", f.sigma);
         let true_sigma = if unit == FieldUnit::RawPixels { sigma_px } else { 0.003 };
         assert!((f.sigma / true_sigma - 1.0).abs() < 0.1, "{}", f.sigma);
         // n vectors, neighbours correlated by the interpolation: about n / 4 independent ones.
-        let z = ratio.map(|r| (r - 1.0) / (0.5 / (n / 4.0) as f64).sqrt());
+        let z = ratio.map(|r| (r - 1.0) / (0.5 / (n / 4.0)).sqrt());
         assert!(z.iter().all(|z| z.abs() < 5.0) && ratio.iter().all(|r| (r - 1.0).abs() < 0.15), "{ratio:?} {z:?}");
     }
 }

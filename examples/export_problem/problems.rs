@@ -3,7 +3,7 @@
 use crate::rig_scene::{Noise, Parts, Scene, tilted_camera, with_tangents};
 use nalgebra::Vector3;
 use spivcal::bitangent::ExternalUse;
-use spivcal::bundle::{Fact, Focus, Loss, Model, State, TargetShape, ViewPlace, pair_features};
+use spivcal::bundle::{Fact, Focus, Loss, Model, PlanePosition, State, TargetShape, ViewPlace, pair_features};
 use spivcal::camera::{Camera, Radial};
 use spivcal::frames::{Rig, Sheet, Target};
 use spivcal::rigid::Motion;
@@ -118,7 +118,7 @@ fn traverse() -> Case {
     let sheet = parts.rig_from_sheet.expect("a sheet");
     let own = parts.views[4].rig_from_target;
     for (v, z_mm) in [(3, 1.5), (4, 0.0), (5, -1.5)] {
-        parts.views[v].place = ViewPlace::InPlane { z_mm };
+        parts.views[v].place = ViewPlace::InPlane { z_mm, known: PlanePosition::Exact };
         let from = if v == 3 { own } else { parts.views[v].rig_from_target };
         let mut planar: Motion<Sheet, Target> = sheet.inverse() * from;
         planar.translation_mm.z = z_mm;

@@ -22,8 +22,8 @@
 use crate::problems::Case;
 use nalgebra::{DMatrix, Vector3};
 use spivcal::bundle::{
-    AdjustOptions, Adjustment, CameraModel, Fact, ImageObservations, Loss, Model, NamedCovariance, SolveOptions, State,
-    TargetShape, ViewPlace, adjust, named_covariance,
+    AdjustOptions, Adjustment, CameraModel, Fact, ImageObservations, Loss, Model, NamedCovariance, PlanePosition,
+    SolveOptions, State, TargetShape, ViewPlace, adjust, named_covariance,
 };
 use spivcal::camera::{Camera, Intrinsics, Radial};
 use spivcal::frames::{Cam, Rig, Sheet, Target};
@@ -165,7 +165,8 @@ fn state(out: &mut Words, case: &Case, solution: &Adjustment) {
     for (v, view) in model.views.iter().enumerate() {
         match view.place {
             ViewPlace::Free => out.word("0 0"),
-            ViewPlace::InPlane { z_mm } => out.word(1).numbers(&[z_mm]),
+            ViewPlace::InPlane { z_mm, known: PlanePosition::Exact } => out.word(1).numbers(&[z_mm]),
+            ViewPlace::InPlane { .. } => panic!("the text has no place for an uncertain position on a traverse"),
         };
         out.motion(&na.rig_from_target[v]).numbers(&a.views[v].shape_mm);
         out.motion(&nb.rig_from_target[v]).numbers(&b.views[v].shape_mm).line();
