@@ -9,6 +9,7 @@ use super::assemble;
 use super::facts;
 use super::layout::{self, Places};
 use super::model::Model;
+use super::outline;
 use super::residuals::{DiscResidual, residuals};
 use super::retraction;
 use super::state::State;
@@ -63,6 +64,8 @@ pub struct Adjustment {
     pub equations: Option<NormalEquations>,
     /// Discs set aside.
     pub outliers: Vec<Outlier>,
+    /// Standard deviation of the printed discs' ovality, mm, where their outlines show one.
+    pub ovality_mm: Option<f64>,
 }
 
 /// The least-squares problem of a model, for solvers and tests of other makes.
@@ -133,6 +136,7 @@ pub fn adjust(
     let (mut state, mut iterations) = towards(model, start, options, observe);
     let mut model = model.clone();
     let mut outliers = vec![];
+    let mut ovality_mm = None;
     let mut round = 0;
     loop {
         let bundle = Bundle { model: &model, places: Places::of(&model) };
@@ -141,7 +145,11 @@ pub fn adjust(
         let stopped = matches!(out.termination, Termination::Cancelled | Termination::BadStart);
         let changed = round < options.rounds && !stopped && {
             let set_aside = set_outliers_aside(&mut model, &out.state, options, &mut outliers);
-            rescale(&mut model, &out.state, out.equations.as_ref()) || set_aside
+            if round == 0 {
+                ovality_mm = outline::whiten(&mut model, &out.state);
+            }
+            let oval = round == 0 && ovality_mm.is_some();
+            rescale(&mut model, &out.state, out.equations.as_ref()) || set_aside || oval
         };
         if !changed {
             return Adjustment {
@@ -153,6 +161,7 @@ pub fn adjust(
                 termination: out.termination,
                 equations: out.equations,
                 outliers,
+                ovality_mm,
             };
         }
         state = out.state;

@@ -395,7 +395,7 @@ fn image(
             edge.v_px.push(q.y);
             edge.sigma_px.push(SIGMA_PX);
         }
-        DiscObservation { disc: j, edge }
+        DiscObservation { disc: j, edge, outline: None }
     };
     ImageObservations {
         view,
