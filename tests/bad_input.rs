@@ -4,11 +4,14 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
+mod program;
+
+use program::{example, spivcal};
 use spivcal::detect::{DetectOptions, Disc, find_discs};
 use spivcal::image::{GrayImage, Pixels};
 use spivcal::pipeline::{load_image, png_bytes};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 
 /// A copy of the example in a folder of its own.
 struct Job {
@@ -18,8 +21,7 @@ struct Job {
 impl Job {
     fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/printed");
-        for entry in std::fs::read_dir(example).unwrap() {
+        for entry in std::fs::read_dir(example("printed")).unwrap() {
             let path = entry.unwrap().path();
             if path.extension().is_some_and(|e| e == "png" || e == "toml") {
                 std::fs::copy(&path, folder.path().join(path.file_name().unwrap())).unwrap();
@@ -53,10 +55,6 @@ impl Job {
         refused(&self.calibrate(), code, words);
         assert!(!self.out().exists(), "something was written");
     }
-}
-
-fn spivcal(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_spivcal")).args(arguments).output().unwrap()
 }
 
 #[track_caller]

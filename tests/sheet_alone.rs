@@ -2,17 +2,12 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
+mod program;
+
+use program::{example, spivcal};
 use spivcal::record::Record;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
-
-fn spivcal(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_spivcal")).args(arguments).output().unwrap()
-}
-
-fn example(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(name)
-}
+use std::path::Path;
+use std::process::Output;
 
 fn record(folder: &Path) -> Record {
     Record::from_json(&std::fs::read_to_string(folder.join("calibration.json")).unwrap(), "c").unwrap()
