@@ -58,6 +58,7 @@ fn end_to_end(scene: &str) -> Record {
 }
 
 #[test]
+#[ignore = "full-size images: minutes without optimisation"]
 fn dot_grid_with_every_dot_estimated() {
     // At half size the holes of the rings would be too small.
     end_to_end(&changed(preset_text("dot-grid").unwrap(), &[("count = 6", "count = 4")]));
