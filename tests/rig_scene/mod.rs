@@ -1,6 +1,6 @@
 //! A synthetic rig with exact contours of two discs: the paper's geometry (50 mm lens, 500 mm, 45 degrees, 6.25 um).
 
-#![allow(dead_code)]
+#![allow(dead_code, unused_imports)]
 
 use nalgebra::{Vector2, Vector3};
 use spivcal::bundle::{
