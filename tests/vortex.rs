@@ -10,7 +10,7 @@ mod program;
 use nalgebra::{Matrix3, Vector3};
 use program::{example, spivcal};
 use serde_json::Value;
-use spivcal::frames::{Rig, Sheet};
+use spivcal::frames::{Rig, Sheet, Target};
 use spivcal::record::{Pose, Record};
 use spivcal::rigid::Motion;
 use std::path::Path;
@@ -26,10 +26,22 @@ fn json(path: &Path) -> Value {
     serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
+fn pose<A, B>(value: &Value) -> Motion<A, B> {
+    serde_json::from_value::<Pose>(value.clone()).unwrap().motion()
+}
+
+/// The light in the frame of a calibration's sheet, by way of the plate of view 5, which stood where it stood; lens axes may be uncertain.
+fn light_from_sheet(truth: &Value, record: &Record) -> Motion<Sheet, Sheet> {
+    let rig_from_plate = record.views.iter().find(|v| v.index == 4).and_then(|v| v.rig_from_target).unwrap();
+    let plate_from_sheet = rig_from_plate.motion::<Rig, Target>().inverse()
+        * record.sheet.as_ref().unwrap().rig_from_sheet.motion::<Rig, Sheet>();
+    let true_rig_from_plate: Motion<Rig, Target> = pose(&truth["views"][4]["rig_from_target"]);
+    let rig_from_light: Motion<Rig, Sheet> = pose(&truth["particles"]["rig_from_light"]);
+    rig_from_light.inverse() * true_rig_from_plate * plate_from_sheet
+}
+
 /// Displacement by the scene, at (x, y) of a calibration's sheet and in its axes, mm.
-fn truth(particles: &Value, rig_from_sheet: &Motion<Rig, Sheet>, x: f64, y: f64) -> Vector3<f64> {
-    let pose: Pose = serde_json::from_value(particles["rig_from_light"].clone()).unwrap();
-    let light_from_sheet = pose.motion::<Rig, Sheet>().inverse() * *rig_from_sheet;
+fn flow(particles: &Value, light_from_sheet: &Motion<Sheet, Sheet>, x: f64, y: f64) -> Vector3<f64> {
     let f = &particles["flow"];
     let number = |key: &str| f[key].as_f64().unwrap();
     let p = light_from_sheet.apply(&Vector3::new(x, y, 0.0));
@@ -82,8 +94,8 @@ fn from_images_to_three_components() {
     );
 
     let record = Record::from_json(&std::fs::read_to_string(&corrected).unwrap(), "c").unwrap();
-    let rig_from_sheet = record.sheet.as_ref().unwrap().rig_from_sheet.motion::<Rig, Sheet>();
-    let particles = &json(&folder.join("truth.json"))["particles"];
+    let truth = json(&folder.join("truth.json"));
+    let (light, particles) = (light_from_sheet(&truth, &record), &truth["particles"]);
     let table = std::fs::read_to_string(path("vectors.csv")).unwrap();
     let header: Vec<&str> = table.lines().next().unwrap().split(',').collect();
     let column = |name: &str| header.iter().position(|h| *h == name).unwrap();
@@ -95,11 +107,12 @@ fn from_images_to_three_components() {
         if get("flag") != Some(0.0) {
             continue;
         }
-        let d = Vector3::new(get("u_mm").unwrap(), get("v_mm").unwrap(), w) - truth(particles, &rig_from_sheet, x, y);
+        let d = Vector3::new(get("u_mm").unwrap(), get("v_mm").unwrap(), w) - flow(particles, &light, x, y);
         n += 1.0;
         for (a, name) in ["u", "v", "w"].iter().enumerate() {
             let own = get(&format!("sigma_{name}_mm")).unwrap();
-            let calibration = get(&format!("calibration_sigma_{name}_mm")).unwrap();
+            // At the rim of the field a moved calibration may not see the point.
+            let calibration = get(&format!("calibration_sigma_{name}_mm")).unwrap_or(0.0);
             let sigma = own.hypot(calibration);
             z2[a] += (d[a] / sigma).powi(2);
             error[a] += d[a] * d[a];
@@ -115,6 +128,20 @@ fn from_images_to_three_components() {
         of(z2),
         within / n
     );
+    // Measured: 0.0041 mm, no bias, 1.24 sigmas, 0.90; windows of 3 mm average a vortex of 8 mm, which the sigmas do not hold.
+    assert!(n > 1350.0 && of(error)[2] < 0.006 && mean.iter().all(|m| m.abs() < 1e-3));
+    assert!(of(z2).iter().all(|z| *z < 1.5) && within / n > 0.85);
+    let found = json(&scratch.path().join("s/check.json"));
+    let number = |key: &str, sigma: &str, i: usize, true_value: f64| {
+        let get = |k: &str| found[k].get(i).unwrap_or(&found[k]).as_f64().unwrap();
+        (get(key) - true_value) / get(sigma)
+    };
+    let z = [
+        number("offset_mm", "offset_sigma_mm", 0, 1.0),
+        number("tilt_deg", "tilt_sigma_deg", 0, 0.3),
+        number("tilt_deg", "tilt_sigma_deg", 1, -0.4),
+    ];
+    assert!(z.iter().all(|z| z.abs() < 3.0), "{z:?}");
     let picture = std::fs::read_to_string(path("vectors.svg")).unwrap();
     assert!(picture.starts_with("<svg") && picture.contains("positive towards left"));
 }

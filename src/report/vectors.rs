@@ -76,7 +76,18 @@ fn colour(part: f64) -> String {
     format!("rgb({},{},{})", mix(0), mix(1), mix(2))
 }
 
-/// Ends of the colours: the same on both sides of zero where w has both signs, so that white is zero.
+/// Which colours stand for low and high: white is zero, or the end next to it where w has one sign only.
+fn parts([low, high]: [f64; 2]) -> [f64; 2] {
+    if low >= 0.0 {
+        [0.5, 1.0]
+    } else if high <= 0.0 {
+        [0.0, 0.5]
+    } else {
+        [0.0, 1.0]
+    }
+}
+
+/// Ends of the colours: the same on both sides of zero where w has both signs.
 fn scale(w: impl Iterator<Item = f64>) -> [f64; 2] {
     let w = sorted(w);
     let [low, high] = QUANTILES.map(|q| quantile(&w, q));
@@ -97,7 +108,7 @@ pub fn vectors_svg(p: &VectorPicture) -> String {
         width_px: wide * px_per_mm,
         height_px: high * px_per_mm,
     };
-    let [total_width, total_height] = [LEFT_PX + f.width_px.max(420.0) + 120.0, TOP_PX + f.height_px + 96.0];
+    let [total_width, total_height] = [LEFT_PX + f.width_px.max(480.0) + 120.0, TOP_PX + f.height_px + 96.0];
     let mut out = open(total_width, total_height, p.title);
     let _ = write!(
         out,
@@ -118,12 +129,13 @@ pub fn vectors_svg(p: &VectorPicture) -> String {
 
 /// One square per vector in the colour of w.
 fn cells(out: &mut String, p: &VectorPicture, f: &Frame, [low, high]: [f64; 2]) {
+    let [from, to] = parts([low, high]);
     let side = num(p.spacing_mm * f.px_per_mm + 0.4);
     for i in 0..p.x_mm.len() {
         let w = p.displacement_mm[2][i];
         if w.is_finite() {
             let [x, y] = f.at(p.x_mm[i] - 0.5 * p.spacing_mm, p.y_mm[i] + 0.5 * p.spacing_mm);
-            let fill = colour((w - low) / (high - low));
+            let fill = colour(from + (to - from) * ((w - low) / (high - low)).clamp(0.0, 1.0));
             let _ = write!(
                 out,
                 "<rect x=\"{}\" y=\"{}\" width=\"{side}\" height=\"{side}\" fill=\"{fill}\"/>",
@@ -192,13 +204,13 @@ fn arrows(out: &mut String, p: &VectorPicture, f: &Frame) {
     let key_mm = nice_below(if longest > 0.0 { longest } else { 1.0 });
     arrow(out, "arrow", [LEFT_PX, y - 4.0], [key_mm * per_mm, 0.0]);
     let x = LEFT_PX + key_mm * per_mm + 8.0;
-    let more = if every > 1 { format!(" (every {every}th)") } else { String::new() };
+    let more = if every > 1 { format!(" (one of {every} in x and y)") } else { String::new() };
     label(out, "tick", [x, y], "start", &format!("{} mm in the plane{more}", plain(key_mm, 3)));
-    path(out, "flagged", &path_data([[x + 196.5, y - 7.5], [x + 203.5, y - 0.5]], false));
-    path(out, "flagged", &path_data([[x + 196.5, y - 0.5], [x + 203.5, y - 7.5]], false));
-    label(out, "tick", [x + 210.0, y], "start", "flagged");
-    path(out, "missing", &path_data([[x + 280.0, y - 4.0], [x + 280.01, y - 4.0]], false));
-    label(out, "tick", [x + 288.0, y], "start", "no vector");
+    path(out, "flagged", &path_data([[x + 256.5, y - 7.5], [x + 263.5, y - 0.5]], false));
+    path(out, "flagged", &path_data([[x + 256.5, y - 0.5], [x + 263.5, y - 7.5]], false));
+    label(out, "tick", [x + 270.0, y], "start", "flagged");
+    path(out, "missing", &path_data([[x + 340.0, y - 4.0], [x + 340.01, y - 4.0]], false));
+    label(out, "tick", [x + 348.0, y], "start", "no vector");
 }
 
 fn arrow(out: &mut String, class: &str, [x, y]: [f64; 2], [dx, dy]: [f64; 2]) {
@@ -219,6 +231,7 @@ fn bar(out: &mut String, p: &VectorPicture, f: &Frame, [low, high]: [f64; 2]) {
     const PARTS: u32 = 64;
     let (x, length) = (LEFT_PX + f.width_px + 24.0, f.height_px.min(320.0));
     let top = TOP_PX + 0.5 * (f.height_px - length);
+    let [from, to] = parts([low, high]);
     for k in 0..PARTS {
         let part = f64::from(k) / f64::from(PARTS);
         let _ = write!(
@@ -227,7 +240,7 @@ fn bar(out: &mut String, p: &VectorPicture, f: &Frame, [low, high]: [f64; 2]) {
             num(x),
             num(top + length * (1.0 - part - 1.0 / f64::from(PARTS))),
             num(length / f64::from(PARTS) + 0.4),
-            colour((f64::from(k) + 0.5) / f64::from(PARTS))
+            colour(from + (to - from) * (f64::from(k) + 0.5) / f64::from(PARTS))
         );
     }
     for (w, y) in [(high, top), (0.5 * (low + high), top + 0.5 * length), (low, top + length)] {
@@ -299,7 +312,8 @@ mod tests {
     }
 
     #[test]
-    fn white_is_zero_where_w_has_both_signs_and_the_middle_where_not() {
+    fn white_is_zero_or_what_is_next_to_it() {
+        assert_eq!([[-1.0, 1.0], [0.2, 0.4], [-0.4, -0.2]].map(parts), [[0.0, 1.0], [0.5, 1.0], [0.0, 0.5]]);
         assert_eq!(scale([-0.1, 0.4, f64::NAN].into_iter()), [-0.4, 0.4]);
         assert_eq!(scale([0.2, 0.4].into_iter()), [0.2, 0.4]);
         let [low, high] = scale([].into_iter());
