@@ -43,7 +43,9 @@ fn invocations(text: &str) -> Vec<Vec<String>> {
 
 fn documents() -> Vec<(String, String)> {
     let mut names = ["README.md", "docs/measurements.md", "docs/guide.md"].map(str::to_string).to_vec();
-    names.extend(["bubbles", "printed", "vortex", "dice", "piv-challenge-4e"].map(|e| format!("examples/{e}/README.md")));
+    names.extend(
+        ["bubbles", "printed", "vortex", "dice", "piv-challenge-4e"].map(|e| format!("examples/{e}/README.md")),
+    );
     names.into_iter().map(|n| (n.clone(), read(&n))).collect()
 }
 
@@ -73,7 +75,9 @@ fn sources(folder: &Path) -> String {
             out += &sources(&entry);
         } else if entry.extension().is_some_and(|e| e == "rs") {
             let text = std::fs::read_to_string(&entry).unwrap();
-            out.extend(text.lines().map(|l| l.trim_start().strip_suffix('\\').map_or(format!("{l}\n"), str::to_string)));
+            out.extend(
+                text.lines().map(|l| l.trim_start().strip_suffix('\\').map_or(format!("{l}\n"), str::to_string)),
+            );
         }
     }
     out

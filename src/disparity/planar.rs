@@ -30,6 +30,8 @@ const RATIO: f64 = 1.2;
 const OUTLIER: f64 = 2.0;
 /// Noise that the test allows in any case, px.
 const NOISE_PX: f64 = 0.1;
+/// And at the rim of the field, where neighbours lie on one side only and a gradient looks like a contradiction, px.
+const RIM_PX: f64 = 0.5;
 
 /// Options of [`planar_displacements`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -222,13 +224,14 @@ fn contradicting(found: &[Option<[f64; 2]>], lattice: &Lattice) -> Vec<bool> {
     let test = |k: usize| {
         let Some(d) = found[k] else { return false };
         let near: Vec<[f64; 2]> = lattice.neighbours(k).filter_map(|n| found[n]).collect();
+        let noise_px = if lattice.neighbours(k).count() < 8 { RIM_PX } else { NOISE_PX };
         // Two neighbours cannot outvote a vector.
         near.len() < 3
             || (0..2).any(|a| {
                 let mut values: Vec<f64> = near.iter().map(|v| v[a]).collect();
                 let middle = median(&mut values).unwrap_or(d[a]);
                 let mut spread: Vec<f64> = near.iter().map(|v| (v[a] - middle).abs()).collect();
-                (d[a] - middle).abs() > OUTLIER * (median(&mut spread).unwrap_or(0.0) + NOISE_PX)
+                (d[a] - middle).abs() > OUTLIER * (median(&mut spread).unwrap_or(0.0) + noise_px)
             })
     };
     (0..found.len()).map(test).collect()
