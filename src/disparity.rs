@@ -22,6 +22,8 @@
 //! than the autocorrelation peaks: `s_z^2 |s_2 - s_1|^2 = C_12 - (C_11 + C_22) / 2`. Both images carry the light's profile, so the
 //! product falls off as its square: the profile's standard deviation is sqrt(2) s_z, its full width at 1/e^2 four times that.
 //!
+//! **Displacements.** The same correlation between two exposures of one camera gives planar displacements ([`planar_displacements`]).
+//!
 //! Sigmas of the plane are those of the scatter of the windows, which do not overlap; cameras are held. Sources: Wieneke, Exp.
 //! Fluids 39 (2005) 267; Wieneke, Meas. Sci. Technol. 29 (2018) 084002. Not valid for images without common particles (refused),
 //! and blind to errors of the cameras that a plane can mimic.
@@ -30,8 +32,10 @@ mod acquire;
 mod check;
 mod correlate;
 mod peak;
+mod planar;
 mod plane;
 mod prepare;
 
 pub use check::{CheckOptions, CheckOutput, ParticlePair, check_sheet};
+pub use planar::{PlanarOptions, PlanarVectors, planar_displacements};
 pub use plane::sheet_of_view;

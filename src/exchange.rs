@@ -11,6 +11,7 @@
 //! | `davis` | - | `Calibration.xml` (pinhole), `MarkPositionTable.xml` | focal length in mm over the sensor's pixel size, `R = Rz Ry Rx`, distortion k1 k2 p1 p2 on normalised coordinates |
 //! | `uvmat` | - | XML (`GeometryCalib`) | image y up from the lower edge, pixel centres at half numbers, one radial coefficient |
 //! | `matlab` | `.mat` (level 5) | - | pixel (1, 1) is the centre of the first pixel; plain matrices for `cameraIntrinsics` and `rigidtform3d`: no tilt, so the nearest camera with tangential terms is fitted. PIVlab's own calibration file holds MATLAB objects, which only MATLAB can write |
+//! | `soloff` | text | - | 19 coefficients in u and v per camera over the common field, coordinates scaled to -1 to 1, fitted (`soloff.rs`); pixel (0, 0) is the centre of the first pixel |
 //! | `csv` | tables | - | everything in the record |
 //!
 //! Covariances travel only in `csv`: no other format has a place for them, and a calibration read from one has none.
@@ -24,6 +25,7 @@ mod matlab;
 mod opencv;
 mod openptv;
 mod refit;
+mod soloff;
 mod storage;
 mod uvmat;
 mod xml;
@@ -47,6 +49,8 @@ pub enum ExportFormat {
     OpenPtv,
     /// MATLAB level 5 file of plain matrices.
     Matlab,
+    /// Coefficients of Soloff's polynomials, text.
+    Soloff,
     /// Tables of everything.
     Csv,
 }
@@ -124,6 +128,7 @@ pub fn export(record: &Record, format: ExportFormat) -> Result<Conversion<Vec<(S
         ExportFormat::OpenCvXml => opencv::export(&rig, storage::Syntax::Xml),
         ExportFormat::OpenPtv => openptv::export(&rig),
         ExportFormat::Matlab => matlab::export(&rig),
+        ExportFormat::Soloff => soloff::export(&rig),
         ExportFormat::Csv => Ok(csv::export(record)),
     }
 }

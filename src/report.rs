@@ -8,6 +8,7 @@
 //! | [`text`] | the calibration in plain words, for a terminal |
 //! | [`write_html`] | one HTML file without scripts or anything to load, also well-formed XML |
 //! | [`check_html`] | the check of the sheet on particle images as one HTML file |
+//! | [`vectors_svg`] | three components: arrows over colours for w, one SVG file |
 //! | [`residuals_csv`] | one row per observation |
 //! | [`discs_csv`], [`contours_csv`], [`features_csv`], [`detection_json`] | what was found in one image |
 //! | [`overlay_png`] | the image with what was found in it, at full resolution |
@@ -34,6 +35,7 @@ mod space;
 mod svg;
 mod tables;
 mod text;
+mod vectors;
 mod verdict;
 
 pub use check_page::check_html;
@@ -44,4 +46,5 @@ pub use detection::{
 pub use html::{OverlayInput, write_html};
 pub use overlay::{Label, Marks, OverlayShapes, Polyline, RejectedMark, overlay_png};
 pub use text::text;
+pub use vectors::{VectorPicture, vectors_svg};
 pub use verdict::{Level, Verdict, verdict};

@@ -134,7 +134,7 @@ pub fn simulate(scene: &Scene) -> Result<Simulation> {
     Ok(Simulation { images, rig_toml: scene.rig_toml(), truth_json: scene.truth_json()? })
 }
 
-/// Images of the particles alone, with their names: of every moment one per camera; empty without a table `[particles]`.
+/// Images of the particles alone, with their names: of every moment one per camera, or two with a flow (`a`, `b`); empty without a table `[particles]`.
 ///
 /// # Errors
 /// [`crate::Error::Bug`] only: a scene that was read can be rendered.
@@ -143,12 +143,18 @@ pub fn simulate_particles(scene: &Scene) -> Result<Vec<(String, GrayImage)>> {
     let (setup, seed) = (&scene.setup, scene.file.seed);
     let mut images = Vec::new();
     for moment in 0..keys.pairs {
-        let all = Particles::new(keys, &setup.cameras, &setup.bench_from_sheet, seed, moment);
-        for (i, c) in setup.cameras.iter().enumerate() {
-            let grey = all.image(c, &setup.bench_from_sheet, &scene.file.image);
-            // The noise of a moment is apart from that of the views.
-            let image = sensor::expose(&grey, c.size_px, &scene.file.image, seed, [10_000 + moment, i])?;
-            images.push((format!("p{:02}_{}.png", moment + 1, c.name), image));
+        let all = Particles::new(keys, &setup.cameras, &setup.bench_from_light, seed, moment);
+        let exposures = match &keys.flow {
+            None => vec![("", all)],
+            Some(flow) => vec![("a", all.carried(flow, -0.5)), ("b", all.carried(flow, 0.5))],
+        };
+        for (e, (letter, particles)) in exposures.iter().enumerate() {
+            for (i, c) in setup.cameras.iter().enumerate() {
+                let grey = particles.image(c, &setup.bench_from_light, &scene.file.image);
+                // The noise of a moment is apart from that of the views.
+                let image = sensor::expose(&grey, c.size_px, &scene.file.image, seed, [10_000 * (e + 1) + moment, i])?;
+                images.push((format!("p{:02}{letter}_{}.png", moment + 1, c.name), image));
+            }
         }
     }
     Ok(images)

@@ -43,6 +43,11 @@ fn a_calibration_goes_out_and_comes_back() {
     convert(&[&json, "--to", "csv", "-o", &path("tables")], 0);
     let table = std::fs::read_to_string(path("tables/covariance.csv")).unwrap();
     assert_eq!(table.lines().count(), record(Path::new(&json)).covariance.names.len() + 1);
+    // Nor does a polynomial follow the camera exactly.
+    let said = convert(&[&json, "--to", "soloff", "-o", &path("soloff")], 1);
+    assert!(said.contains("the polynomials hold for x"), "{said}");
+    let terms = std::fs::read_to_string(path("soloff/soloff_left.txt")).unwrap();
+    assert!(terms.contains("\n2 1 0 ") && terms.contains("half_mm "), "{terms}");
     // No tilt in MATLAB's camera: a fit, whose loss is told and flagged where it is large.
     let said = convert(&[&json, "--to", "matlab", "-o", &path("m")], 1);
     assert!(said.contains("px rms") && said.contains("warning: camera 2"), "{said}");

@@ -42,8 +42,10 @@ fn invocations(text: &str) -> Vec<Vec<String>> {
 }
 
 fn documents() -> Vec<(String, String)> {
-    let mut names = vec!["README.md".to_string(), "docs/measurements.md".to_string()];
-    names.extend(["bubbles", "printed", "dice", "piv-challenge-4e"].map(|e| format!("examples/{e}/README.md")));
+    let mut names = ["README.md", "docs/measurements.md", "docs/guide.md"].map(str::to_string).to_vec();
+    names.extend(
+        ["bubbles", "printed", "vortex", "dice", "piv-challenge-4e"].map(|e| format!("examples/{e}/README.md")),
+    );
     names.into_iter().map(|n| (n.clone(), read(&n))).collect()
 }
 
@@ -62,6 +64,36 @@ fn commands_in_the_documents_exist_and_their_options_too() {
                 read(file);
             }
         }
+    }
+}
+
+/// Text of all source files, with strings that run over lines in one piece.
+fn sources(folder: &Path) -> String {
+    let mut out = String::new();
+    for entry in std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()) {
+        if entry.is_dir() {
+            out += &sources(&entry);
+        } else if entry.extension().is_some_and(|e| e == "rs") {
+            let text = std::fs::read_to_string(&entry).unwrap();
+            out.extend(
+                text.lines().map(|l| l.trim_start().strip_suffix('\\').map_or(format!("{l}\n"), str::to_string)),
+            );
+        }
+    }
+    out
+}
+
+#[test]
+fn messages_and_pictures_of_the_guide_exist() {
+    let (guide, root) = (read("docs/guide.md"), Path::new(env!("CARGO_MANIFEST_DIR")));
+    let sources = sources(&root.join("src"));
+    let messages: Vec<&str> = guide.lines().filter_map(|l| l.strip_prefix("| \"")?.split('"').next()).collect();
+    assert!(messages.len() > 10);
+    for message in messages {
+        assert!(sources.contains(message), "docs/guide.md: the program never says \"{message}\"");
+    }
+    for picture in guide.split("](images/").skip(1).filter_map(|t| t.split(')').next()) {
+        assert!(root.join("docs/images").join(picture).is_file(), "docs/guide.md: {picture}");
     }
 }
 
@@ -151,7 +183,7 @@ fn versions_agree() {
 
 #[test]
 fn every_rig_file_of_the_examples_can_be_read() {
-    for example in ["bubbles", "printed", "dice", "piv-challenge-4e"] {
+    for example in ["bubbles", "printed", "vortex", "dice", "piv-challenge-4e"] {
         let name = format!("examples/{example}/rig.toml");
         let job = RigDescription::parse(&read(&name), &name).unwrap();
         assert_eq!(job.cameras.len(), 2);

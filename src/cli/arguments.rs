@@ -322,6 +322,8 @@ pub(super) enum ToFormat {
     Openptv,
     /// MATLAB .mat with plain matrices
     Matlab,
+    /// Coefficients of Soloff's polynomials (text, one file per camera)
+    Soloff,
     /// Tables of everything
     Csv,
 }

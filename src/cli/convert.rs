@@ -56,6 +56,7 @@ fn export_format(word: ToFormat) -> ExportFormat {
         ToFormat::OpencvXml => ExportFormat::OpenCvXml,
         ToFormat::Openptv => ExportFormat::OpenPtv,
         ToFormat::Matlab => ExportFormat::Matlab,
+        ToFormat::Soloff => ExportFormat::Soloff,
         ToFormat::Csv => ExportFormat::Csv,
     }
 }

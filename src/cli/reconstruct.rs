@@ -11,6 +11,7 @@ use crate::reconstruct::{
     FieldTable, FieldUnit, Options, PlanarField, VectorField, parse_field, perturbed_maps, reconstruct,
 };
 use crate::record::Record;
+use crate::report::{VectorPicture, vectors_svg};
 use serde::Deserialize;
 use serde_json::json;
 use std::num::NonZeroUsize;
@@ -70,15 +71,35 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
             names[1]
         ));
     }
-    let (words, summary) = summary(&found, &tables, unit, &command.output, names[0]);
     let folder = command.output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let Some(name) = command.output.file_name() else {
         return Err(fault(&command.output, "this is no name of a file; name the CSV file to be written"));
     };
+    let picture_name = Path::new(name).with_extension("svg").to_string_lossy().into_owned();
+    if picture_name == name.to_string_lossy() {
+        let what = "this is the name of the picture that is written beside the CSV file; name the CSV file, such as vectors.csv";
+        return Err(fault(&command.output, what));
+    }
+    let (words, summary) = summary(&found, &tables, unit, [&command.output, &folder.join(&picture_name)], names[0]);
+    let flagged: Vec<bool> = found.flags.iter().map(|f| *f != 0).collect();
+    let title = name.to_string_lossy();
     let mut out = Output::default();
     out.add(name.to_string_lossy(), found.to_csv());
+    out.add(&picture_name, vectors_svg(&picture(&found, &flagged, names[0], &title)));
     out.commit(folder)?;
     Ok(Done { text: words, json: summary, flags })
+}
+
+fn picture<'a>(found: &'a VectorField, flagged: &'a [bool], first: &'a str, title: &'a str) -> VectorPicture<'a> {
+    VectorPicture {
+        title,
+        x_mm: &found.x_mm,
+        y_mm: &found.y_mm,
+        displacement_mm: [&found.u_mm, &found.v_mm, &found.w_mm],
+        flagged,
+        spacing_mm: found.grid.mm_per_px,
+        towards: first,
+    }
 }
 
 fn dewarped_grid(path: &Path) -> Result<SheetGrid> {
@@ -114,7 +135,7 @@ fn summary(
     found: &VectorField,
     tables: &[FieldTable; 2],
     unit: FieldUnit,
-    to: &Path,
+    [to, picture]: [&Path; 2],
     first: &str,
 ) -> (String, serde_json::Value) {
     let (filled, all) = found.filled();
@@ -144,10 +165,10 @@ fn summary(
     if cw.is_finite() {
         text.push_str(&format!("median sigma by the calibration:    u {cu:.3e}, v {cv:.3e}, w {cw:.3e} mm\n"));
     }
-    text.push_str(&format!("Written to {}\n", to.display()));
+    text.push_str(&format!("Written to {}, picture {}\n", to.display(), picture.display()));
     let number = |x: f64| if x.is_finite() { json!(x) } else { serde_json::Value::Null };
     let json = json!({
-        "output": to.display().to_string(), "vectors": filled, "points": all, "grid": found.grid, "sigma": number(found.sigma),
+        "output": to.display().to_string(), "picture": picture.display().to_string(), "vectors": filled, "points": all, "grid": found.grid, "sigma": number(found.sigma),
         "sigma_estimated": found.sigma_estimated, "median_residual_px": number(residual),
         "median_sigma_mm": [number(su), number(sv), number(sw)],
         "median_calibration_sigma_mm": [number(cu), number(cv), number(cw)],

@@ -264,6 +264,48 @@ fn csv_has_every_number_and_its_sigma() {
     assert!(text("sheet.csv").contains("sheet,distance,"));
 }
 
+/// The text is read here as a stranger would, and compared with the exact cameras.
+#[test]
+fn soloff_text_maps_like_the_cameras_within_its_stated_loss() {
+    let record = record_of(lens(6.34, -0.15), lens(-6.34, 0.1));
+    let done = export(&record, ExportFormat::Soloff).unwrap();
+    let files = texts(&done.result);
+    let names: Vec<&str> = files.iter().map(|f| f.name.as_str()).collect();
+    assert_eq!(names, ["soloff_left.txt", "soloff_right__far.txt"]);
+    let rig = Cameras::of(&record).unwrap();
+    for ((file, c), loss) in files.iter().zip(&rig.cameras).zip(&done.losses) {
+        let numbers = |key: &str| -> Vec<f64> {
+            let line = file.text.lines().find_map(|l| l.strip_prefix(key)).unwrap();
+            line.split_whitespace().map(|x| x.parse().unwrap()).collect()
+        };
+        assert_eq!(numbers("image_size_px"), [1024.0, 768.0]);
+        let (middle, half) = (numbers("middle_mm"), numbers("half_mm"));
+        let terms: Vec<Vec<f64>> = file
+            .text
+            .lines()
+            .filter(|l| l.starts_with(|x: char| x.is_ascii_digit()))
+            .map(|l| l.split(' ').map(|x| x.parse().unwrap()).collect())
+            .collect();
+        assert_eq!(terms.len(), 19);
+        let mut largest = 0.0_f64;
+        for (i, j, k) in (0..6).flat_map(|i| (0..6).flat_map(move |j| (0..3).map(move |k| (i, j, k)))) {
+            let s = [f64::from(i) / 2.5 - 1.0, f64::from(j) / 2.5 - 1.0, f64::from(k) - 1.0];
+            let p = Vector3::from_fn(|a, _| middle[a] + half[a] * s[a]);
+            let exact = c.camera.project_xyz(&c.cam_from_world.apply(&p)).unwrap();
+            let mut q = Vector2::zeros();
+            for t in &terms {
+                let monomial: f64 = (0..3).map(|a| s[a].powi(t[a] as i32)).product();
+                q += Vector2::new(t[3], t[4]) * monomial;
+            }
+            largest = largest.max((q - exact).norm());
+        }
+        // The loss was measured at other points of the volume.
+        assert!(largest < 1.05 * loss.max_px && largest > 0.3 * loss.max_px, "{largest} {loss:?}");
+        assert!(loss.max_px < 0.05, "{loss:?}");
+    }
+    assert!(done.notes[0].contains("the polynomials hold for x"));
+}
+
 #[test]
 fn what_makes_no_sense_is_refused_by_name() {
     let file = |text: &str| NamedText { name: "x.yml".into(), text: text.into() };

@@ -382,7 +382,16 @@ fn check_particles(scene: &SceneFile, lines: &Lines) -> Result<()> {
     }
     lines.within(&at("per_mm2"), p.per_mm2, 1e-3, 1e4)?;
     lines.within(&at("thickness_mm"), p.thickness_mm, 1e-3, 100.0)?;
-    lines.within(&at("level"), p.level, 1e-3, 100.0)
+    lines.within(&at("level"), p.level, 1e-3, 100.0)?;
+    lines.within(&at("offset_mm"), p.offset_mm, -FAR_MM, FAR_MM)?;
+    lines.within_all(&at("tilt_deg"), &p.tilt_deg, -45.0, 45.0)?;
+    let Some(f) = &p.flow else { return Ok(()) };
+    let at = |key| [Key("particles"), Key("flow"), Key(key)];
+    lines.within_all(&at("shift_mm"), &f.shift_mm, -FAR_MM, FAR_MM)?;
+    lines.within(&at("vortex_mm"), f.vortex_mm, -FAR_MM, FAR_MM)?;
+    lines.within(&at("jet_mm"), f.jet_mm, -FAR_MM, FAR_MM)?;
+    lines.within(&at("radius_mm"), f.radius_mm, 1e-3, FAR_MM)?;
+    lines.within_all(&at("center_mm"), &f.center_mm, -FAR_MM, FAR_MM)
 }
 
 fn check_rig(scene: &SceneFile, lines: &Lines) -> Result<()> {

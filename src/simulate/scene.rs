@@ -267,6 +267,26 @@ pub(super) struct ParticleKeys {
     pub(super) thickness_mm: f64,
     #[serde(default = "default_level")]
     pub(super) level: f64,
+    #[serde(default)]
+    pub(super) offset_mm: f64,
+    #[serde(default)]
+    pub(super) tilt_deg: [f64; 2],
+    pub(super) flow: Option<FlowKeys>,
+}
+
+/// A vortex with a jet along its axis, carried by a uniform shift; displacements between two exposures.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FlowKeys {
+    #[serde(default)]
+    pub(super) shift_mm: [f64; 3],
+    #[serde(default)]
+    pub(super) vortex_mm: f64,
+    #[serde(default)]
+    pub(super) jet_mm: f64,
+    pub(super) radius_mm: f64,
+    #[serde(default)]
+    pub(super) center_mm: [f64; 2],
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]

@@ -58,6 +58,8 @@ pub(super) struct PlacedView {
 pub(super) struct Setup {
     pub(super) cameras: Vec<PlacedCamera>,
     pub(super) bench_from_sheet: Motion<Bench, Sheet>,
+    /// Where the light is while particles are recorded.
+    pub(super) bench_from_light: Motion<Bench, Sheet>,
     pub(super) views: Vec<PlacedView>,
 }
 
@@ -70,16 +72,26 @@ const MOST_OBLIQUE_DEG: f64 = 85.0;
 /// Draws of a pose before the ranges are called impossible.
 const MOST_DRAWS: usize = 20_000;
 
+/// Rotation about x, then about its own y.
+fn turn(tilt_deg: [f64; 2]) -> Matrix3<f64> {
+    let [tx, ty] = tilt_deg.map(f64::to_radians);
+    rotation_exp(&(Vector3::x() * tx)) * rotation_exp(&(Vector3::y() * ty))
+}
+
+fn along_z(offset_mm: f64) -> Vector3<f64> {
+    Vector3::new(0.0, 0.0, offset_mm)
+}
+
 impl Setup {
     pub(super) fn new(scene: &SceneFile, lines: &Lines) -> Result<Self> {
         let mut cameras = Vec::new();
         for (i, keys) in scene.cameras.iter().enumerate() {
             cameras.push(place_camera(keys).or_else(|why| lines.refuse(&[Step::Key("camera"), Step::Item(i)], why))?);
         }
-        let [tx, ty] = scene.sheet.tilt_deg.map(f64::to_radians);
-        let turn = rotation_exp(&(Vector3::x() * tx)) * rotation_exp(&(Vector3::y() * ty));
-        let bench_from_sheet = Motion::new(turn, Vector3::new(0.0, 0.0, scene.sheet.offset_mm));
-        let mut setup = Setup { cameras, bench_from_sheet, views: Vec::new() };
+        let bench_from_sheet = Motion::<Bench, Sheet>::new(turn(scene.sheet.tilt_deg), along_z(scene.sheet.offset_mm));
+        let (tilt_deg, offset_mm) = scene.particles.as_ref().map_or(([0.0; 2], 0.0), |p| (p.tilt_deg, p.offset_mm));
+        let bench_from_light = bench_from_sheet * Motion::<Sheet, Sheet>::new(turn(tilt_deg), along_z(offset_mm));
+        let mut setup = Setup { cameras, bench_from_sheet, bench_from_light, views: Vec::new() };
         let fixed = match scene.target.kind {
             Kind::Bubbles => None,
             _ => Some(fixed_pattern(scene)),

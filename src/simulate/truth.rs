@@ -37,7 +37,7 @@ pub(super) fn truth_json(scene: &SceneFile, setup: &Setup) -> Result<String> {
         Kind::Bubbles => json!([]),
         _ => json!([t.radius_mm]),
     };
-    let truth = json!({
+    let mut truth = json!({
         "format": "spivcal-calibration",
         "version": 1,
         "note": "true values of a simulated scene: nothing was estimated, every sigma is zero",
@@ -50,6 +50,15 @@ pub(super) fn truth_json(scene: &SceneFile, setup: &Setup) -> Result<String> {
                  "newton_decrement": 0.0, "termination": "truth", "nullity": 0, "undetermined": [], "outliers": 0 },
         "covariance": { "names": [], "matrix": [] },
     });
+    if let Some(p) = &scene.particles {
+        let flow = p.flow.as_ref().map(|f| {
+            json!({ "shift_mm": f.shift_mm, "vortex_mm": f.vortex_mm, "jet_mm": f.jet_mm, "radius_mm": f.radius_mm,
+                    "center_mm": f.center_mm })
+        });
+        let rig_from_light: Motion<Rig, Sheet> = rig_from_bench * setup.bench_from_light;
+        truth["particles"] =
+            json!({ "thickness_mm": p.thickness_mm, "rig_from_light": motion(&rig_from_light), "flow": flow });
+    }
     serde_json::to_string_pretty(&truth).map(|s| s + "\n").map_err(|e| Error::Bug(e.to_string()))
 }
 
