@@ -1,7 +1,7 @@
 //! The C door under random calls: bytes are read as a text, as an image file or as a sequence of calls, and what comes back must be
 //! what the header says: a status that it lists and that is no defect, outputs untouched on an error, nothing written beyond a buffer.
 //!
-//! Shared by `tests/door_fuzz.rs` (stable Rust, seeded) and by the targets of `fuzz/` (cargo-fuzz).
+//! `tests/door_fuzz.rs` makes the bytes.
 
 #![allow(unsafe_code, dead_code, clippy::unwrap_used, clippy::panic, unreachable_pub)]
 
