@@ -45,6 +45,7 @@ mod focus;
 mod influence;
 mod layout;
 mod model;
+mod outline;
 mod posterior;
 mod refit;
 mod residuals;
@@ -62,6 +63,7 @@ pub use model::{
     CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, PairObservation,
     PlanePosition, TargetModel, TargetShape, ViewModel, ViewPlace,
 };
+pub use outline::OutlineNoise;
 pub(crate) use posterior::intrinsic_words;
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};

@@ -87,6 +87,19 @@ impl<'a> GrayView<'a> {
     }
 }
 
+impl GrayView<'_> {
+    /// Grey levels of row `v`, which must be inside; `out` is cleared first.
+    pub fn row(&self, v: usize, out: &mut Vec<f32>) {
+        let at = v * self.stride..v * self.stride + self.width;
+        out.clear();
+        match self.samples {
+            Samples::U8(s) => out.extend(s[at].iter().map(|x| f32::from(*x))),
+            Samples::U16(s) => out.extend(s[at].iter().map(|x| f32::from(*x))),
+            Samples::F32(s) => out.extend_from_slice(&s[at]),
+        }
+    }
+}
+
 /// Owned samples of a grey image, rows packed.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Pixels {

@@ -104,11 +104,23 @@ pub(super) struct DiscNormal {
 pub(super) fn cost(circle: &SeenCircle, seen: &DiscObservation, scale: f64, loss: Loss) -> Option<f64> {
     let start = circle.start()?;
     let edge = &seen.edge;
-    let mut sum = 0.0;
-    for i in 0..edge.u_px.len() {
+    let residual = |i: usize| -> Option<f64> {
         let foot = circle.foot(&start, &Vector2::new(edge.u_px[i], edge.v_px[i]))?;
-        let r = foot.distance_px / (edge.sigma_px[i] * scale);
-        sum += loss.apply(r * r).0;
+        Some(foot.distance_px / (edge.sigma_px[i] * scale))
+    };
+    let mut sum = 0.0;
+    match &seen.outline {
+        None => {
+            for i in 0..edge.u_px.len() {
+                let r = residual(i)?;
+                sum += loss.apply(r * r).0;
+            }
+        }
+        Some(outline) => {
+            let mut all: Vec<[f64; 1]> = (0..edge.u_px.len()).map(|i| Some([residual(i)?])).collect::<Option<_>>()?;
+            outline.apply(&mut all);
+            all.iter().for_each(|[r]| sum += loss.apply(r * r).0);
+        }
     }
     sum.is_finite().then_some(0.5 * sum)
 }
@@ -117,29 +129,57 @@ pub(super) fn cost(circle: &SeenCircle, seen: &DiscObservation, scale: f64, loss
 pub(super) fn linearise(circle: &SeenCircle, seen: &DiscObservation, scale: f64, loss: Loss) -> Option<DiscNormal> {
     let start = circle.start()?;
     let edge = &seen.edge;
-    let mut h = [[0.0; EDGE]; EDGE];
-    let mut b = [0.0; EDGE];
-    let mut sum = 0.0;
-    for i in 0..edge.u_px.len() {
+    let whitened = |i: usize| -> Option<WhiteRow> {
         let foot = circle.foot(&start, &Vector2::new(edge.u_px[i], edge.v_px[i]))?;
-        let row = row(circle.camera, &foot)?;
         let iw = 1.0 / (edge.sigma_px[i] * scale);
-        let r = foot.distance_px * iw;
+        let mut out = [foot.distance_px * iw; EDGE + 1];
+        out.iter_mut().zip(row(circle.camera, &foot)?).for_each(|(o, x)| *o = x * iw);
+        Some(out)
+    };
+    let mut sums = Sums { h: [[0.0; EDGE]; EDGE], b: [0.0; EDGE], rho: 0.0 };
+    match &seen.outline {
+        None => {
+            for i in 0..edge.u_px.len() {
+                sums.add(&whitened(i)?, loss);
+            }
+        }
+        Some(outline) => {
+            let mut all: Vec<WhiteRow> = (0..edge.u_px.len()).map(whitened).collect::<Option<_>>()?;
+            outline.apply(&mut all);
+            all.iter().for_each(|w| sums.add(w, loss));
+        }
+    }
+    sums.done()
+}
+
+/// Row and residual of one edge point over its sigma.
+type WhiteRow = [f64; EDGE + 1];
+
+/// Normal equations under way, lower triangle.
+struct Sums {
+    h: [[f64; EDGE]; EDGE],
+    b: [f64; EDGE],
+    rho: f64,
+}
+
+impl Sums {
+    /// The residual is (distance)/sigma and falls as the image moves outwards: J = -row / sigma.
+    fn add(&mut self, w: &WhiteRow, loss: Loss) {
+        let r = w[EDGE];
         let (rho, weight) = loss.apply(r * r);
-        sum += rho;
-        // The residual is (distance)/sigma and falls as the image moves outwards: J = -row / sigma.
-        let w = weight * iw * iw;
-        let wr = weight * iw * r;
+        self.rho += rho;
         for m in 0..EDGE {
-            b[m] += wr * row[m];
-            let f = w * row[m];
+            let f = weight * w[m];
+            self.b[m] += f * r;
             for n in 0..=m {
-                h[m][n] += f * row[n];
+                self.h[m][n] += f * w[n];
             }
         }
     }
-    let h = SMatrix::from_fn(|m, n| if n <= m { h[m][n] } else { h[n][m] });
-    sum.is_finite().then(|| DiscNormal { h, b: SVector::from(b), cost: 0.5 * sum })
+    fn done(self) -> Option<DiscNormal> {
+        let h = SMatrix::from_fn(|m, n| if n <= m { self.h[m][n] } else { self.h[n][m] });
+        self.rho.is_finite().then(|| DiscNormal { h, b: SVector::from(self.b), cost: 0.5 * self.rho })
+    }
 }
 
 /// `n . dq/dz` of one edge point.
@@ -170,16 +210,25 @@ pub(super) fn bend(
 ) -> Option<SVector<f64, EDGE>> {
     let starts = [circles[0].start()?, circles[1].start()?, circles[2].start()?];
     let edge = &seen.edge;
-    let mut b = SVector::zeros();
-    for i in 0..edge.u_px.len() {
+    // Row, residual and second derivative of an edge point, over its sigma.
+    let bent = |i: usize| -> Option<[f64; EDGE + 2]> {
         let q = Vector2::new(edge.u_px[i], edge.v_px[i]);
         let foot = |k: usize| circles[k].foot(&starts[k], &q);
         let (minus, here, plus) = (foot(0)?, foot(1)?, foot(2)?);
         let iw = 1.0 / (edge.sigma_px[i] * scale);
-        let weight = loss.weight(here.distance_px * iw);
-        let second = (plus.distance_px - 2.0 * here.distance_px + minus.distance_px) / (h * h);
-        let row = SVector::from(row(circles[1].camera, &here)?);
-        b += row * (weight * second * iw * iw);
+        let mut out = [here.distance_px * iw; EDGE + 2];
+        out.iter_mut().zip(row(circles[1].camera, &here)?).for_each(|(o, x)| *o = x * iw);
+        out[EDGE + 1] = (plus.distance_px - 2.0 * here.distance_px + minus.distance_px) * iw / (h * h);
+        Some(out)
+    };
+    let mut all: Vec<[f64; EDGE + 2]> = (0..edge.u_px.len()).map(bent).collect::<Option<_>>()?;
+    if let Some(outline) = &seen.outline {
+        outline.apply(&mut all);
+    }
+    let mut b = SVector::zeros();
+    for w in &all {
+        let factor = loss.weight(w[EDGE]) * w[EDGE + 1];
+        (0..EDGE).for_each(|m| b[m] += w[m] * factor);
     }
     Some(b)
 }

@@ -47,7 +47,7 @@ pub struct ExtensionTest {
     /// Its degrees of freedom.
     pub degrees: usize,
     /// Estimate: change of the intrinsic (its unit); peak to valley of the bend beside a plane, mm; root mean square displacement of
-    /// the dots beside noise, mm.
+    /// the dots beside noise and any smooth stretch of the whole, mm.
     pub size: f64,
     /// Its standard deviation; `NaN` where it has none in this form.
     pub sigma: f64,
@@ -79,7 +79,7 @@ pub fn extension_tests(adjustment: &Adjustment) -> Option<Vec<ExtensionTest>> {
     }
     if let (None, Some(first)) = (base.offsets, places.offsets) {
         out.extend(bent(&tests, &model, &state, first));
-        out.extend(displaced(&tests, model.target.disc_count(), first));
+        out.extend(displaced(&tests, &model, &state, first));
     }
     Some(out)
 }
@@ -152,10 +152,19 @@ fn bent(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> Optio
     })
 }
 
-fn displaced(tests: &ScoreTests, discs: usize, first: usize) -> Option<ExtensionTest> {
+fn displaced(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> Option<ExtensionTest> {
+    let discs = model.target.disc_count();
     let tested: Vec<usize> = (0..discs).flat_map(|j| [first + 4 * j, first + 4 * j + 1]).collect();
     let score = tests.test(&tested, &DMatrix::identity(2 * discs, 2 * discs))?;
-    let square = score.estimate.norm_squared() - score.covariance.trace();
+    // What a stretch or a bend of the whole field of dots explains, cameras and poses explain as well: it is not said to
+    // be the dots'.
+    let rough = beside_smooth(model, state, discs)?;
+    let along = |k: usize| &rough * score.estimate.rows_with_step(k, discs, 1);
+    let variance = |k: usize| {
+        let own = DMatrix::from_fn(discs, discs, |i, j| score.covariance[(2 * i + k, 2 * j + k)]);
+        (&rough * own * &rough).trace()
+    };
+    let square: f64 = (0..2).map(|k| along(k).norm_squared() - variance(k)).sum();
     Some(ExtensionTest {
         extension: Extension::DisplacedDiscs,
         statistic: score.statistic,
@@ -164,4 +173,18 @@ fn displaced(tests: &ScoreTests, discs: usize, first: usize) -> Option<Extension
         sigma: f64::NAN,
         shift: score.shift,
     })
+}
+
+/// Projector that takes a quadratic field out of one number per disc (a linear one where the discs are few).
+fn beside_smooth(model: &Model, state: &State, discs: usize) -> Option<DMatrix<f64>> {
+    let at: Vec<_> = (0..discs).map(|j| model.target.nominal_disc(j, &state.shape_mm).0).collect();
+    let middle = at.iter().map(|p| p.xy()).sum::<nalgebra::Vector2<f64>>() / discs as f64;
+    let half_mm = at.iter().map(|p| (p.xy() - middle).amax()).fold(1e-9, f64::max);
+    let columns = if discs >= 12 { 6 } else { 3 };
+    let smooth = DMatrix::from_fn(discs, columns, |j, k| {
+        let p = (at[j].xy() - middle) / half_mm;
+        [1.0, p.x, p.y, p.x * p.x, p.x * p.y, p.y * p.y][k]
+    });
+    let gram = smooth.tr_mul(&smooth).try_inverse()?;
+    Some(DMatrix::identity(discs, discs) - &smooth * gram * smooth.transpose())
 }

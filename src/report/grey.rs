@@ -46,13 +46,20 @@ pub(super) fn shrunk(view: &GrayView<'_>, max_width: usize) -> Background {
     let gain = if white > black { 255.0 / (white - black) } else { 0.0 };
     let offset = if white > black { 0.0 } else { 128.0 };
     let mut levels = Vec::with_capacity(width * height);
+    let (mut line, mut sums) = (Vec::with_capacity(view.width()), vec![0.0; width]);
     for row in 0..height {
         let vs = row * factor..((row + 1) * factor).min(view.height());
-        for column in 0..width {
-            let us = column * factor..((column + 1) * factor).min(view.width());
-            let count = (us.len() * vs.len()) as f32;
-            let sum: f32 = vs.clone().map(|v| us.clone().map(|u| view.get(u, v)).sum::<f32>()).sum();
-            let level = (sum / count - black) * gain + offset;
+        let lines = vs.len();
+        sums.fill(0.0);
+        for v in vs {
+            view.row(v, &mut line);
+            for (sum, square) in sums.iter_mut().zip(line.chunks(factor)) {
+                *sum += square.iter().sum::<f32>();
+            }
+        }
+        for (column, sum) in sums.iter().enumerate() {
+            let count = lines * (view.width() - column * factor).min(factor);
+            let level = (sum / count as f32 - black) * gain + offset;
             // Samples that are not numbers become black.
             levels.push(level.clamp(0.0, 255.0) as u8);
         }
