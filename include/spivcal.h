@@ -1294,7 +1294,8 @@ int32_t spivcal_job_poll(uint64_t job,
 int32_t spivcal_job_wait(uint64_t job, int32_t timeout_ms, int32_t *state);
 
 /**
- * Asks a job to stop; returns at once. It ends after the images that are just searched, or the iteration that just runs.
+ * Asks a job to stop; returns at once. It ends after the images that are just searched, or the iteration that just runs;
+ * the diagnosis of a finished adjustment is not interrupted.
  */
 int32_t spivcal_job_cancel(uint64_t job);
 
@@ -1330,7 +1331,7 @@ int32_t spivcal_calibration_parse(uint64_t context, const char *json_utf8, uint6
  * Saves a calibration as calibration.json (schema version 1), which the program reads too, and every number of which is read back
  * to the bit.
  *
- * `path_utf8`: the file; written under a temporary name and renamed, so that a failure leaves the old file.
+ * `path_utf8`: the file; written under a temporary name and renamed, so that a failure leaves the old file. Missing folders are made.
  */
 int32_t spivcal_calibration_save(uint64_t calibration,
                                  const char *path_utf8);

@@ -6,8 +6,9 @@
 mod rig_scene;
 
 use rig_scene::{Noise, Scene};
-use spivcal::bundle::{AdjustOptions, named_covariance};
+use spivcal::bundle::{AdjustOptions, Iteration, named_covariance};
 use spivcal::camera::{Camera, Intrinsics};
+use spivcal::error::{Error, Unusable};
 use spivcal::rig::calibrate_rig;
 
 fn random_camera(noise: &mut Noise) -> Camera {
@@ -56,4 +57,21 @@ fn random_rigs_converge_without_a_seed() {
         iterations.last()
     );
     assert!(failed.is_empty(), "{failed:#?}");
+}
+
+#[test]
+fn whoever_stops_the_work_does_not_wait_for_its_end() {
+    let problem = Scene::build(5, false, true, false).with_noise(1).problem();
+    // 0 and 5: in a camera alone; 20: among the starts of the common adjustment, each of which ends at its first iteration.
+    for (after, most) in [(0, 1), (5, 2), (20, 12)] {
+        let (mut told, mut later) = (0, 0);
+        let mut observe = |_: &Iteration| {
+            told += 1;
+            later += u32::from(told > after + 1);
+            told <= after
+        };
+        let stopped = calibrate_rig(&problem, &AdjustOptions::default(), &mut observe);
+        assert!(matches!(stopped, Err(Error::Unusable(Unusable::Cancelled))), "after {after}");
+        assert!(later <= most, "{later} more iterations after {after}");
+    }
 }

@@ -56,7 +56,7 @@ fn read(context: u64, json: &str, name: &str, out: Out<u64>) -> Outcome {
 /// Saves a calibration as calibration.json (schema version 1), which the program reads too, and every number of which is read back
 /// to the bit.
 ///
-/// `path_utf8`: the file; written under a temporary name and renamed, so that a failure leaves the old file.
+/// `path_utf8`: the file; written under a temporary name and renamed, so that a failure leaves the old file. Missing folders are made.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_calibration_save(calibration: u64, path_utf8: *const c_char) -> i32 {
     on(calibration, |state| {

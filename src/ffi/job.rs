@@ -252,7 +252,8 @@ pub unsafe extern "C" fn spivcal_job_wait(job: u64, timeout_ms: i32, state: *mut
     })
 }
 
-/// Asks a job to stop; returns at once. It ends after the images that are just searched, or the iteration that just runs.
+/// Asks a job to stop; returns at once. It ends after the images that are just searched, or the iteration that just runs;
+/// the diagnosis of a finished adjustment is not interrupted.
 #[unsafe(no_mangle)]
 pub extern "C" fn spivcal_job_cancel(job: u64) -> i32 {
     on(job, |shared| {

@@ -7,10 +7,12 @@ use super::residual_rows::residual_rows;
 use super::sheet_part::sheet_part;
 use super::workers::Workers;
 use super::{Progress, Source};
-use crate::bundle::{AdjustOptions, Adjustment, Iteration, Model, NamedCovariance, adjust_tangents, named_covariance};
+use crate::bundle::{
+    AdjustOptions, Adjustment, Iteration, Model, NamedCovariance, Termination, adjust_tangents, named_covariance,
+};
 use crate::detect::pattern::Relabelling;
 use crate::diagnosis::{Findings, Subject, diagnose};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, Unusable};
 use crate::record::{Record, ResidualTable};
 use crate::report::OverlayShapes;
 use crate::rig::{RigSolution, calibrate_rig};
@@ -60,7 +62,7 @@ pub(super) struct Solved<'a> {
 ///
 /// # Errors
 /// Whatever is wrong with an image, the pattern, the views or the adjustment, each in its family;
-/// [`crate::error::Unusable::Cancelled`] where `progress` stopped it before the adjustment (stopped there, it gives what it has).
+/// [`crate::error::Unusable::Cancelled`] where `progress` stopped it, except in the diagnosis of a finished adjustment, which is not interrupted.
 pub fn calibrate(
     job: &RigDescription,
     source: &Source,
@@ -95,6 +97,9 @@ fn run(
     if job.solve.observations == Observations::Bitangent {
         let outliers = std::mem::take(&mut adjustment.outliers);
         let tangents = adjust_tangents(&contours, adjustment.state, &options.adjust, &mut observe)?;
+        if tangents.adjustment.termination == Termination::Cancelled {
+            return Err(Unusable::Cancelled.into());
+        }
         adjustment = Adjustment { outliers, ..tangents.adjustment };
         refits = Some((tangents.rounds, tangents.left_out));
     }

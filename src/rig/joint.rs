@@ -22,18 +22,18 @@ const CONTRADICTION: f64 = 5.0;
 const AS_GOOD: f64 = 30.0;
 
 /// Told of every iteration; returns false to stop.
-type Observe<'a> = &'a mut dyn FnMut(&Iteration) -> bool;
+pub(super) type Observe<'a> = &'a mut dyn FnMut(&Iteration) -> bool;
 
 /// Calibrates one or two cameras.
 ///
 /// # Errors
 /// [`Insufficient`] where views are missing, degenerate or contradict each other (with the view or camera named),
-/// [`Unusable::NotConverged`] where the adjustment does not reach its minimum.
+/// [`Unusable::NotConverged`] where the adjustment does not reach its minimum, [`Unusable::Cancelled`] where `observe` stopped it.
 pub fn calibrate_rig(problem: &RigProblem, options: &AdjustOptions, observe: Observe<'_>) -> Result<RigSolution> {
     let mut problem = problem.clone();
     order_pairs(&mut problem);
     let count = problem.model.cameras.len();
-    let monos: Vec<Mono> = (0..count).map(|c| calibrate_camera(&problem, c)).collect::<Result<_>>()?;
+    let monos: Vec<Mono> = (0..count).map(|c| calibrate_camera(&problem, c, observe)).collect::<Result<_>>()?;
     let mut undecided = vec![];
     let mut start = if count == 1 {
         single_start(&problem, &monos[0])?
@@ -47,7 +47,7 @@ pub fn calibrate_rig(problem: &RigProblem, options: &AdjustOptions, observe: Obs
     let adjustment = adjust(&problem.model, start, options, observe);
     match adjustment.termination {
         Termination::Converged => {}
-        Termination::Cancelled => {}
+        Termination::Cancelled => return Err(Unusable::Cancelled.into()),
         _ if adjustment.decrement < 1e-3 => {}
         t => {
             return Err(Unusable::NotConverged {

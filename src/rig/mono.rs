@@ -1,14 +1,15 @@
 //! One camera alone: candidates in closed form, each adjusted a little, the best adjusted to the end.
 
+use super::joint::Observe;
 use super::{CameraStart, Mono, RigProblem, rms_of};
 use crate::bundle::{
     AdjustOptions, Adjustment, DiscObservation, Fact, ImageObservations, Loss, Model, SolveOptions, State, TargetShape,
-    ViewModel, ViewPlace, ViewState, adjust,
+    Termination, ViewModel, ViewPlace, ViewState, adjust,
 };
 use crate::camera::{Camera, EffectivePinhole, Intrinsics};
 use crate::conic::Ellipse;
 use crate::detect::EdgePoints;
-use crate::error::{Insufficient, Result};
+use crate::error::{Insufficient, Result, Unusable};
 use crate::frames::{Cam, Rig, Target};
 use crate::rigid::Motion;
 use crate::seed::{
@@ -38,8 +39,8 @@ struct SeededImage {
 /// Calibrates camera `c` of the problem alone; scale as in the problem's first guess.
 ///
 /// # Errors
-/// Too few views, discs that no circle pair or lattice explains, no start that converges.
-pub(super) fn calibrate_camera(problem: &RigProblem, c: usize) -> Result<Mono> {
+/// Too few views, discs that no circle pair or lattice explains, no start that converges; stopped by `observe`.
+pub(super) fn calibrate_camera(problem: &RigProblem, c: usize, observe: Observe<'_>) -> Result<Mono> {
     let name = &problem.model.cameras[c].name;
     let seeds = seeds(problem, c)?;
     let known_f = !problem.model.cameras[c].free[0]
@@ -63,7 +64,10 @@ pub(super) fn calibrate_camera(problem: &RigProblem, c: usize) -> Result<Mono> {
     let mut best: Option<Adjustment> = None;
     for pinhole in &candidates {
         let Some(state) = mono_start(problem, c, &seeds, pinhole) else { continue };
-        let trial = adjust(&model, state, &quick, &mut |_| true);
+        let trial = adjust(&model, state, &quick, observe);
+        if trial.termination == Termination::Cancelled {
+            return Err(Unusable::Cancelled.into());
+        }
         if trial.cost.is_finite() && best.as_ref().is_none_or(|b| trial.cost < b.cost) {
             best = Some(trial);
         }
@@ -79,7 +83,10 @@ pub(super) fn calibrate_camera(problem: &RigProblem, c: usize) -> Result<Mono> {
     })?;
     let fine =
         AdjustOptions { solve: SolveOptions { decrement: 1e-2, iterations: 100 }, rounds: 0, outlier_sigmas: 6.0 };
-    let done = adjust(&model, best.state, &fine, &mut |_| true);
+    let done = adjust(&model, best.state, &fine, observe);
+    if done.termination == Termination::Cancelled {
+        return Err(Unusable::Cancelled.into());
+    }
     let mut poses = vec![None; problem.model.views.len()];
     for (k, s) in seeds.iter().enumerate() {
         let view = &done.state.views[k];
