@@ -3,9 +3,14 @@
 //! 1. Each camera alone: candidates for its effective pinhole ([`crate::seed`]), axis point at the sensor's centre, poses in
 //!    closed form, a short adjustment of each candidate; the lowest cost wins.
 //! 2. The motion between the cameras: every common view gives one, `M_v = right_from_target left_from_target^-1`. They must agree. Where
-//!    two discs can be told apart by nothing but their size, both pairings are tried and the consensus decides.
+//!    an image leaves open which disc is which (two discs of one size, a grid without marks), every way to join the labels of
+//!    a view is a vote, and the consensus decides; what it leaves open, the cost of the common adjustment decides. Where every
+//!    dot is estimated, its printing error tells the views how their labels belong together; a turn or a shift of the
+//!    labels of all views together changes nothing (a gauge): those of one view are kept.
 //! 3. One metric fact fixes the scale; drifting bubbles have a scale of their own in every view until the baseline is common.
-//! 4. Everything in one adjustment.
+//! 4. Several starts of the common adjustment, tried on a part of the edge points unless the first explains them to their
+//!    noise; the lowest cost wins.
+//! 5. Everything in one adjustment.
 //!
 //! A view, a pairing or a whole camera that contradicts the others is named: images of a view exchanged or of different
 //! moments, a mirrored camera.
@@ -13,19 +18,28 @@
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
 //! | M_v | `motion` | rad, mm | second solver frame from first, by view v |
-//! | S | `SWAP` | - | exchanges the two discs: half a turn about the middle of the pair |
+//! | T | `changes` | - | change of labels, a quarter turn and a shift of the target; exchange of a pair: half a turn about its middle |
 //! | D | mirror | - | `diag(-1, 1, 1)`: a horizontally mirrored camera |
 
+mod consensus;
 mod joint;
+mod labels;
 mod mono;
+mod print;
+mod starts;
 
 pub use joint::calibrate_rig;
+pub use labels::{OpenImage, OpenLabels};
 
 use crate::bundle::{Adjustment, Model, State};
-use crate::camera::{INTRINSICS, Intrinsics};
+use crate::camera::{INTRINSICS, Intrinsics, Radial};
 use crate::conic::Ellipse;
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
+use crate::target::DotId;
+
+/// Pose of the target in a camera's solver frame, and its shape, mm.
+type Pose = (Motion<Cam, Target>, [f64; 3]);
 
 /// What is known of a camera before the start.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,6 +51,8 @@ pub struct CameraStart {
     /// Values at which fixed intrinsics are held, in the order of [`crate::camera::INTRINSIC_NAMES`]; for free ones where to
     /// start, if not in closed form.
     pub values: [Option<f64>; INTRINSICS],
+    /// Direction of the radial polynomial.
+    pub radial: Radial,
 }
 
 /// A rig to calibrate.
@@ -52,6 +68,8 @@ pub struct RigProblem {
     pub shape_mm: [Option<f64>; 3],
     /// Names of the images for messages, like `model.images`.
     pub image_names: Vec<String>,
+    /// What the images leave open about the labels of their discs.
+    pub open: OpenLabels,
 }
 
 /// A calibrated rig.
@@ -59,8 +77,12 @@ pub struct RigProblem {
 pub struct RigSolution {
     /// The adjustment.
     pub adjustment: Adjustment,
-    /// For each image, whether the labels of its two discs were exchanged.
-    pub swapped: Vec<bool>,
+    /// Label of each disc of the adjusted target.
+    pub labels: Vec<DotId>,
+    /// For each image of the problem, which disc of the adjusted target each of its discs is (outliers included).
+    pub disc_of: Vec<Vec<usize>>,
+    /// What the images do not decide, in words: how it was taken, and what would decide it.
+    pub undecided: Vec<String>,
 }
 
 /// A camera calibrated alone.
@@ -68,7 +90,7 @@ pub struct RigSolution {
 struct Mono {
     intrinsics: Intrinsics,
     /// Per view of the rig: pose in the camera's solver frame and shape; `None` where the camera has no image.
-    poses: Vec<Option<(Motion<Cam, Target>, [f64; 3])>>,
+    poses: Vec<Option<Pose>>,
     /// Root mean square contour distance, px.
     rms_px: f64,
 }

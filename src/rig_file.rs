@@ -53,6 +53,7 @@ mod view;
 #[cfg(test)]
 mod tests;
 
+use crate::camera::Radial;
 use crate::error::Result;
 use crate::target::{DotId, Polarity, Target};
 use reader::{Section, Source};
@@ -91,6 +92,8 @@ pub struct CameraDescription {
     pub pixel_pitch_mm: Option<f64>,
     /// Nominal focal length of the lens, mm.
     pub focal_length_mm: Option<f64>,
+    /// `radial`: direction of the radial polynomial.
+    pub radial: Radial,
     /// What is known beforehand, at most once per parameter.
     pub known: Vec<(Parameter, Knowledge)>,
 }

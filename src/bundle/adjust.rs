@@ -112,9 +112,8 @@ pub fn adjust(
     options: &AdjustOptions,
     observe: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Adjustment {
+    let (mut state, mut iterations) = towards(model, start, options, observe);
     let mut model = model.clone();
-    let mut state = start;
-    let mut iterations = 0;
     let mut outliers = vec![];
     let mut round = 0;
     loop {
@@ -141,6 +140,38 @@ pub fn adjust(
         state = out.state;
         round += 1;
     }
+}
+
+/// Most linearisations with the axis points held.
+const HELD_ITERATIONS: usize = 30;
+
+/// The state near the minimum with the axis points held at their start, and the linearisations made.
+///
+/// The images show the distortion times its distance from the axis point: while both move, a long step from a poor start can
+/// carry the distortion through zero, where the axis point is determined by nothing, and beyond lies a minimum of its own
+/// with the other sign. With the axis point held at its start (the sensor's centre) the distortion is linear.
+fn towards(
+    model: &Model,
+    start: State,
+    options: &AdjustOptions,
+    observe: &mut dyn FnMut(&Iteration) -> bool,
+) -> (State, usize) {
+    let mut held = model.clone();
+    let mut any = false;
+    for camera in held.cameras.iter_mut().filter(|c| c.uses_pinhole_frame() && c.free[6..9].contains(&true)) {
+        any |= camera.free[2] || camera.free[3];
+        (camera.free[2], camera.free[3]) = (false, false);
+    }
+    if !any {
+        return (start, 0);
+    }
+    let bundle = Bundle { model: &held, places: Places::of(&held) };
+    let brief = solve::Options {
+        decrement: options.solve.decrement.max(1.0),
+        iterations: options.solve.iterations.min(HELD_ITERATIONS),
+    };
+    let out = solve::minimise(&bundle, start, &brief, observe);
+    (out.state, out.iterations)
 }
 
 /// Number of unknowns that the observations of camera `c` pay for: `tr(C N_c)`, C the covariance and N_c the camera's part

@@ -41,6 +41,32 @@ pub struct Relabelling {
 }
 
 impl Relabelling {
+    /// No change.
+    pub const NONE: Self = Self { quarter_turns: 0, columns: 0, rows: 0, two_levels: false };
+
+    /// First `self`, then `next`.
+    pub fn then(&self, next: &Self) -> Self {
+        let (c, r) = turned(next.quarter_turns, (self.columns, self.rows));
+        Self {
+            quarter_turns: (self.quarter_turns + next.quarter_turns) % 4,
+            columns: c + next.columns,
+            rows: r + next.rows,
+            two_levels: self.two_levels || next.two_levels,
+        }
+    }
+
+    /// The change that takes this one back.
+    pub fn inverse(&self) -> Self {
+        let quarter_turns = (4 - self.quarter_turns % 4) % 4;
+        let (c, r) = turned(quarter_turns, (self.columns, self.rows));
+        Self { quarter_turns, columns: -c, rows: -r, ..*self }
+    }
+
+    /// Whether a two-level plate would change its front level for its back.
+    pub fn exchanges_levels(&self) -> bool {
+        self.two_levels && self.columns.rem_euclid(2) == 1
+    }
+
     /// The label after this change.
     pub fn apply(&self, id: DotId) -> DotId {
         let (c, r) = turned(self.quarter_turns, (id.column, id.row));
@@ -62,7 +88,7 @@ pub struct Labelling {
     pub alternatives: Vec<Relabelling>,
     /// Whether the origin is an arbitrary dot of this image (no mark, and the grid is not seen whole).
     pub origin_is_arbitrary: bool,
-    /// What was assumed, in words for the report.
+    /// What the image alone leaves open and how it was taken, in words for the report; void once other images decide.
     pub warnings: Vec<String>,
 }
 

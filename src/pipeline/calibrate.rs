@@ -7,6 +7,7 @@ use super::residual_rows::residual_rows;
 use super::sheet_part::sheet_part;
 use super::{Progress, Source};
 use crate::bundle::{AdjustOptions, Adjustment, Iteration, Model, NamedCovariance, adjust_tangents, named_covariance};
+use crate::detect::pattern::Relabelling;
 use crate::error::{Error, Result};
 use crate::record::{Record, ResidualTable};
 use crate::report::OverlayShapes;
@@ -46,6 +47,8 @@ pub(super) struct Solved<'a> {
     /// The same state against the contours, for residuals.
     pub(super) contours: &'a Model,
     pub(super) covariance: &'a NamedCovariance,
+    /// What the images do not decide about the labels.
+    pub(super) undecided: &'a [String],
 }
 
 /// Calibrates cameras, rig, target and sheet from images.
@@ -73,7 +76,7 @@ fn run(
     options: &CalibrateOptions,
     progress: &Mutex<&mut (dyn FnMut(Progress) -> bool + Send)>,
 ) -> Result<CalibrationOutput> {
-    let images = see_all(job, source, progress)?;
+    let mut images = see_all(job, source, progress)?;
     let size = |c: usize| {
         let first = images.iter().find(|i| i.camera == c);
         first.map_or([0.0; 2], |i| [i.image.width() as f64, i.image.height() as f64])
@@ -84,8 +87,9 @@ fn run(
         let told = Progress::Iteration { number: i.number, cost: i.cost, decrement: i.decrement };
         progress.lock().is_ok_and(|mut p| p(told))
     };
-    let RigSolution { mut adjustment, swapped } = calibrate_rig(&built.problem, &options.adjust, &mut observe)?;
-    exchange_labels(&mut built, &swapped);
+    let solution = calibrate_rig(&built.problem, &options.adjust, &mut observe)?;
+    take_labels(&mut built, &mut images, &solution);
+    let RigSolution { mut adjustment, undecided, .. } = solution;
     let contours = adjustment.model.clone();
     let mut refits = None;
     if job.solve.observations == Observations::Bitangent {
@@ -103,6 +107,7 @@ fn run(
         adjustment: &adjustment,
         contours: &contours,
         covariance: &covariance,
+        undecided: &undecided,
     };
     let (residuals, overlays, fits) = residual_rows(&solved)?;
     let sheet = sheet_part(&solved)?;
@@ -121,9 +126,18 @@ fn run(
     Ok(CalibrationOutput { record, residuals, images, overlays })
 }
 
-/// The labels of pairs that the consensus exchanged.
-fn exchange_labels(built: &mut Built, swapped: &[bool]) {
-    for (image, _) in built.problem.model.images.iter_mut().zip(swapped).filter(|(_, s)| **s) {
-        image.discs.iter_mut().for_each(|d| d.disc = 1 - d.disc);
+/// The labels that the views have decided; what an image alone had left open is void then.
+fn take_labels(built: &mut Built, images: &mut [SeenImage], solution: &RigSolution) {
+    built.labels = solution.labels.clone();
+    let own = built.problem.model.images.iter_mut().zip(images).zip(&solution.disc_of);
+    for ((image, seen), disc_of) in own {
+        for ((d, s), disc) in image.discs.iter_mut().zip(&mut seen.discs).zip(disc_of) {
+            d.disc = *disc;
+            s.id = built.labels[*disc];
+        }
+        let levels_open = seen.open.alternatives.iter().any(Relabelling::exchanges_levels);
+        if !levels_open {
+            seen.warnings.clear();
+        }
     }
 }

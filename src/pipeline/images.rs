@@ -5,6 +5,7 @@ use crate::detect::pattern::{Labelling, label_discs};
 use crate::detect::{DetectOptions, Detection, LabelledDisc, find_discs};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::image::GrayImage;
+use crate::rig::OpenImage;
 use crate::rig_file::RigDescription;
 use rayon::prelude::*;
 use std::sync::Mutex;
@@ -26,6 +27,8 @@ pub struct SeenImage {
     pub discs: Vec<LabelledDisc>,
     /// What the labelling assumed, in words.
     pub warnings: Vec<String>,
+    /// Labels that the image alone leaves open.
+    pub open: OpenImage,
 }
 
 /// Loads, searches and labels all images of a job; order: views, then cameras.
@@ -69,8 +72,9 @@ fn see(job: &RigDescription, source: &Source, view: usize, camera: usize, name: 
             Insufficient::Pattern { image: name.into(), message: "no disc of the target was found".into() }.into()
         );
     }
-    let Labelling { discs, warnings, .. } = labelling;
-    Ok(SeenImage { view, camera, name: name.into(), image, detection, discs, warnings })
+    let Labelling { discs, warnings, alternatives, origin_is_arbitrary, .. } = labelling;
+    let open = OpenImage { alternatives, any_origin: origin_is_arbitrary };
+    Ok(SeenImage { view, camera, name: name.into(), image, detection, discs, warnings, open })
 }
 
 fn check_sizes(job: &RigDescription, images: &[SeenImage]) -> Result<()> {

@@ -8,7 +8,7 @@ use crate::bundle::{
 use crate::camera::INTRINSICS;
 use crate::conic::Ellipse;
 use crate::error::{Insufficient, Invalid, Result};
-use crate::rig::{CameraStart, RigProblem};
+use crate::rig::{CameraStart, OpenLabels, RigProblem};
 use crate::rig_file::{
     Adjust, CameraDescription, Knowledge, Length, Loss as LossName, Parameter, PlaneZ, RigDescription, Scale,
     ViewDescription,
@@ -62,7 +62,13 @@ pub(super) fn build(job: &RigDescription, images: &[SeenImage], sizes_px: &[[f64
         },
     };
     let image_names = images.iter().map(|i| i.name.clone()).collect();
-    Ok(Built { problem: RigProblem { model, ellipses, starts, shape_mm, image_names }, labels })
+    let open = OpenLabels { step_pitches: label_step(job), images: images.iter().map(|i| i.open.clone()).collect() };
+    Ok(Built { problem: RigProblem { model, ellipses, starts, shape_mm, image_names, open }, labels })
+}
+
+/// Length of a step of a label, pitches.
+fn label_step(job: &RigDescription) -> f64 {
+    if matches!(job.target.target, Target::TwoLevelPlate(_)) { 0.5 } else { 1.0 }
 }
 
 /// Where a view's target is. In the sheet it is exactly at 0; on a traverse as the view says, else as `[scale]` does.
@@ -108,9 +114,9 @@ fn observations(images: &[SeenImage], labels: &[DotId]) -> (Vec<ImageObservation
     (out, ellipses)
 }
 
-/// Lattice place of a label: labels of a plate count half pitches, since the levels alternate.
-pub(super) fn node(target: &Target, l: &DotId) -> Node {
-    let unit = if matches!(target, Target::TwoLevelPlate(_)) { 0.5 } else { 1.0 };
+/// Lattice place of a label.
+pub(super) fn node(job: &RigDescription, l: &DotId) -> Node {
+    let unit = label_step(job);
     Node { x: unit * f64::from(l.column), y: unit * f64::from(l.row), level: f64::from(l.level) }
 }
 
@@ -120,7 +126,7 @@ fn stiff(length: Length) -> (f64, f64) {
 
 /// Target model, first guess of its shape, and the facts that fix its scale.
 fn target(job: &RigDescription, labels: &[DotId]) -> Result<(TargetModel, [Option<f64>; 3], Vec<Fact>)> {
-    let nodes = || labels.iter().map(|l| node(&job.target.target, l)).collect();
+    let nodes = || labels.iter().map(|l| node(job, l)).collect();
     let (shape, mut shape_mm) = match &job.target.target {
         Target::TwoDiscs(p) | Target::Bubbles(p) => {
             let per_view = matches!(job.target.target, Target::Bubbles(_));
@@ -216,7 +222,7 @@ fn camera(job: &RigDescription, d: &CameraDescription, size_px: [f64; 2]) -> (Ca
     // The image distance of a lens is a little longer than its focal length: 10 % at ten focal lengths.
     let from_lens = d.focal_length_mm.zip(d.pixel_pitch_mm).map(|(f, pitch)| 1.1 * f / pitch);
     let nominal_f_px = values[0].or(from_lens);
-    (CameraModel { name: d.name.clone(), free }, CameraStart { size_px, nominal_f_px, values })
+    (CameraModel { name: d.name.clone(), free }, CameraStart { size_px, nominal_f_px, values, radial: d.radial })
 }
 
 /// The sheet as the plane on which a camera is focused, where the rig file says so.

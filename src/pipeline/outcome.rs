@@ -69,7 +69,7 @@ fn camera(s: &Solved, fits: &[ImageFit], c: usize) -> Option<record::Camera> {
         k1: i.k[0],
         k2: i.k[1],
         k3: i.k[2],
-        radial: record::Radial::IdealToDistorted,
+        radial: i.radial.into(),
         pupil_ratio: i.pupil_ratio,
         pixel_pitch_mm: description.pixel_pitch_mm,
         effective: Effective { f_px: e.f_px, cx_px: e.cx_px, cy_px: e.cy_px },
@@ -294,6 +294,7 @@ fn fit(s: &Solved, fits: &[ImageFit]) -> Fit {
             adjustment.decrement
         ));
     }
+    flags.extend(s.undecided.iter().cloned());
     flags.extend(s.images.iter().flat_map(|i| i.warnings.iter().map(|w| format!("{}: {w}", i.name))));
     let scales = adjustment.model.images.iter().map(|i| i.sigma_scale);
     Fit {

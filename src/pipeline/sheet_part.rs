@@ -77,7 +77,7 @@ fn place_on_target(s: &Solved, view: usize, id: DotId) -> Vector3<f64> {
         return model.nominal_disc(j, &shape).0 + offset;
     }
     // A mark that is no disc, or a dot that no image shows.
-    let node = super::model::node(&s.job.target.target, &id);
+    let node = super::model::node(s.job, &id);
     Vector3::new(node.x * shape[0], node.y * shape[0], -node.level * shape[2])
 }
 

@@ -1,64 +1,49 @@
 //! The motion between the cameras by consensus of the views, scale, and the common adjustment.
 
-use super::mono::calibrate_camera;
-use super::{Mono, RigProblem, RigSolution, rms_of};
+use super::consensus::{CONSENSUS_RAD, Choice, angle, choices, votes};
+use super::labels::{changed, image_at, is_pair, labellings, labels, order_pairs, relabel};
+use super::mono::{calibrate_camera, thinned_model};
+use super::print::labels_by_print;
+use super::starts::{best_start, joint_start};
+use super::{Mono, Pose, RigProblem, RigSolution, rms_of};
 use crate::bundle::{
-    AdjustOptions, Fact, Iteration, PlanePosition, SolveOptions, State, TargetShape, Termination, ViewPlace, ViewState,
+    AdjustOptions, Fact, Iteration, Model, PlanePosition, SolveOptions, State, Termination, ViewPlace, ViewState,
     adjust,
 };
-use crate::camera::{Camera, Intrinsics};
+use crate::detect::pattern::Relabelling;
 use crate::error::{Error, Insufficient, Result, Unusable};
 use crate::frames::{Cam, Rig, Sheet, Target};
-use crate::rigid::{Motion, rotation_log};
+use crate::rigid::Motion;
 use nalgebra::{Matrix3, Vector3};
-
-/// Motions of two views that differ by more than this contradict each other, rad. Poses of a camera calibrated alone are
-/// good to a few tenths of a degree.
-const CONSENSUS_RAD: f64 = 3.0 * std::f64::consts::PI / 180.0;
 
 /// A common adjustment that fits worse than this times the cameras alone (and than 0.3 px) is a contradiction.
 const CONTRADICTION: f64 = 5.0;
+/// Labels whose chi-square is larger by less than this, in units of the best one's variance factor, fit as well as the best.
+const AS_GOOD: f64 = 30.0;
+
+/// Told of every iteration; returns false to stop.
+type Observe<'a> = &'a mut dyn FnMut(&Iteration) -> bool;
 
 /// Calibrates one or two cameras.
 ///
 /// # Errors
 /// [`Insufficient`] where views are missing, degenerate or contradict each other (with the view or camera named),
 /// [`Unusable::NotConverged`] where the adjustment does not reach its minimum.
-pub fn calibrate_rig(
-    problem: &RigProblem,
-    options: &AdjustOptions,
-    observe: &mut dyn FnMut(&Iteration) -> bool,
-) -> Result<RigSolution> {
+pub fn calibrate_rig(problem: &RigProblem, options: &AdjustOptions, observe: Observe<'_>) -> Result<RigSolution> {
     let mut problem = problem.clone();
-    let mut swapped = vec![false; problem.model.images.len()];
-    order_pairs(&mut problem, &mut swapped);
+    order_pairs(&mut problem);
     let count = problem.model.cameras.len();
     let monos: Vec<Mono> = (0..count).map(|c| calibrate_camera(&problem, c)).collect::<Result<_>>()?;
-    let mut start = None;
-    let mut doubt = None;
-    if count == 1 {
-        start = Some(single_start(&problem, &monos[0])?);
+    let mut undecided = vec![];
+    let mut start = if count == 1 {
+        single_start(&problem, &monos[0])?
     } else {
-        let agreed = agreed_motion(&mut problem, &monos, &mut swapped)?;
-        let state = pair_start(&problem, &monos, &agreed)?;
-        if agreed.outside.is_empty() {
-            start = Some(state);
-        } else {
-            // A weak pose of one camera alone is no contradiction: let the common adjustment decide.
-            let quick =
-                AdjustOptions { solve: SolveOptions { decrement: 1e-1, iterations: 100 }, rounds: 0, ..*options };
-            let trial = adjust(&problem.model, state, &quick, observe);
-            let alone = monos.iter().map(|m| m.rms_px).fold(0.0, f64::max);
-            if rms_of(&problem.model, &trial.state).is_some_and(|r| r < (CONTRADICTION * alone).max(0.3)) {
-                start = Some(trial.state);
-            } else {
-                doubt = Some(contradiction(&problem, &monos, &agreed));
-            }
-        }
-    }
-    let Some(start) = start else {
-        return Err(doubt.unwrap_or_else(|| Error::Bug("no start and no reason".into())));
+        let (decided, start) = common_start(&problem, &monos, options, observe, &mut undecided)?;
+        problem = decided;
+        start
     };
+    labels_by_print(&mut problem, &mut start);
+    let start = best_start(&problem, start, options, observe);
     let adjustment = adjust(&problem.model, start, options, observe);
     match adjustment.termination {
         Termination::Converged => {}
@@ -73,40 +58,109 @@ pub fn calibrate_rig(
             .into());
         }
     }
-    Ok(RigSolution { adjustment, swapped })
+    let disc_of = problem.model.images.iter().map(|i| i.discs.iter().map(|d| d.disc).collect()).collect();
+    Ok(RigSolution { adjustment, labels: labels(&problem), disc_of, undecided })
 }
 
-/// Labels the larger disc of each pair as the model's larger one; equal discs keep their order.
-fn order_pairs(problem: &mut RigProblem, swapped: &mut [bool]) {
-    if !matches!(problem.model.target.shape, TargetShape::Pair { .. }) {
-        return;
+/// What the views agree on.
+struct Agreed {
+    /// Second solver frame from first; translation in the scale of the views, or of unit length for views with scales of their own.
+    motion: Motion<Cam, Rig>,
+    /// Poses of each camera after changes of labels.
+    poses: [Vec<Option<Pose>>; 2],
+    /// Views that disagree.
+    outside: Vec<usize>,
+}
+
+/// Start of the common adjustment, with the labels that fit best.
+fn common_start(
+    problem: &RigProblem,
+    monos: &[Mono],
+    options: &AdjustOptions,
+    observe: Observe<'_>,
+    undecided: &mut Vec<String>,
+) -> Result<(RigProblem, State)> {
+    let all = choices(problem, &votes(problem, &monos[0].poses, &monos[1].poses, false));
+    let mut starts = vec![];
+    for choice in &all {
+        let (labelled, agreed) = agreed(problem, monos, choice);
+        let state = pair_start(&labelled, monos, &agreed)?;
+        starts.push((labelled, agreed, state));
     }
-    let first_is_smaller = matches!(problem.shape_mm, [_, Some(r0), Some(r1)] if r0 < r1);
-    for k in 0..problem.model.images.len() {
-        let size = |disc: usize| {
-            let at = problem.model.images[k].discs.iter().position(|d| d.disc == disc);
-            at.map(|i| problem.ellipses[k][i].semi_major_px)
-        };
-        if let (Some(a), Some(b)) = (size(0), size(1)) {
-            if (a < b) != first_is_smaller {
-                swap_image(problem, k, swapped);
+    let best = if starts.len() > 1 { cheapest(&starts, undecided, observe) } else { 0 };
+    let Some((labelled, agreed, state)) = (!starts.is_empty()).then(|| starts.swap_remove(best)) else {
+        return Err(Insufficient::Degenerate(
+            "no view was seen by both cameras; at least one view needs an image of each camera".into(),
+        )
+        .into());
+    };
+    if agreed.outside.is_empty() {
+        return Ok((labelled, state));
+    }
+    // A weak pose of one camera alone is no contradiction: let the common adjustment decide, quickly first.
+    let quick = AdjustOptions { solve: SolveOptions { decrement: 1e-1, iterations: 100 }, rounds: 0, ..*options };
+    let alone = monos.iter().map(|m| m.rms_px).fold(0.0, f64::max);
+    let mut fits = |model: &Model, state: State| {
+        let trial = adjust(model, state, &quick, observe).state;
+        rms_of(model, &trial).is_some_and(|r| r < (CONTRADICTION * alone).max(0.3)).then_some(trial)
+    };
+    let light = fits(&thinned_model(&labelled.model), State { offsets_mm: vec![], ..state.clone() });
+    match light.and_then(|_| fits(&labelled.model, state)) {
+        Some(state) => Ok((labelled, state)),
+        None => Err(contradiction(problem, monos, &all[best], &agreed.outside)),
+    }
+}
+
+/// The start with the labels that the common adjustment fits best, the first where others fit as well.
+fn cheapest(starts: &[(RigProblem, Agreed, State)], undecided: &mut Vec<String>, observe: Observe<'_>) -> usize {
+    let quick =
+        AdjustOptions { solve: SolveOptions { decrement: 1e-1, iterations: 40 }, rounds: 0, outlier_sigmas: 6.0 };
+    let chi2: Vec<(f64, f64)> = starts
+        .iter()
+        .map(|(problem, _, state)| {
+            let model = thinned_model(&problem.model);
+            let counts = model.counts();
+            let state = State { offsets_mm: vec![], ..state.clone() };
+            (2.0 * adjust(&model, state, &quick, observe).cost, (counts.observations as f64).max(1.0))
+        })
+        .collect();
+    let least = chi2.iter().map(|c| c.0).fold(f64::INFINITY, f64::min);
+    // Too few observations never make a factor below one.
+    let unit = chi2.iter().filter(|c| c.0 == least).map(|c| (least / c.1).max(1.0)).fold(1.0, f64::max);
+    let as_good: Vec<usize> = (0..chi2.len()).filter(|&i| chi2[i].0 < least + AS_GOOD * unit).collect();
+    if as_good.len() > 1 && !is_pair(&starts[0].0) {
+        undecided.push(format!(
+            "how the dots' labels of the two cameras belong together is not decided by the images ({} ways fit equally well): taken with              both cameras upright (target y up) and the grids' middles as near to each other as the images allow; record the              target in clearly different tilts and turns, or mark one of its dots",
+            as_good.len()
+        ));
+    }
+    as_good.first().copied().unwrap_or(0)
+}
+
+/// The problem with the labels of a choice, and what its views agree on.
+fn agreed(problem: &RigProblem, monos: &[Mono], choice: &Choice) -> (RigProblem, Agreed) {
+    let mut changes = vec![Relabelling::NONE; problem.model.images.len()];
+    let mut poses = [monos[0].poses.clone(), monos[1].poses.clone()];
+    let (mut rotations, mut shift, mut inside) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
+    let per_view = problem.model.target.per_view();
+    for (vote, gap) in choice.best.iter().flatten() {
+        for c in 0..2 {
+            if let Some(k) = image_at(problem, c, vote.view) {
+                changes[k] = vote.changes[c];
             }
+            poses[c][vote.view] = monos[c].poses[vote.view].as_ref().map(|p| changed(problem, p, &vote.changes[c]));
+        }
+        if *gap <= CONSENSUS_RAD {
+            let m = vote.motion();
+            rotations += m.rotation;
+            shift += if per_view { m.translation_mm.normalize() } else { m.translation_mm };
+            inside += 1.0;
         }
     }
-}
-
-fn swap_image(problem: &mut RigProblem, k: usize, swapped: &mut [bool]) {
-    for d in &mut problem.model.images[k].discs {
-        d.disc = 1 - d.disc;
-    }
-    swapped[k] = !swapped[k];
-}
-
-/// The same pose with the two discs exchanged.
-fn exchanged(pose: &Motion<Cam, Target>, shape: &[f64; 3]) -> (Motion<Cam, Target>, [f64; 3]) {
-    let half_turn = Matrix3::from_diagonal(&Vector3::new(-1.0, -1.0, 1.0));
-    let swap: Motion<Target, Target> = Motion::new(half_turn, Vector3::new(shape[0], 0.0, 0.0));
-    (*pose * swap, [shape[0], shape[2], shape[1]])
+    let motion = Motion::new(crate::rigid::orthonormalised(&rotations), shift / inside);
+    let mut labelled = problem.clone();
+    relabel(&mut labelled, &changes);
+    (labelled, Agreed { motion, poses, outside: choice.outside() })
 }
 
 /// A pose as a horizontally mirrored camera would have found it.
@@ -116,119 +170,20 @@ fn mirrored(pose: &Motion<Cam, Target>) -> Motion<Cam, Target> {
     Motion::new(d * pose.rotation * f, d * pose.translation_mm)
 }
 
-/// What the views agree on.
-struct Agreed {
-    /// Second solver frame from first; translation in the scale of the views, or of unit length for views with scales of their own.
-    motion: Motion<Cam, Rig>,
-    /// Poses of the second camera after exchanges.
-    right: Vec<Option<(Motion<Cam, Target>, [f64; 3])>>,
-    /// The vote at the centre of the consensus.
-    center: Vote,
-    /// Views that disagree.
-    outside: Vec<usize>,
-    /// Views seen by both cameras.
-    common: usize,
-}
-
-#[derive(Clone, Copy)]
-struct Vote {
-    view: usize,
-    swap: bool,
-    rotation: Matrix3<f64>,
-    translation: Vector3<f64>,
-}
-
-fn angle(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
-    rotation_log(&(a * b.transpose())).norm()
-}
-
-type Poses = [Option<(Motion<Cam, Target>, [f64; 3])>];
-
-fn votes(pair: bool, left: &Poses, right: &Poses) -> Vec<Vote> {
-    let mut out = vec![];
-    for (view, (l, r)) in left.iter().zip(right).enumerate() {
-        let (Some((l, _)), Some((r, shape))) = (l, r) else { continue };
-        for swap in if pair { vec![false, true] } else { vec![false] } {
-            let r = if swap { exchanged(r, shape).0 } else { *r };
-            let m = r * l.inverse();
-            out.push(Vote { view, swap, rotation: m.rotation, translation: m.translation_mm });
-        }
-    }
-    out
-}
-
-/// The vote that most views support, and for each view its best vote and distance from the chosen one.
-fn consensus(votes: &[Vote], views: usize) -> Option<(Vote, Vec<Option<(Vote, f64)>>)> {
-    let best_per_view = |center: &Vote| {
-        let mut best: Vec<Option<(Vote, f64)>> = vec![None; views];
-        for v in votes {
-            let gap = angle(&v.rotation, &center.rotation)
-                + 0.3 * v.translation.normalize().angle(&center.translation.normalize());
-            if best[v.view].is_none_or(|(_, g)| gap < g) {
-                best[v.view] = Some((*v, gap));
-            }
-        }
-        best
-    };
-    let cost =
-        |center: &Vote| -> f64 { best_per_view(center).iter().flatten().map(|(_, g)| g.min(CONSENSUS_RAD)).sum() };
-    let center = votes.iter().min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
-    Some((*center, best_per_view(center)))
-}
-
-fn spread(best: &[Option<(Vote, f64)>]) -> f64 {
-    let mut gaps: Vec<f64> = best.iter().flatten().map(|(_, g)| *g).collect();
-    gaps.sort_by(f64::total_cmp);
-    gaps.get(gaps.len() / 2).copied().unwrap_or(f64::INFINITY)
-}
-
-fn agreed_motion(problem: &mut RigProblem, monos: &[Mono], swapped: &mut [bool]) -> Result<Agreed> {
-    let views = problem.model.views.len();
-    let pair = matches!(problem.model.target.shape, TargetShape::Pair { .. });
-    let (left, right) = (&monos[0].poses, &monos[1].poses);
-    let votes_now = votes(pair, left, right);
-    let (center, best) = consensus(&votes_now, views).ok_or_else(|| {
-        Insufficient::Degenerate(
-            "no view was seen by both cameras; at least one view needs an image of each camera".into(),
-        )
-    })?;
-    let outside: Vec<usize> = best.iter().flatten().filter(|(_, g)| *g > CONSENSUS_RAD).map(|(v, _)| v.view).collect();
-    let common = best.iter().flatten().count();
-    let mut agreed_right = right.clone();
-    let mut rotations = Matrix3::zeros();
-    let mut shift = Vector3::zeros();
-    let per_view = problem.model.target.per_view();
-    let mut inside = 0.0;
-    for (vote, gap) in best.iter().flatten() {
-        if vote.swap {
-            if let Some(k) = problem.model.images.iter().position(|i| i.camera == 1 && i.view == vote.view) {
-                swap_image(problem, k, swapped);
-            }
-            agreed_right[vote.view] = right[vote.view].as_ref().map(|(m, s)| exchanged(m, s));
-        }
-        if *gap <= CONSENSUS_RAD {
-            rotations += vote.rotation;
-            shift += if per_view { vote.translation.normalize() } else { vote.translation };
-            inside += 1.0;
-        }
-    }
-    let rotation = crate::rigid::orthonormalised(&rotations);
-    Ok(Agreed { motion: Motion::new(rotation, shift / inside), right: agreed_right, center, outside, common })
-}
-
 /// Finds out why views do not agree, and says it.
-fn contradiction(problem: &RigProblem, monos: &[Mono], agreed: &Agreed) -> Error {
-    let Agreed { center, outside, common, .. } = agreed;
-    let pair = matches!(problem.model.target.shape, TargetShape::Pair { .. });
+fn contradiction(problem: &RigProblem, monos: &[Mono], choice: &Choice, outside: &[usize]) -> Error {
     let names: Vec<&str> = problem.model.cameras.iter().map(|c| c.name.as_str()).collect();
-    let views = problem.model.views.len();
-    if 2 * outside.len() >= *common {
+    let common = choice.best.iter().flatten().count();
+    if 2 * outside.len() >= common {
         for (c, other) in [(1, 0), (0, 1)] {
-            let flip = |p: &Option<(Motion<Cam, Target>, [f64; 3])>| p.as_ref().map(|(m, s)| (mirrored(m), *s));
+            let flip = |p: &Option<Pose>| p.as_ref().map(|(m, s)| (mirrored(m), *s));
             let flipped: Vec<_> = monos[c].poses.iter().map(flip).collect();
-            let v =
-                if c == 1 { votes(pair, &monos[0].poses, &flipped) } else { votes(pair, &flipped, &monos[1].poses) };
-            if consensus(&v, views).is_some_and(|(_, b)| spread(&b) < 0.3 * CONSENSUS_RAD) {
+            let v = if c == 1 {
+                votes(problem, &monos[0].poses, &flipped, true)
+            } else {
+                votes(problem, &flipped, &monos[1].poses, true)
+            };
+            if choices(problem, &v).first().is_some_and(|b| b.spread() < 0.3 * CONSENSUS_RAD) {
                 return Insufficient::Inconsistent(format!(
                     "the images of camera \"{}\" are mirrored against those of camera \"{}\" (or the other way round): the views agree only when one is flipped; switch off the mirroring of that camera, or of a mirror in its path, in the recording software",
                     names[c], names[other]
@@ -237,14 +192,16 @@ fn contradiction(problem: &RigProblem, monos: &[Mono], agreed: &Agreed) -> Error
             }
         }
     }
+    let center = choice.center.motion().rotation;
     let exchanged_views: Vec<usize> = outside
         .iter()
         .copied()
-        .filter(|v| match (&monos[0].poses[*v], &monos[1].poses[*v]) {
+        .filter(|v| match (&monos[0].poses[*v], &monos[1].poses[*v], image_at(problem, 0, *v)) {
             // Poses found by the wrong camera are off by its own tilt at most, far less than the angle between cameras.
-            (Some((l, s)), Some((r, _))) => [*l, exchanged(l, s).0]
-                .iter()
-                .any(|l| angle(&(l.rotation * r.rotation.transpose()), &center.rotation) < 5.0 * CONSENSUS_RAD),
+            (Some(l), Some((r, _)), Some(k)) => labellings(problem, k).iter().any(|change| {
+                let l = changed(problem, l, change).0;
+                angle(&(l.rotation * r.rotation.transpose()), &center) < 5.0 * CONSENSUS_RAD
+            }),
             _ => false,
         })
         .collect();
@@ -265,9 +222,8 @@ fn contradiction(problem: &RigProblem, monos: &[Mono], agreed: &Agreed) -> Error
 }
 
 fn single_start(problem: &RigProblem, mono: &Mono) -> Result<State> {
-    let nobody = Vote { view: 0, swap: false, rotation: Matrix3::identity(), translation: Vector3::zeros() };
-    let right = vec![None; problem.model.views.len()];
-    let nothing = Agreed { motion: Motion::identity(), right, center: nobody, outside: vec![], common: 0 };
+    let poses = [mono.poses.clone(), vec![None; problem.model.views.len()]];
+    let nothing = Agreed { motion: Motion::identity(), poses, outside: vec![] };
     let mut state = pair_start(problem, std::slice::from_ref(mono), &nothing)?;
     state.camera_from_first.truncate(1);
     Ok(state)
@@ -285,9 +241,9 @@ fn pair_start(problem: &RigProblem, monos: &[Mono], agreed: &Agreed) -> Result<S
     // A view outside the consensus has one weak pose: that of the camera whose fit alone is worse is left away.
     let right_is_better = monos.get(1).is_some_and(|r| r.rms_px < monos[0].rms_px);
     for v in 0..model.views.len() {
-        let prefer_right = right_is_better && agreed.outside.contains(&v) && agreed.right[v].is_some() && !per_view;
-        let left = monos[0].poses[v].map(|(m, s)| (Motion::<Rig, Target>::new(m.rotation, m.translation_mm), s));
-        let pose = match (left, agreed.right[v]) {
+        let prefer_right = right_is_better && agreed.outside.contains(&v) && agreed.poses[1][v].is_some() && !per_view;
+        let left = agreed.poses[0][v].map(|(m, s)| (Motion::<Rig, Target>::new(m.rotation, m.translation_mm), s));
+        let pose = match (left, agreed.poses[1][v]) {
             (Some((m, s)), Some((r, _))) if per_view => {
                 // The view's own scale: its shift between the cameras against the unit baseline.
                 let shift = r.translation_mm - agreed.motion.rotation * m.translation_mm;
@@ -320,31 +276,6 @@ fn pair_start(problem: &RigProblem, monos: &[Mono], agreed: &Agreed) -> Result<S
         state.shape_mm[0] = problem.shape_mm[0].unwrap_or(state.shape_mm[0]);
     }
     Ok(state)
-}
-
-/// Intrinsics with which the common adjustment starts.
-///
-/// Where every disc is estimated, a camera alone had to explain printing errors by its lens: axis point and distortion have run
-/// away with them. The effective pinhole, which carries all poses, has not; the rest starts again at the sensor's centre.
-fn joint_start(problem: &RigProblem, c: usize, alone: &Intrinsics) -> Intrinsics {
-    let (model, start) = (&problem.model.cameras[c], &problem.starts[c]);
-    if problem.model.target.offset_sigma_mm.is_none() || !model.uses_pinhole_frame() {
-        return *alone;
-    }
-    let Ok(camera) = Camera::new(*alone) else { return *alone };
-    let center = |k: usize, size: f64| {
-        if model.free[k] { start.values[k].unwrap_or((size - 1.0) / 2.0) } else { alone.to_array()[k] }
-    };
-    let (cx, cy) = (center(2, start.size_px[0]), center(3, start.size_px[1]));
-    let mut p = camera.effective_pinhole().with_axis_point(cx, cy, alone.aspect).to_array();
-    for k in 6..10 {
-        p[k] = start.values[k].filter(|_| model.free[k] || k == 9).unwrap_or(if model.free[k] {
-            0.0
-        } else {
-            alone.to_array()[k]
-        });
-    }
-    Intrinsics::from_array(&p, alone.radial)
 }
 
 fn scaled(m: &Motion<Rig, Target>, shape: &[f64; 3], by: f64) -> (Motion<Rig, Target>, [f64; 3]) {

@@ -5,7 +5,7 @@ use crate::bundle::{
     AdjustOptions, Adjustment, DiscObservation, Fact, ImageObservations, Loss, Model, SolveOptions, State, TargetShape,
     ViewModel, ViewPlace, ViewState, adjust,
 };
-use crate::camera::{Camera, EffectivePinhole, Intrinsics, Radial};
+use crate::camera::{Camera, EffectivePinhole, Intrinsics};
 use crate::conic::Ellipse;
 use crate::detect::EdgePoints;
 use crate::error::{Insufficient, Result};
@@ -19,10 +19,12 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 /// Edge points per disc and discs per image that a start looks at: enough to choose, few enough to be quick.
 const START_EDGES: usize = 24;
 const START_DISCS: usize = 48;
+/// Edge points per disc where all discs are needed.
+const LIGHT_EDGES: usize = 12;
 
 /// What one view of the plane gives before the camera is known.
 enum ViewSeed {
-    Lattice { homography: Matrix3<f64> },
+    Lattice { homography: Matrix3<f64>, mirrored: bool },
     Pair { ellipses: [Ellipse; 2], line: Vector3<f64> },
 }
 
@@ -50,6 +52,7 @@ pub(super) fn calibrate_camera(problem: &RigProblem, c: usize) -> Result<Mono> {
     if seeds.len() < needed {
         return Err(Insufficient::TooFewViews { camera: name.clone(), found: seeds.len(), needed }.into());
     }
+    refuse_mirrored(problem, name, &seeds)?;
     let points: Vec<CircularPoint> = seeds.iter().map(|s| s.circular).collect();
     let start = &problem.starts[c];
     let candidates = pinholes(&points, start.size_px, start.nominal_f_px);
@@ -86,6 +89,26 @@ pub(super) fn calibrate_camera(problem: &RigProblem, c: usize) -> Result<Mono> {
     }
     let rms_px = rms_of(&model, &done.state).unwrap_or(f64::INFINITY);
     Ok(Mono { intrinsics: done.state.cameras[0], poses, rms_px })
+}
+
+/// Refuses labels that run the wrong way round: the front of a target never shows them so.
+fn refuse_mirrored(problem: &RigProblem, name: &str, seeds: &[SeededImage]) -> Result<()> {
+    let wrong: Vec<&str> = seeds
+        .iter()
+        .filter(|s| matches!(s.seed, ViewSeed::Lattice { mirrored: true, .. }))
+        .map(|s| problem.image_names[s.image].as_str())
+        .collect();
+    if wrong.is_empty() {
+        return Ok(());
+    }
+    Err(Insufficient::Inconsistent(format!(
+        "camera \"{name}\": {} of {} images are mirrored (the dots' labels run the wrong way round in {}); switch off the mirroring of that \
+         camera, or of a mirror in its path, in the recording software",
+        wrong.len(),
+        seeds.len(),
+        wrong.join(", ")
+    ))
+    .into())
 }
 
 fn seeds(problem: &RigProblem, c: usize) -> Result<Vec<SeededImage>> {
@@ -133,15 +156,52 @@ fn lattice_seed(
         seen.push(Vector2::new(e.center_px.u_px, e.center_px.v_px));
     }
     let h = homography(&plane, &seen)?;
-    Some((ViewSeed::Lattice { homography: h }, lattice_circular_point(&h)))
+    // Target y is up, image v down: an image that keeps the orientation is mirrored, whatever the camera.
+    let mirrored = h.determinant() * (h * plane[0].push(1.0)).z > 0.0;
+    Some((ViewSeed::Lattice { homography: h, mirrored }, lattice_circular_point(&h)))
 }
 
 /// Subsampled copy of a contour.
 fn thinned(edge: &EdgePoints) -> EdgePoints {
-    let step = edge.u_px.len().div_ceil(START_EDGES).max(1);
+    every(edge, START_EDGES)
+}
+
+/// About `count` points of a contour, evenly.
+fn every(edge: &EdgePoints, count: usize) -> EdgePoints {
+    let step = edge.u_px.len().div_ceil(count).max(1);
     let pick = |v: &[f64]| v.iter().step_by(step).copied().collect();
     EdgePoints { u_px: pick(&edge.u_px), v_px: pick(&edge.v_px), sigma_px: pick(&edge.sigma_px) }
 }
+
+/// A model with few discs and edge points, without printing errors: to choose between starts.
+pub(super) fn thinned_model(model: &Model) -> Model {
+    let mut out = model.clone();
+    out.target.offset_sigma_mm = None;
+    out.loss = START_LOSS;
+    out.images.iter_mut().for_each(|i| i.discs = thinned_discs(&i.discs));
+    out
+}
+
+/// A model with all discs but few edge points, sigmas smaller so that they say as much together.
+pub(super) fn lightened(model: &Model) -> Model {
+    let mut out = model.clone();
+    for d in out.images.iter_mut().flat_map(|i| &mut i.discs) {
+        let all = d.edge.u_px.len();
+        d.edge = every(&d.edge, LIGHT_EDGES);
+        let share = (d.edge.u_px.len() as f64 / all.max(1) as f64).sqrt();
+        d.edge.sigma_px.iter_mut().for_each(|s| *s *= share);
+    }
+    out
+}
+
+fn thinned_discs(discs: &[DiscObservation]) -> Vec<DiscObservation> {
+    let step = discs.len().div_ceil(START_DISCS).max(1);
+    let thin = |d: &DiscObservation| DiscObservation { disc: d.disc, edge: thinned(&d.edge) };
+    discs.iter().step_by(step).map(thin).collect()
+}
+
+/// Wide enough not to hide a wrong candidate, tight enough to survive a bad contour.
+const START_LOSS: Loss = Loss::Huber(50.0);
 
 fn mono_model(problem: &RigProblem, c: usize, seeds: &[SeededImage]) -> Model {
     let full = &problem.model;
@@ -149,17 +209,12 @@ fn mono_model(problem: &RigProblem, c: usize, seeds: &[SeededImage]) -> Model {
     // Scale is a gauge of a single camera; printing errors wait for both.
     target.free[0] = false;
     target.offset_sigma_mm = None;
-    let image = |(k, s): (usize, &SeededImage)| {
-        let discs = &full.images[s.image].discs;
-        let step = discs.len().div_ceil(START_DISCS).max(1);
-        let thin = |d: &DiscObservation| DiscObservation { disc: d.disc, edge: thinned(&d.edge) };
-        ImageObservations {
-            view: k,
-            camera: 0,
-            discs: discs.iter().step_by(step).map(thin).collect(),
-            pairs: vec![],
-            sigma_scale: 1.0,
-        }
+    let image = |(k, s): (usize, &SeededImage)| ImageObservations {
+        view: k,
+        camera: 0,
+        discs: thinned_discs(&full.images[s.image].discs),
+        pairs: vec![],
+        sigma_scale: 1.0,
     };
     let facts = full.facts.iter().filter_map(|f| match f {
         Fact::Intrinsic { camera, parameter, value, sigma } if *camera == c => {
@@ -173,8 +228,7 @@ fn mono_model(problem: &RigProblem, c: usize, seeds: &[SeededImage]) -> Model {
         views: vec![ViewModel { place: ViewPlace::Free }; seeds.len()],
         facts: facts.collect(),
         images: seeds.iter().enumerate().map(image).collect(),
-        // Wide enough not to hide a wrong candidate, tight enough to survive a bad contour.
-        loss: Loss::Huber(50.0),
+        loss: START_LOSS,
     }
 }
 
@@ -189,7 +243,7 @@ fn start_intrinsics(start: &CameraStart, free: &[bool; 10], pinhole: &EffectiveP
             p[k] = v[k].unwrap_or(p[k]);
         }
     }
-    Intrinsics::from_array(&p, Radial::IdealToDistorted)
+    Intrinsics::from_array(&p, start.radial)
 }
 
 fn mono_start(problem: &RigProblem, c: usize, seeds: &[SeededImage], pinhole: &EffectivePinhole) -> Option<State> {
@@ -202,7 +256,7 @@ fn mono_start(problem: &RigProblem, c: usize, seeds: &[SeededImage], pinhole: &E
     let mut views = vec![];
     for s in seeds {
         let (pose, radii) = match &s.seed {
-            ViewSeed::Lattice { homography } => (lattice_pose(homography, &pinhole)?, None),
+            ViewSeed::Lattice { homography, .. } => (lattice_pose(homography, &pinhole)?, None),
             ViewSeed::Pair { ellipses, line } => {
                 let p = pair_pose([&ellipses[0], &ellipses[1]], line, &pinhole)?;
                 let scaled = Motion::new(p.cam_from_target.rotation, p.cam_from_target.translation_mm * spacing);

@@ -2,11 +2,15 @@
 
 use super::reader::{FINITE, Item, Limits, POSITIVE, SIGMA, Section};
 use super::{CameraDescription, Knowledge, Parameter};
+use crate::camera::Radial;
 use crate::error::Result;
 
 const PIXEL_PITCH_MM: Limits =
     Limits::new(1e-4, 1.0, "a pixel pitch in mm between 0.0001 and 1 (6.25 micrometres are 0.00625)");
 const FOCAL_LENGTH_MM: Limits = Limits::new(0.1, 1e5, "a focal length in mm between 0.1 and 100000");
+/// Directions of the radial polynomial.
+const RADIAL: [(&str, Radial); 2] =
+    [("ideal-to-distorted", Radial::IdealToDistorted), ("distorted-to-ideal", Radial::DistortedToIdeal)];
 const TILT_DEG: Limits = Limits::new(-89.0, 89.0, "an angle in degrees between -89 and 89");
 
 /// Keys of a view beside the camera names; no camera may be called like them.
@@ -43,13 +47,14 @@ pub(super) fn read_all(root: &Section<'_>) -> Result<Vec<CameraDescription>> {
 }
 
 fn read(section: &Section<'_>) -> Result<CameraDescription> {
-    section.only(&["name", "pixel_pitch_mm", "focal_length_mm", "known"], |key| {
+    section.only(&["name", "pixel_pitch_mm", "focal_length_mm", "radial", "known"], |key| {
         Parameter::ALL.iter().any(|p| p.key() == key).then(|| "belongs under [camera.known]".to_string())
     })?;
     Ok(CameraDescription {
         name: name(&section.require("name", "give the camera a name, such as name = \"left\"")?)?,
         pixel_pitch_mm: section.number("pixel_pitch_mm", PIXEL_PITCH_MM)?,
         focal_length_mm: section.number("focal_length_mm", FOCAL_LENGTH_MM)?,
+        radial: section.find("radial").map_or(Ok(Radial::default()), |item| item.choice(&RADIAL))?,
         known: section.find("known").map_or(Ok(Vec::new()), |item| known(&item))?,
     })
 }

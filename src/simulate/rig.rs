@@ -4,6 +4,7 @@
 
 use super::scene::{Kind, PolarityKey, ScaleKey, SceneFile};
 use super::setup::Setup;
+use crate::camera::Radial;
 use std::fmt::Write;
 
 /// Name of the image file of a view and camera.
@@ -31,6 +32,9 @@ fn cameras(out: &mut String, setup: &Setup) -> std::fmt::Result {
         }
         if let Some(lens) = c.focal_length_mm {
             writeln!(out, "focal_length_mm = {lens:?}")?;
+        }
+        if c.camera.intrinsics().radial == Radial::DistortedToIdeal {
+            writeln!(out, "radial = \"distorted-to-ideal\"")?;
         }
         writeln!(out)?;
     }

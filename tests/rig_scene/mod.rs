@@ -1,17 +1,17 @@
 //! A synthetic rig with exact contours of two discs: the paper's geometry (50 mm lens, 500 mm, 45 degrees, 6.25 um).
 
-#![allow(dead_code)]
+#![allow(dead_code, unused_imports)]
 
 use nalgebra::{Vector2, Vector3};
 use spivcal::bundle::{
     CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, PlanePosition, State, TargetModel,
     TargetShape, ViewModel, ViewPlace, ViewState,
 };
-use spivcal::camera::{Camera, Intrinsics};
+use spivcal::camera::{Camera, Intrinsics, Radial};
 use spivcal::conic::fit_direct;
 use spivcal::detect::EdgePoints;
 use spivcal::frames::{Cam, Rig, Sheet, Target};
-use spivcal::rig::{CameraStart, RigProblem};
+use spivcal::rig::{CameraStart, OpenLabels, RigProblem};
 use spivcal::rigid::{Motion, rotation_exp};
 
 mod reference;
@@ -73,6 +73,26 @@ pub(crate) struct PartView {
     pub(crate) shape_mm: [f64; 3],
 }
 
+/// A grid of dots about the target's origin.
+#[derive(Clone, Copy)]
+pub(crate) struct Grid {
+    pub(crate) columns: i32,
+    pub(crate) rows: i32,
+    pub(crate) pitch_mm: f64,
+    pub(crate) radius_mm: f64,
+    pub(crate) print_error_mm: f64,
+    /// How much the views differ in tilt, turn and place: 1 as a hand holds it, 0 as on a traverse.
+    pub(crate) turn: f64,
+}
+
+impl Grid {
+    fn nodes(&self) -> Vec<Node> {
+        let (c, r) = (self.columns, self.rows);
+        let node = |k: i32| Node { x: f64::from(k % c - c / 2), y: f64::from(k / c - r / 2), level: 0.0 };
+        (0..c * r).map(node).collect()
+    }
+}
+
 /// What a scene is made of, in lens frames.
 #[derive(Clone)]
 pub(crate) struct Parts {
@@ -92,6 +112,7 @@ impl Parts {
     fn of(
         seed: u64,
         cameras: Vec<Camera>,
+        grid: Option<Grid>,
         per_view: bool,
         points: bool,
         position: &dyn Fn(usize) -> Option<f64>,
@@ -110,15 +131,16 @@ impl Parts {
             Vector3::new(1.0, -2.0, 503.0),
         );
         let cam_from_rig = right_from_sheet * rig_from_sheet.inverse();
-        let shape_mm = if points { [8.0, 2.5, 0.0] } else { [13.0, 6.0, 4.7] };
+        let shape_mm = grid.map_or([13.0, 6.0, 4.7], |g| [g.pitch_mm, g.radius_mm, 0.0]);
+        let lattice = grid.is_some();
+        let turning = grid.map_or(1.0, |g| g.turn);
         let mut views = vec![];
         for v in 0..6 {
             let (z, in_plane) = (position(v).unwrap_or(0.0), position(v).is_some());
-            let turn =
-                if in_plane { [0.0, 0.0] } else { [0.45 * (noise.uniform() - 0.5), 0.45 * (noise.uniform() - 0.5)] };
-            let spin = 3.0 * (noise.uniform() - 0.5);
-            let shift =
-                [-6.0 + 4.0 * noise.normal(), 2.0 * noise.normal(), if in_plane { z } else { 2.0 * noise.normal() }];
+            let turn = if in_plane { [0.0, 0.0] } else { [0.45, 0.45].map(|t| turning * t * (noise.uniform() - 0.5)) };
+            let spin = turning * 3.0 * (noise.uniform() - 0.5);
+            let aside = [4.0 * turning * noise.normal(), 2.0 * turning * noise.normal()];
+            let shift = [-6.0 + aside[0], aside[1], if in_plane { z } else { 2.0 * noise.normal() }];
             let rotation =
                 rotation_exp(&Vector3::new(turn[0], turn[1], 0.0)) * rotation_exp(&Vector3::new(0.0, 0.0, spin));
             let sheet_from_target: Motion<Sheet, Target> =
@@ -134,14 +156,12 @@ impl Parts {
                 shape_mm: if per_view { own } else { shape_mm },
             });
         }
-        let shape = if points {
-            let nodes = (0..9).map(|k| Node { x: f64::from(k % 3) - 1.0, y: f64::from(k / 3) - 1.0, level: 0.0 });
-            TargetShape::Lattice(nodes.collect())
-        } else {
-            TargetShape::Pair { per_view }
-        };
+        let nodes = grid.map(|g| g.nodes());
+        let count = nodes.as_ref().map_or(0, Vec::len);
+        let shape = nodes.map_or(TargetShape::Pair { per_view }, TargetShape::Lattice);
+        let error = grid.map_or(0.0, |g| g.print_error_mm);
         let offsets_mm = if points {
-            (0..9).map(|_| [0.01 * noise.normal(), 0.01 * noise.normal(), 0.0, 0.0]).collect()
+            (0..count).map(|_| [error * noise.normal(), error * noise.normal(), 0.0, 0.0]).collect()
         } else {
             vec![]
         };
@@ -149,7 +169,7 @@ impl Parts {
         (free[1], free[7], free[8], free[9]) = (false, false, false, false);
         let target = TargetModel {
             shape,
-            free: [per_view, true, !points],
+            free: [per_view, true, !lattice],
             offset_sigma_mm: points.then_some([0.02, 0.02, 0.02, 0.01]),
         };
         let mut facts = vec![];
@@ -237,18 +257,19 @@ impl Scene {
 
     /// The same with other cameras at the same places.
     pub(crate) fn with_cameras(seed: u64, cameras: Vec<Camera>, per_view: bool, plane: bool, points: bool) -> Self {
-        Self::at_positions(seed, cameras, per_view, points, &|v| (plane && v >= 4).then_some(0.0))
+        let grid = Grid { columns: 3, rows: 3, pitch_mm: 8.0, radius_mm: 2.5, print_error_mm: 0.01, turn: 1.0 };
+        let position = |v: usize| (plane && v >= 4).then_some(0.0);
+        Parts::of(seed, cameras, points.then_some(grid), per_view, points, &position).scene()
     }
 
-    /// The same with views parallel to the sheet at the positions given, mm; `None`: anywhere.
-    pub(crate) fn at_positions(
-        seed: u64,
-        cameras: Vec<Camera>,
-        per_view: bool,
-        points: bool,
-        position: &dyn Fn(usize) -> Option<f64>,
-    ) -> Self {
-        Parts::of(seed, cameras, per_view, points, position).scene()
+    /// Two discs in views parallel to the sheet at the positions given, mm; `None`: anywhere.
+    pub(crate) fn at_positions(seed: u64, cameras: Vec<Camera>, position: &dyn Fn(usize) -> Option<f64>) -> Self {
+        Parts::of(seed, cameras, None, false, false, position).scene()
+    }
+
+    /// The same with a grid as the target, no view in the sheet; every dot estimated when `points`.
+    pub(crate) fn with_grid(seed: u64, cameras: Vec<Camera>, grid: Grid, points: bool) -> Self {
+        Parts::of(seed, cameras, Some(grid), false, points, &|_| None).scene()
     }
 
     /// What a calibration from nothing but contours has to start from.
@@ -256,7 +277,7 @@ impl Scene {
         let ellipse = |d: &DiscObservation| fit_direct(&d.edge.u_px, &d.edge.v_px).unwrap();
         let mut values = [None; 10];
         (values[1], values[7], values[8], values[9]) = (Some(1.0), Some(0.0), Some(0.0), Some(1.0));
-        let start = CameraStart { size_px: [1024.0, 768.0], nominal_f_px: None, values };
+        let start = CameraStart { size_px: [1024.0, 768.0], nominal_f_px: None, values, radial: Radial::default() };
         let lattice = matches!(self.model.target.shape, TargetShape::Lattice(_));
         let spacing = (!self.model.target.per_view()).then_some(self.truth.shape_mm[0]);
         RigProblem {
@@ -265,6 +286,7 @@ impl Scene {
             shape_mm: [spacing, None, lattice.then_some(0.0)],
             image_names: self.model.images.iter().map(|i| format!("view {} camera {}", i.view, i.camera)).collect(),
             model: self.model.clone(),
+            open: OpenLabels::default(),
         }
     }
 

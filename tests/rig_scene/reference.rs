@@ -211,8 +211,8 @@ impl Problem {
             "D1" => with_plate(1),
             "D3" => with_plate(3),
             "D10" => with_plate(10),
-            "two-discs" => Parts::of(21, tilted(), false, false, &|v| (v >= 4).then_some(0.0)),
-            "bubbles" => Parts::of(21, tilted(), true, false, &|v| (v >= 4).then_some(0.0)),
+            "two-discs" => Parts::of(21, tilted(), None, false, false, &|v| (v >= 4).then_some(0.0)),
+            "bubbles" => Parts::of(21, tilted(), None, true, false, &|v| (v >= 4).then_some(0.0)),
             _ => return None,
         };
         Some(Self { name: name.into(), parts, focused: name == "C" })

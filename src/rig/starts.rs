@@ -1,0 +1,139 @@
+//! Where the common adjustment starts.
+//!
+//! The effective pinhole, which carries all poses, is well known from the cameras alone; axis point and distortion are not:
+//! ```text
+//! alone      as each camera alone has them
+//! centred    axis point at its known place or the sensor's centre, no distortion; the tilt follows
+//! opposite   the same with the distortion of the other sign
+//! untilted   axis point where the sensor is square to the axis
+//! ```
+//! Their adjustments may end in different minima. All are run on a part of the edge points, unless the first explains them
+//! to their noise; where two come out nearly equal and apart, all edge points decide. The order and the arithmetic are fixed, so
+//! the choice is the same in every run.
+
+use super::RigProblem;
+use super::mono::lightened;
+use crate::bundle::{AdjustOptions, Adjustment, Iteration, Model, SolveOptions, State, adjust};
+use crate::camera::{Camera, Intrinsics};
+
+/// A start whose chi-square exceeds its degrees of freedom by more than this many standard deviations has rivals.
+const EXPLAINED_SIGMAS: f64 = 3.0;
+/// Costs nearer than this part are compared with all edge points.
+const NEARLY: f64 = 0.02;
+/// Minima are the same if their costs differ by less than this part.
+const SAME: f64 = 1e-4;
+
+/// Intrinsics with which the common adjustment starts.
+///
+/// Where every disc is estimated, a camera alone had to explain printing errors by its lens: axis point and distortion have run
+/// away with them. The rest starts again at the sensor's centre.
+pub(super) fn joint_start(problem: &RigProblem, c: usize, alone: &Intrinsics) -> Intrinsics {
+    if problem.model.target.offset_sigma_mm.is_none() {
+        return *alone;
+    }
+    centred(problem, c, alone, 0.0)
+}
+
+/// The same pinhole with the axis point at the sensor's centre (or its known place) and the distortion times `k1`.
+fn centred(problem: &RigProblem, c: usize, now: &Intrinsics, k1: f64) -> Intrinsics {
+    let (model, start) = (&problem.model.cameras[c], &problem.starts[c]);
+    let Ok(camera) = Camera::new(*now) else { return *now };
+    let own = now.to_array();
+    let mut p = own;
+    if model.uses_pinhole_frame() {
+        let center = |k: usize, size: f64| {
+            if model.free[k] { start.values[k].unwrap_or((size - 1.0) / 2.0) } else { own[k] }
+        };
+        let (cx, cy) = (center(2, start.size_px[0]), center(3, start.size_px[1]));
+        p = camera.effective_pinhole().with_axis_point(cx, cy, now.aspect).to_array();
+    }
+    for k in 6..9 {
+        p[k] = if model.free[k] { start.values[k].unwrap_or(0.0) } else { own[k] };
+    }
+    if model.free[6] {
+        p[6] += k1 * own[6];
+    }
+    p[9] = own[9];
+    Intrinsics::from_array(&p, now.radial)
+}
+
+/// The same pinhole with the sensor square to the axis.
+fn untilted(problem: &RigProblem, c: usize, now: &Intrinsics) -> Intrinsics {
+    let model = &problem.model.cameras[c];
+    let Ok(camera) = Camera::new(*now) else { return *now };
+    if !(model.uses_pinhole_frame() && model.free[2] && model.free[3]) {
+        return *now;
+    }
+    let e = camera.effective_pinhole();
+    let mut p = e.with_axis_point(e.cx_px, e.cy_px, now.aspect).to_array();
+    p[6..].copy_from_slice(&centred(problem, c, now, 0.0).to_array()[6..]);
+    Intrinsics::from_array(&p, now.radial)
+}
+
+/// The given start and the others, each once.
+fn starts(problem: &RigProblem, given: State) -> Vec<State> {
+    let with = |change: &dyn Fn(usize, &Intrinsics) -> Intrinsics| {
+        let cameras = given.cameras.iter().enumerate().map(|(c, i)| change(c, i)).collect();
+        State { cameras, ..given.clone() }
+    };
+    let others = [
+        with(&|c, i| centred(problem, c, i, 0.0)),
+        with(&|c, i| centred(problem, c, i, -1.0)),
+        with(&|c, i| untilted(problem, c, i)),
+    ];
+    let mut out = vec![given];
+    for s in others {
+        if !out.iter().any(|o: &State| o.cameras == s.cameras) {
+            out.push(s);
+        }
+    }
+    out
+}
+
+/// Whether nothing but noise is left.
+fn is_explained(model: &Model, trial: &Adjustment) -> bool {
+    let n = model.counts();
+    let dof = (n.observations + n.facts).saturating_sub(n.unknowns) as f64;
+    2.0 * trial.cost < dof + EXPLAINED_SIGMAS * (2.0 * dof).sqrt()
+}
+
+/// The start that leads to the lowest cost, already near its minimum.
+pub(super) fn best_start(
+    problem: &RigProblem,
+    given: State,
+    options: &AdjustOptions,
+    observe: &mut dyn FnMut(&Iteration) -> bool,
+) -> State {
+    let light = lightened(&problem.model);
+    let quick = |decrement: f64, iterations: usize| AdjustOptions {
+        solve: SolveOptions { decrement, iterations },
+        rounds: 0,
+        ..*options
+    };
+    let mut tried: Vec<Adjustment> = vec![];
+    for start in starts(problem, given.clone()) {
+        let trial = adjust(&light, start, &quick(0.3, 40), observe);
+        let done = tried.is_empty() && is_explained(&light, &trial);
+        if trial.cost.is_finite() {
+            tried.push(trial);
+        }
+        if done {
+            break;
+        }
+    }
+    // A stable sort: of equal costs the earlier start.
+    tried.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    let Some(least) = tried.first().map(|t| t.cost) else { return given };
+    tried.retain(|t| t.cost <= least * (1.0 + NEARLY));
+    let mut apart: Vec<Adjustment> = vec![];
+    for t in tried {
+        if apart.last().is_none_or(|a| t.cost > a.cost * (1.0 + SAME)) {
+            apart.push(t);
+        }
+    }
+    if apart.len() == 1 {
+        return apart.swap_remove(0).state;
+    }
+    let all = apart.into_iter().take(2).map(|t| adjust(&problem.model, t.state, &quick(0.1, 40), observe));
+    all.min_by(|a, b| a.cost.total_cmp(&b.cost)).map_or(given, |t| t.state)
+}

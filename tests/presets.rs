@@ -1,0 +1,97 @@
+//! Presets end to end: rendered, detected, calibrated from what an experimenter would know, compared with the truth.
+//!
+//! Half as many pixels of twice the pitch as the presets have, so that a scene takes seconds without optimisation.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
+
+use spivcal::camera::{INTRINSIC_NAMES, Radial};
+use spivcal::pipeline::{CalibrateOptions, calibrate};
+use spivcal::record::Record;
+use spivcal::rig_file::RigDescription;
+use spivcal::simulate::{Scene, preset_text, simulate};
+
+/// Replaces each pair of words, which must occur.
+fn changed(text: &str, changes: &[(&str, &str)]) -> String {
+    changes.iter().fold(text.to_owned(), |text, (from, to)| {
+        assert!(text.contains(from), "{from}");
+        text.replace(from, to)
+    })
+}
+
+const SMALL: [(&str, &str); 2] =
+    [("image_size_px = [1024, 768]", "image_size_px = [512, 384]"), ("= 0.00625", "= 0.0125")];
+
+/// Calibrates a scene; every estimated parameter within 4 sigmas of the truth, the sheet flat, nothing to look at.
+fn end_to_end(scene: &str) -> Record {
+    let made = simulate(&Scene::parse(scene, "scene.toml").unwrap()).unwrap();
+    let truth = Record::from_json(&made.truth_json, "truth.json").unwrap();
+    let job = RigDescription::parse(&made.rig_toml, "rig.toml").unwrap();
+    let load = |view: usize, camera: usize| {
+        let name = job.views[view].images[camera].as_deref().unwrap();
+        Ok(made.images.iter().find(|(n, _)| n == name).unwrap().1.clone())
+    };
+    let record = calibrate(&job, &load, &CalibrateOptions::default(), &mut |_| true).unwrap().record;
+    let mut wrong = vec![];
+    for (c, t) in record.cameras.iter().zip(&truth.cameras) {
+        assert_eq!((&c.name, c.radial), (&t.name, t.radial));
+        let s = &c.sigma;
+        let sigmas = [s.f_px, s.aspect, s.cx_px, s.cy_px, s.alpha_rad, s.beta_rad, s.k1, s.k2, s.k3, s.pupil_ratio];
+        let (found, expected) = (c.intrinsics().to_array(), t.intrinsics().to_array());
+        for k in (0..10).filter(|k| sigmas[*k] > 0.0) {
+            let z = (found[k] - expected[k]) / sigmas[k];
+            println!("{}.{} {} truth {} z {z:.2}", c.name, INTRINSIC_NAMES[k], found[k], expected[k]);
+            // Written so that NaN is wrong too.
+            if !(z.abs() < 4.0) {
+                wrong.push(format!("{}.{}: {z:.2} sigmas", c.name, INTRINSIC_NAMES[k]));
+            }
+        }
+        assert_eq!(sigmas.iter().filter(|s| **s > 0.0).count(), 6, "f, axis point, tilts and k1 of {}", c.name);
+    }
+    let disparity = record.sheet.as_ref().unwrap().disparity_rms_px.unwrap();
+    println!("rms {:.4} px, disparity {disparity:.5} px, flags {:?}", record.fit.rms_px, record.fit.flags);
+    println!("not determined: {:?}", record.fit.undetermined);
+    assert!(disparity < 0.03, "disparity {disparity} px");
+    assert!(record.fit.converged && record.fit.flags.is_empty(), "{:?}", record.fit.flags);
+    assert!(wrong.is_empty(), "{wrong:#?}");
+    record
+}
+
+#[test]
+fn dot_grid_with_every_dot_estimated() {
+    end_to_end(&changed(preset_text("dot-grid").unwrap(), &SMALL));
+}
+
+#[test]
+fn dot_grid_without_marks() {
+    let text = changed(preset_text("dot-grid").unwrap(), &SMALL);
+    let (before, rest) = text.split_once("marks = [").unwrap();
+    let after = rest.split_once("]\n").unwrap().1;
+    end_to_end(&format!("{before}{after}"));
+}
+
+#[test]
+fn two_level_plate_on_a_traverse() {
+    let record = end_to_end(&changed(preset_text("two-level-plate").unwrap(), &SMALL));
+    let step = record.target.step_mm.unwrap();
+    assert!((step - 1.2).abs() < 4.0 * record.target.sigma.step_mm.unwrap().max(1e-3), "step {step} mm");
+}
+
+#[test]
+fn camera_with_the_photogrammetric_polynomial() {
+    let text = changed(preset_text("printed").unwrap(), &SMALL);
+    let text = changed(
+        &text,
+        &[
+            (
+                "k = [-0.15, 0.0, 0.0]\naxis_point_px = [523.0, 374.5]",
+                "k = [0.6, 0.0, 0.0]\nradial = \"distorted-to-ideal\"",
+            ),
+            (
+                "k = [-0.2, 0.0, 0.0]\naxis_point_px = [502.4, 390.7]",
+                "k = [0.9, 0.0, 0.0]\nradial = \"distorted-to-ideal\"",
+            ),
+        ],
+    );
+    let record = end_to_end(&text);
+    assert!(record.cameras.iter().all(|c| c.intrinsics().radial == Radial::DistortedToIdeal));
+}
