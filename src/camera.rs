@@ -38,9 +38,11 @@
 mod convert;
 mod design;
 mod radial;
+mod window;
 
 pub use convert::{EffectivePinhole, HalconTilt, OpenCvTilted};
 pub use design::Drawing;
+pub use window::{ApparentJet, LAYER_NAMES, LAYERS, WaterRay, Window, WindowJet};
 
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Direction, Pixel, Point};
@@ -145,6 +147,12 @@ pub enum Refusal {
         radius: f64,
         /// The largest valid one.
         limit: f64,
+    },
+    /// The point does not lie beyond the window.
+    #[error("the point lies {missing_mm} mm before the far face of the window")]
+    BeforeWindow {
+        /// How much it lacks along the window's normal, mm.
+        missing_mm: f64,
     },
     /// A coordinate is NaN or infinite.
     #[error("a coordinate is not finite")]
