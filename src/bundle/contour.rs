@@ -12,13 +12,15 @@
 //! with e the radial direction. A shift of the centre is a shift v turned into the camera frame.
 
 use super::model::{DiscObservation, Loss};
-use crate::camera::{Camera, INTRINSICS};
+use crate::camera::{Camera, INTRINSICS, ProjectionJet, WINDOW_STEPS};
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 
 /// Unknowns of one edge point: intrinsics, turn, shift, radius.
 pub(super) const EDGE: usize = INTRINSICS + 7;
+/// The same behind a window: its turn and its layers follow.
+pub(super) const EDGE_BEHIND: usize = EDGE + WINDOW_STEPS;
 
 /// A circle of the target as one camera has it.
 #[derive(Debug, Clone, Copy)]
@@ -94,9 +96,9 @@ impl SeenCircle<'_> {
 }
 
 /// Normal equations of one disc's contour in its own unknowns.
-pub(super) struct DiscNormal {
-    pub(super) h: SMatrix<f64, EDGE, EDGE>,
-    pub(super) b: SVector<f64, EDGE>,
+pub(super) struct DiscNormal<const E: usize> {
+    pub(super) h: SMatrix<f64, E, E>,
+    pub(super) b: SVector<f64, E>,
     pub(super) cost: f64,
 }
 
@@ -114,15 +116,20 @@ pub(super) fn cost(circle: &SeenCircle, seen: &DiscObservation, scale: f64, loss
 }
 
 /// Normal equations of one contour; `None` where the circle has no image.
-pub(super) fn linearise(circle: &SeenCircle, seen: &DiscObservation, scale: f64, loss: Loss) -> Option<DiscNormal> {
+pub(super) fn linearise<const E: usize>(
+    circle: &SeenCircle,
+    seen: &DiscObservation,
+    scale: f64,
+    loss: Loss,
+) -> Option<DiscNormal<E>> {
     let start = circle.start()?;
     let edge = &seen.edge;
-    let mut h = [[0.0; EDGE]; EDGE];
-    let mut b = [0.0; EDGE];
+    let mut h = [[0.0; E]; E];
+    let mut b = [0.0; E];
     let mut sum = 0.0;
     for i in 0..edge.u_px.len() {
         let foot = circle.foot(&start, &Vector2::new(edge.u_px[i], edge.v_px[i]))?;
-        let row = row(circle.camera, &foot)?;
+        let row = row::<E>(circle.camera, &foot)?;
         let iw = 1.0 / (edge.sigma_px[i] * scale);
         let r = foot.distance_px * iw;
         let (rho, weight) = loss.apply(r * r);
@@ -130,7 +137,7 @@ pub(super) fn linearise(circle: &SeenCircle, seen: &DiscObservation, scale: f64,
         // The residual is (distance)/sigma and falls as the image moves outwards: J = -row / sigma.
         let w = weight * iw * iw;
         let wr = weight * iw * r;
-        for m in 0..EDGE {
+        for m in 0..E {
             b[m] += wr * row[m];
             let f = w * row[m];
             for n in 0..=m {
@@ -143,11 +150,20 @@ pub(super) fn linearise(circle: &SeenCircle, seen: &DiscObservation, scale: f64,
 }
 
 /// `n . dq/dz` of one edge point.
-pub(super) fn row(camera: &Camera, foot: &Foot) -> Option<[f64; EDGE]> {
-    let jet = camera.project_jet(&foot.p_in_cam).ok()?;
+pub(super) fn row<const E: usize>(camera: &Camera, foot: &Foot) -> Option<[f64; E]> {
+    let mut row = [0.0; E];
+    let jet = match camera.window() {
+        Some(window) => {
+            let jet = camera.project_through(window, &foot.p_in_cam).ok()?;
+            let (turn, layers) = (jet.dq_dturn.tr_mul(&foot.normal), jet.dq_dlayers.tr_mul(&foot.normal));
+            let steps = turn.iter().chain(layers.iter());
+            row.iter_mut().skip(EDGE).zip(steps).for_each(|(r, s)| *r = *s);
+            ProjectionJet { pixel: jet.pixel, dq_dp: jet.dq_dp, dq_dintrinsics: jet.dq_dintrinsics }
+        }
+        None => camera.project_jet(&foot.p_in_cam).ok()?,
+    };
     let g = jet.dq_dp.tr_mul(&foot.normal);
     let turn = foot.p_in_cam.cross(&g);
-    let mut row = [0.0; EDGE];
     for k in 0..INTRINSICS {
         row[k] = jet.dq_dintrinsics.column(k).dot(&foot.normal);
     }
@@ -161,13 +177,13 @@ pub(super) fn row(camera: &Camera, foot: &Foot) -> Option<[f64; EDGE]> {
 
 /// `sum of w row r_vv / sigma`: the part of one contour in the right-hand side of the geodesic acceleration, with
 /// `r_vv = (r(+h) - 2 r + r(-h)) / h^2`; `None` where a circle has no image.
-pub(super) fn bend(
+pub(super) fn bend<const E: usize>(
     circles: [&SeenCircle; 3],
     seen: &DiscObservation,
     scale: f64,
     loss: Loss,
     h: f64,
-) -> Option<SVector<f64, EDGE>> {
+) -> Option<SVector<f64, E>> {
     let starts = [circles[0].start()?, circles[1].start()?, circles[2].start()?];
     let edge = &seen.edge;
     let mut b = SVector::zeros();
@@ -178,7 +194,7 @@ pub(super) fn bend(
         let iw = 1.0 / (edge.sigma_px[i] * scale);
         let weight = loss.weight(here.distance_px * iw);
         let second = (plus.distance_px - 2.0 * here.distance_px + minus.distance_px) / (h * h);
-        let row = SVector::from(row(circles[1].camera, &here)?);
+        let row = SVector::from(row::<E>(circles[1].camera, &here)?);
         b += row * (weight * second * iw * iw);
     }
     Some(b)

@@ -40,6 +40,13 @@ pub const LAYERS: usize = 5;
 /// Names of the layer parameters with their units, in the order of every derivative.
 pub const LAYER_NAMES: [&str; LAYERS] = ["distance_mm", "thickness_mm", "n_air", "n_glass", "n_water"];
 
+/// Number of steps of a window: a turn about the three axes of its frame, then the layers.
+pub const WINDOW_STEPS: usize = 3 + LAYERS;
+
+/// Names of the steps with their units.
+pub const WINDOW_STEP_NAMES: [&str; WINDOW_STEPS] =
+    ["rx_rad", "ry_rad", "rz_rad", "distance_mm", "thickness_mm", "n_air", "n_glass", "n_water"];
+
 /// A flat window in front of a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Window {
@@ -130,6 +137,42 @@ impl Window {
     pub fn layers(&self) -> [f64; LAYERS] {
         let [air, glass, water] = self.indices;
         [self.distance_mm, self.thickness_mm, air, glass, water]
+    }
+
+    /// The same window seen from another frame with the same origin.
+    pub fn in_frame(&self, other_from_this: &Matrix3<f64>) -> Self {
+        Self { normal: other_from_this * self.normal, ..*self }
+    }
+
+    /// The window after a turn (rad, about the axes of its frame) and a change of its layers.
+    ///
+    /// # Errors
+    /// As [`Window::new`].
+    pub fn stepped(&self, turn_rad: &Vector3<f64>, layers: &[f64; LAYERS]) -> Result<Self> {
+        let now = self.layers();
+        let [distance, thickness, air, glass, water] = std::array::from_fn(|k| now[k] + layers[k]);
+        Self::new(crate::rigid::rotation_exp(turn_rad) * self.normal, distance, thickness, [air, glass, water])
+    }
+
+    /// Two unit vectors across the normal and each other: the axes about which a turn is felt.
+    pub fn tangents(&self) -> [Vector3<f64>; 2] {
+        let n = &self.normal;
+        let least = (0..3).fold(0, |best, k| if n[k].abs() < n[best].abs() { k } else { best });
+        let first = n.cross(&Vector3::ith(least, 1.0)).normalize();
+        [first, n.cross(&first)]
+    }
+
+    /// The point beyond the window whose apparent point this is; `None` where it would lie before the far face.
+    ///
+    /// The inverse of [`Window::apparent`]: with `u = r / n . a` all thicknesses are known but that of the water.
+    pub fn behind(&self, apparent: &Vector3<f64>) -> Option<Vector3<f64>> {
+        let h = self.normal.dot(apparent);
+        let aside = apparent - self.normal * h;
+        let v = aside.norm_squared() / (h * h);
+        let rest = h - self.distance_mm - self.thickness_mm * self.g(1, v);
+        let depth_mm = rest / self.g(2, v);
+        let along = self.distance_mm + self.thickness_mm + depth_mm;
+        (h > 0.0 && depth_mm >= 0.0 && depth_mm.is_finite()).then(|| aside + self.normal * along)
     }
 
     /// `q_i` of a layer.
@@ -273,7 +316,7 @@ impl Camera {
     /// [`Refusal`] where the point has no image.
     pub fn project_through(&self, window: &Window, p: &Vector3<f64>) -> std::result::Result<WindowJet, Refusal> {
         let a = window.apparent_jet(p)?;
-        let jet = self.project_jet(&a.apparent)?;
+        let jet = self.jet_in_air(&a.apparent)?;
         Ok(WindowJet {
             pixel: jet.pixel,
             dq_dp: jet.dq_dp * a.by_point,

@@ -2,7 +2,7 @@
 
 use super::{CameraStart, Mono, RigProblem, rms_of};
 use crate::bundle::{
-    AdjustOptions, Adjustment, DiscObservation, Fact, ImageObservations, Loss, Model, SolveOptions, State, TargetShape,
+    AdjustOptions, Adjustment, CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, SolveOptions, State, TargetShape,
     ViewModel, ViewPlace, ViewState, adjust,
 };
 use crate::camera::{Camera, EffectivePinhole, Intrinsics};
@@ -224,7 +224,8 @@ fn mono_model(problem: &RigProblem, c: usize, seeds: &[SeededImage]) -> Model {
         _ => None,
     });
     Model {
-        cameras: vec![full.cameras[c].clone()],
+        // A camera alone sees the scene through the window as a pinhole sees another scene.
+        cameras: vec![CameraModel { window: None, ..full.cameras[c].clone() }],
         target,
         views: vec![ViewModel { place: ViewPlace::Free }; seeds.len()],
         facts: facts.collect(),
@@ -295,6 +296,7 @@ fn mono_start(problem: &RigProblem, c: usize, seeds: &[SeededImage], pinhole: &E
         views,
         shape_mm,
         offsets_mm: vec![],
+        windows: vec![],
     })
 }
 
