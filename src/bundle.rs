@@ -46,6 +46,7 @@ mod focus;
 mod influence;
 mod layout;
 mod model;
+mod outline;
 mod posterior;
 mod refit;
 mod residuals;
@@ -63,6 +64,7 @@ pub use model::{
     CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, PairObservation,
     PlanePosition, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
 };
+pub use outline::OutlineNoise;
 pub(crate) use posterior::{intrinsic_words, layer_words};
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};

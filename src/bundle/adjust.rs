@@ -9,6 +9,7 @@ use super::assemble;
 use super::facts;
 use super::layout::{self, Places};
 use super::model::Model;
+use super::outline;
 use super::residuals::{DiscResidual, residuals};
 use super::retraction;
 use super::state::State;
@@ -63,6 +64,8 @@ pub struct Adjustment {
     pub equations: Option<NormalEquations>,
     /// Discs set aside.
     pub outliers: Vec<Outlier>,
+    /// Standard deviation of the printed discs' ovality, mm, where their outlines show one.
+    pub ovality_mm: Option<f64>,
 }
 
 /// The least-squares problem of a model, for solvers and tests of other makes.
@@ -130,9 +133,11 @@ pub fn adjust(
     options: &AdjustOptions,
     observe: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Adjustment {
-    let (mut state, mut iterations) = towards(model, start, options, observe);
     let mut model = model.clone();
+    let mut state = start;
+    let mut iterations = 0;
     let mut outliers = vec![];
+    let mut ovality_mm = None;
     let mut round = 0;
     loop {
         let bundle = Bundle { model: &model, places: Places::of(&model) };
@@ -141,7 +146,11 @@ pub fn adjust(
         let stopped = matches!(out.termination, Termination::Cancelled | Termination::BadStart);
         let changed = round < options.rounds && !stopped && {
             let set_aside = set_outliers_aside(&mut model, &out.state, options, &mut outliers);
-            rescale(&mut model, &out.state, out.equations.as_ref()) || set_aside
+            if round == 0 {
+                ovality_mm = outline::whiten(&mut model, &out.state);
+            }
+            let oval = round == 0 && ovality_mm.is_some();
+            rescale(&mut model, &out.state, out.equations.as_ref()) || set_aside || oval
         };
         if !changed {
             return Adjustment {
@@ -153,43 +162,12 @@ pub fn adjust(
                 termination: out.termination,
                 equations: out.equations,
                 outliers,
+                ovality_mm,
             };
         }
         state = out.state;
         round += 1;
     }
-}
-
-/// Most linearisations with the axis points held.
-const HELD_ITERATIONS: usize = 30;
-
-/// The state near the minimum with the axis points held at their start, and the linearisations made.
-///
-/// The images show the distortion times its distance from the axis point: while both move, a long step from a poor start can
-/// carry the distortion through zero, where the axis point is determined by nothing, and beyond lies a minimum of its own
-/// with the other sign. With the axis point held at its start (the sensor's centre) the distortion is linear.
-fn towards(
-    model: &Model,
-    start: State,
-    options: &AdjustOptions,
-    observe: &mut dyn FnMut(&Iteration) -> bool,
-) -> (State, usize) {
-    let mut held = model.clone();
-    let mut any = false;
-    for camera in held.cameras.iter_mut().filter(|c| c.uses_pinhole_frame() && c.free[6..9].contains(&true)) {
-        any |= camera.free[2] || camera.free[3];
-        (camera.free[2], camera.free[3]) = (false, false);
-    }
-    if !any {
-        return (start, 0);
-    }
-    let bundle = Bundle { model: &held, places: Places::of(&held) };
-    let brief = solve::Options {
-        decrement: options.solve.decrement.max(1.0),
-        iterations: options.solve.iterations.min(HELD_ITERATIONS),
-    };
-    let out = solve::minimise(&bundle, start, &brief, observe);
-    (out.state, out.iterations)
 }
 
 /// Number of unknowns that the observations of camera `c` pay for: `tr(C N_c)`, C the covariance and N_c the camera's part

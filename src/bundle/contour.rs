@@ -106,11 +106,23 @@ pub(super) struct DiscNormal<const E: usize> {
 pub(super) fn cost(circle: &SeenCircle, seen: &DiscObservation, scale: f64, loss: Loss) -> Option<f64> {
     let start = circle.start()?;
     let edge = &seen.edge;
-    let mut sum = 0.0;
-    for i in 0..edge.u_px.len() {
+    let residual = |i: usize| -> Option<f64> {
         let foot = circle.foot(&start, &Vector2::new(edge.u_px[i], edge.v_px[i]))?;
-        let r = foot.distance_px / (edge.sigma_px[i] * scale);
-        sum += loss.apply(r * r).0;
+        Some(foot.distance_px / (edge.sigma_px[i] * scale))
+    };
+    let mut sum = 0.0;
+    match &seen.outline {
+        None => {
+            for i in 0..edge.u_px.len() {
+                let r = residual(i)?;
+                sum += loss.apply(r * r).0;
+            }
+        }
+        Some(outline) => {
+            let mut all: Vec<[f64; 1]> = (0..edge.u_px.len()).map(|i| Some([residual(i)?])).collect::<Option<_>>()?;
+            outline.apply(&mut all);
+            all.iter().for_each(|[r]| sum += loss.apply(r * r).0);
+        }
     }
     sum.is_finite().then_some(0.5 * sum)
 }
@@ -124,29 +136,55 @@ pub(super) fn linearise<const E: usize>(
 ) -> Option<DiscNormal<E>> {
     let start = circle.start()?;
     let edge = &seen.edge;
-    let mut h = [[0.0; E]; E];
-    let mut b = [0.0; E];
-    let mut sum = 0.0;
-    for i in 0..edge.u_px.len() {
+    // Row and residual of an edge point over its sigma.
+    let whitened = |i: usize| -> Option<([f64; E], [f64; 1])> {
         let foot = circle.foot(&start, &Vector2::new(edge.u_px[i], edge.v_px[i]))?;
-        let row = row::<E>(circle.camera, &foot)?;
         let iw = 1.0 / (edge.sigma_px[i] * scale);
-        let r = foot.distance_px * iw;
+        Some((row::<E>(circle.camera, &foot)?.map(|x| x * iw), [foot.distance_px * iw]))
+    };
+    let mut sums = Sums { h: [[0.0; E]; E], b: [0.0; E], rho: 0.0 };
+    match &seen.outline {
+        None => {
+            for i in 0..edge.u_px.len() {
+                let (row, [r]) = whitened(i)?;
+                sums.add(&row, r, loss);
+            }
+        }
+        Some(outline) => {
+            let (mut rows, mut rest): (Vec<[f64; E]>, Vec<[f64; 1]>) =
+                (0..edge.u_px.len()).map(whitened).collect::<Option<_>>()?;
+            outline.apply(&mut rows);
+            outline.apply(&mut rest);
+            rows.iter().zip(&rest).for_each(|(row, [r])| sums.add(row, *r, loss));
+        }
+    }
+    sums.done()
+}
+
+/// Normal equations under way, lower triangle.
+struct Sums<const E: usize> {
+    h: [[f64; E]; E],
+    b: [f64; E],
+    rho: f64,
+}
+
+impl<const E: usize> Sums<E> {
+    /// The residual is (distance)/sigma and falls as the image moves outwards: J = -row / sigma.
+    fn add(&mut self, w: &[f64; E], r: f64, loss: Loss) {
         let (rho, weight) = loss.apply(r * r);
-        sum += rho;
-        // The residual is (distance)/sigma and falls as the image moves outwards: J = -row / sigma.
-        let w = weight * iw * iw;
-        let wr = weight * iw * r;
+        self.rho += rho;
         for m in 0..E {
-            b[m] += wr * row[m];
-            let f = w * row[m];
+            let f = weight * w[m];
+            self.b[m] += f * r;
             for n in 0..=m {
-                h[m][n] += f * row[n];
+                self.h[m][n] += f * w[n];
             }
         }
     }
-    let h = SMatrix::from_fn(|m, n| if n <= m { h[m][n] } else { h[n][m] });
-    sum.is_finite().then(|| DiscNormal { h, b: SVector::from(b), cost: 0.5 * sum })
+    fn done(self) -> Option<DiscNormal<E>> {
+        let h = SMatrix::from_fn(|m, n| if n <= m { self.h[m][n] } else { self.h[n][m] });
+        self.rho.is_finite().then(|| DiscNormal { h, b: SVector::from(self.b), cost: 0.5 * self.rho })
+    }
 }
 
 /// `n . dq/dz` of one edge point.
@@ -186,16 +224,25 @@ pub(super) fn bend<const E: usize>(
 ) -> Option<SVector<f64, E>> {
     let starts = [circles[0].start()?, circles[1].start()?, circles[2].start()?];
     let edge = &seen.edge;
-    let mut b = SVector::zeros();
-    for i in 0..edge.u_px.len() {
+    // Row of an edge point; residual and second derivative; all over its sigma.
+    let bent = |i: usize| -> Option<([f64; E], [f64; 2])> {
         let q = Vector2::new(edge.u_px[i], edge.v_px[i]);
         let foot = |k: usize| circles[k].foot(&starts[k], &q);
         let (minus, here, plus) = (foot(0)?, foot(1)?, foot(2)?);
         let iw = 1.0 / (edge.sigma_px[i] * scale);
-        let weight = loss.weight(here.distance_px * iw);
-        let second = (plus.distance_px - 2.0 * here.distance_px + minus.distance_px) / (h * h);
-        let row = SVector::from(row::<E>(circles[1].camera, &here)?);
-        b += row * (weight * second * iw * iw);
+        let second = (plus.distance_px - 2.0 * here.distance_px + minus.distance_px) * iw / (h * h);
+        Some((row::<E>(circles[1].camera, &here)?.map(|x| x * iw), [here.distance_px * iw, second]))
+    };
+    let (mut rows, mut rest): (Vec<[f64; E]>, Vec<[f64; 2]>) =
+        (0..edge.u_px.len()).map(bent).collect::<Option<_>>()?;
+    if let Some(outline) = &seen.outline {
+        outline.apply(&mut rows);
+        outline.apply(&mut rest);
+    }
+    let mut b = SVector::zeros();
+    for (row, [r, second]) in rows.iter().zip(&rest) {
+        let factor = loss.weight(*r) * second;
+        (0..E).for_each(|m| b[m] += row[m] * factor);
     }
     Some(b)
 }

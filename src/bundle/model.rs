@@ -1,6 +1,7 @@
 //! What is adjusted: cameras, target, views, observations; constant during a solve.
 
 use super::facts::Fact;
+use super::outline::OutlineNoise;
 use crate::camera::{INTRINSICS, LAYERS};
 use crate::detect::EdgePoints;
 use nalgebra::{DMatrix, Vector3};
@@ -160,6 +161,8 @@ pub struct DiscObservation {
     pub disc: usize,
     /// Its edge points.
     pub edge: EdgePoints,
+    /// What they have in common where the printed disc is not round; set by the adjustment.
+    pub outline: Option<OutlineNoise>,
 }
 
 /// The tangent features of a pair of discs in one image.

@@ -66,18 +66,24 @@ fn disc_residual(image: &SeenImage, seen: &super::DiscObservation, scale: f64) -
     let circle = image.circle(seen.disc);
     let start = circle.start()?;
     let mut edges = EdgeResidual::default();
-    let (mut n, mut b, mut edge_chi2) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
+    let mut rows = Vec::with_capacity(seen.edge.u_px.len());
     for i in 0..seen.edge.u_px.len() {
         let foot = circle.foot(&start, &Vector2::new(seen.edge.u_px[i], seen.edge.v_px[i]))?;
         let w = 1.0 / (seen.edge.sigma_px[i] * scale);
-        let row = Vector3::new(foot.normal.x, foot.normal.y, 1.0) * w;
-        let r = foot.distance_px * w;
-        n += row * row.transpose();
-        b += row * r;
-        edge_chi2 += r * r;
+        rows.push([foot.normal.x * w, foot.normal.y * w, w, foot.distance_px * w]);
         edges.distance_px.push(foot.distance_px);
         edges.normal_u.push(foot.normal.x);
         edges.normal_v.push(foot.normal.y);
+    }
+    if let Some(outline) = &seen.outline {
+        outline.apply(&mut rows);
+    }
+    let (mut n, mut b, mut edge_chi2) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
+    for [u, v, grow, r] in rows {
+        let row = Vector3::new(u, v, grow);
+        n += row * row.transpose();
+        b += row * r;
+        edge_chi2 += r * r;
     }
     let x = n.cholesky().map_or_else(Vector3::zeros, |c| c.solve(&b));
     Some(DiscResidual {

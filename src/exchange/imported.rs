@@ -109,6 +109,7 @@ fn no_target() -> Target {
         step_mm: None,
         extent_mm: None,
         shift_rms_mm: None,
+        ovality_mm: None,
         points: Vec::new(),
     }
 }

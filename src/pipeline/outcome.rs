@@ -228,6 +228,7 @@ fn target(s: &Solved) -> Target {
         .into(),
         step_mm: plate.then_some(shape[2]),
         extent_mm: (!per_view).then_some(extent),
+        ovality_mm: s.adjustment.ovality_mm,
         shift_rms_mm: (!points.is_empty()).then(|| (shift / points.len() as f64).sqrt()),
         points,
     }

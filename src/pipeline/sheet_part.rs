@@ -100,15 +100,17 @@ fn features_of_view(s: &Solved, held: &HeldCameras, view: usize) -> Vec<PairFeat
     common_features(held.cameras(), [&seen[0], &seen[1]])
 }
 
-/// Tangency points of neighbouring discs of one level that both cameras saw in a view.
+/// Tangency points of neighbouring discs that both cameras saw in a view; of a two-level plate those of the front level, which
+/// alone lies in the plane.
 pub(super) fn common_features(cameras: [&Camera; 2], seen: [&[(DotId, &EdgePoints)]; 2]) -> Vec<PairFeatures> {
     let contour = |c: usize, id: DotId| seen[c].iter().find(|(other, _)| *other == id).map(|(_, edge)| *edge);
-    let mut common: Vec<DotId> = seen[0].iter().map(|(id, _)| *id).filter(|id| contour(1, *id).is_some()).collect();
+    let mut common: Vec<DotId> =
+        seen[0].iter().map(|(id, _)| *id).filter(|id| id.level == 0 && contour(1, *id).is_some()).collect();
     common.sort_unstable();
     let step = (common.len() / PAIRS_PER_VIEW).max(1);
     let pair = |p: &[DotId]| {
         let both = |c: usize| Some([contour(c, p[0])?, contour(c, p[1])?]);
-        if p[0].level == p[1].level { PairFeatures::of(cameras, [both(0)?, both(1)?]) } else { None }
+        PairFeatures::of(cameras, [both(0)?, both(1)?])
     };
     common.windows(2).step_by(step).filter_map(pair).collect()
 }

@@ -139,7 +139,8 @@ pub struct Camera {
     /// The flat window before it, where there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub window: Option<Window>,
-    /// Root mean square residual of this camera, px per coordinate for points, normal to the contour for edges.
+    /// Root mean square residual of this camera, px: length of the departure of a disc's place or of a point, both
+    /// coordinates together.
     pub rms_px: f64,
     /// Root mean square distance of edge points from the projected contour, px, where contours were used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -349,6 +350,9 @@ pub struct Target {
     /// Root mean square shift of the points from the nominal target, mm, where the points were adjusted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shift_rms_mm: Option<f64>,
+    /// Standard deviation of the printed discs' ovality (two parts, across and along the diagonals), mm, where it shows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ovality_mm: Option<f64>,
     /// Every point of the target, where the points were adjusted.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub points: Vec<TargetPoint>,

@@ -232,6 +232,9 @@ pub(super) fn target(record: &Record) -> Table {
     if let Some(shift_mm) = t.shift_rms_mm {
         table.words("points off the nominal target (rms)", format!("{} µm", plain(shift_mm * 1000.0, 3)));
     }
+    if let Some(ovality_mm) = t.ovality_mm {
+        table.words("discs off round (ovality, rms)", format!("{} µm", plain(ovality_mm * 1000.0, 3)));
+    }
     if let Some(s) = &record.scale {
         table.words("scale from", format!("{} = {}", s.fact, with_unit(s.value_mm, s.sigma_mm, "mm")));
     }

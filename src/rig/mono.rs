@@ -197,7 +197,7 @@ pub(super) fn lightened(model: &Model) -> Model {
 
 fn thinned_discs(discs: &[DiscObservation]) -> Vec<DiscObservation> {
     let step = discs.len().div_ceil(START_DISCS).max(1);
-    let thin = |d: &DiscObservation| DiscObservation { disc: d.disc, edge: thinned(&d.edge) };
+    let thin = |d: &DiscObservation| DiscObservation { disc: d.disc, edge: thinned(&d.edge), outline: None };
     discs.iter().step_by(step).map(thin).collect()
 }
 

@@ -7,6 +7,11 @@
 //! opposite   the same with the distortion of the other sign
 //! untilted   axis point where the sensor is square to the axis
 //! ```
+//! The images show the distortion times its distance from the axis point: while both move, a long step from a poor start can
+//! carry the distortion through zero, where the axis point is determined by nothing, and beyond lies a minimum of its own
+//! with the other sign. So the first start is tried as it is, and all but the last with the axis points held until the rest
+//! has settled.
+//!
 //! Their adjustments may end in different minima. All are run on a part of the edge points, unless the first explains them
 //! to their noise; where two come out nearly equal and apart, all edge points decide. The order and the arithmetic are fixed, so
 //! the choice is the same in every run.
@@ -70,6 +75,28 @@ fn untilted(problem: &RigProblem, c: usize, now: &Intrinsics) -> Intrinsics {
     Intrinsics::from_array(&p, now.radial)
 }
 
+/// Most linearisations with the axis points held.
+const HELD_ITERATIONS: usize = 30;
+
+/// The state after an adjustment with the axis points held, where a tilt can follow them.
+fn held(light: &Model, start: State, observe: &mut dyn FnMut(&Iteration) -> bool) -> State {
+    let mut model = light.clone();
+    let mut any = false;
+    for camera in model.cameras.iter_mut().filter(|c| c.uses_pinhole_frame() && c.free[6..9].contains(&true)) {
+        any |= camera.free[2] || camera.free[3];
+        (camera.free[2], camera.free[3]) = (false, false);
+    }
+    if !any {
+        return start;
+    }
+    let brief = AdjustOptions {
+        solve: SolveOptions { decrement: 1.0, iterations: HELD_ITERATIONS },
+        rounds: 0,
+        ..AdjustOptions::default()
+    };
+    adjust(&model, start, &brief, observe).state
+}
+
 /// The given start and the others, each once.
 fn starts(problem: &RigProblem, given: State) -> Vec<State> {
     let with = |change: &dyn Fn(usize, &Intrinsics) -> Intrinsics| {
@@ -111,7 +138,12 @@ pub(super) fn best_start(
         ..*options
     };
     let mut tried: Vec<Adjustment> = vec![];
-    for start in starts(problem, given.clone()) {
+    let all = starts(problem, given.clone());
+    // The given one twice: as it is, then with the axis points held.
+    let order = [0].into_iter().chain(0..all.len());
+    for (n, k) in order.enumerate() {
+        let last = k > 0 && k + 1 == all.len();
+        let start = if n == 0 || last { all[k].clone() } else { held(&light, all[k].clone(), observe) };
         let trial = adjust(&light, start, &quick(0.3, 40), observe);
         let done = tried.is_empty() && is_explained(&light, &trial);
         if trial.cost.is_finite() {

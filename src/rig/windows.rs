@@ -12,6 +12,10 @@ use crate::frames::{Cam, Sheet};
 use crate::rigid::Motion;
 use nalgebra::Vector3;
 
+/// An estimated window starts no farther away than this part of the apparent distance of the scene: of views along one normal a
+/// camera alone knows that distance poorly.
+const FARTHEST: f64 = 0.7;
+
 /// Puts the windows of a problem into a start that knows none.
 ///
 /// # Errors
@@ -35,7 +39,10 @@ pub(super) fn set_windows(problem: &RigProblem, state: &mut State) -> Result<()>
         let origin = apart[c].translation_mm;
         let axis: Vector3<f64> = apart[c].rotation.column(2).into_owned();
         let normal = axis * axis.dot(&origin).signum();
-        let [distance, thickness, air, glass, water] = model.layers;
+        let [mut distance, thickness, air, glass, water] = model.layers;
+        if model.free[0] {
+            distance = distance.min(FARTHEST * normal.dot(&origin) - thickness);
+        }
         let window = Window::new(normal, distance, thickness, [air, glass, water])?;
         let Some(place) = window.behind(&origin) else {
             return Err(Insufficient::Degenerate(format!(

@@ -277,15 +277,9 @@ impl Scene {
         Parts::of(seed, cameras, Some(grid), false, points, &|_| None).scene()
     }
 
-    /// The same with views parallel to the sheet at the positions given, mm; `None`: anywhere.
-    pub(crate) fn at_positions(
-        seed: u64,
-        cameras: Vec<Camera>,
-        per_view: bool,
-        points: bool,
-        position: &dyn Fn(usize) -> Option<f64>,
-    ) -> Self {
-        Parts::of(seed, cameras, points.then_some(THREE_BY_THREE), per_view, points, position).scene()
+    /// Two discs in views parallel to the sheet at the positions given, mm; `None`: anywhere.
+    pub(crate) fn at_positions(seed: u64, cameras: Vec<Camera>, position: &dyn Fn(usize) -> Option<f64>) -> Self {
+        Parts::of(seed, cameras, None, false, false, position).scene()
     }
 
     /// The same scene with its discs moved by offsets (dx, dy, dz, dr), mm.
@@ -396,7 +390,7 @@ fn image(
             edge.v_px.push(q.y);
             edge.sigma_px.push(SIGMA_PX);
         }
-        DiscObservation { disc: j, edge }
+        DiscObservation { disc: j, edge, outline: None }
     };
     ImageObservations {
         view,

@@ -304,6 +304,7 @@ pub fn record() -> Record {
             step_mm: None,
             extent_mm: Some([-25.5, -12.5, 23.0, 12.5]),
             shift_rms_mm: None,
+            ovality_mm: None,
             points: Vec::new(),
         },
         scale: Some(Scale { fact: "spacing".into(), value_mm: 26.0, sigma_mm: 0.0 }),
