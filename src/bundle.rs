@@ -65,8 +65,8 @@ pub use model::{
     PlanePosition, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
 };
 pub use outline::OutlineNoise;
-pub(crate) use posterior::{intrinsic_words, layer_words};
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
+pub(crate) use posterior::{intrinsic_words, layer_words};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};
 pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
 pub use state::{State, ViewState};

@@ -42,9 +42,7 @@ mod window;
 
 pub use convert::{EffectivePinhole, HalconTilt, OpenCvTilted};
 pub use design::Drawing;
-pub use window::{
-    ApparentJet, LAYER_NAMES, LAYERS, WINDOW_STEP_NAMES, WINDOW_STEPS, WaterRay, Window, WindowJet,
-};
+pub use window::{ApparentJet, LAYER_NAMES, LAYERS, WINDOW_STEP_NAMES, WINDOW_STEPS, WaterRay, Window, WindowJet};
 
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Direction, Pixel, Point};

@@ -311,9 +311,10 @@ fn a_window_stands_beside_its_camera() {
     let camera = record.cameras[1].model().unwrap();
     assert_eq!(camera.window().unwrap().layers(), [212.1 + 1e-13, 12.0, 1.0003, 1.49, 1.333]);
     let text = record.to_json().unwrap();
-    for (from, to, words) in
-        [("\"n_water\": 1.333", "\"n_water\": -1.0", "n_water"), ("\"thickness_mm\": 12.0", "\"thickness_mm\": -2.0", "thickness")]
-    {
+    for (from, to, words) in [
+        ("\"n_water\": 1.333", "\"n_water\": -1.0", "n_water"),
+        ("\"thickness_mm\": 12.0", "\"thickness_mm\": -2.0", "thickness"),
+    ] {
         assert!(text.contains(from));
         let message = Record::from_json(&text.replacen(from, to, 1), "c.json").unwrap_err().to_string();
         assert!(message.contains("window") && message.contains(words), "{message}");

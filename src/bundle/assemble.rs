@@ -20,7 +20,7 @@ use crate::camera::{INTRINSICS, WINDOW_STEPS};
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
 use crate::solve::{Gradient, NormalEquations};
-use nalgebra::{DMatrix, DVector, Dyn, Matrix4, OMatrix, U4, SMatrix, SVector, Vector3, Vector4};
+use nalgebra::{DMatrix, DVector, Dyn, Matrix4, OMatrix, SMatrix, SVector, U4, Vector3, Vector4};
 use rayon::prelude::*;
 
 /// Size of an image's camera space without shape, and with it.
@@ -326,11 +326,8 @@ pub(super) fn bend(model: &Model, places: &Places, states: [&State; 3], h: f64) 
 type Bend = (Vec<Slot>, DVector<f64>, Vec<(usize, Vector4<f64>)>);
 
 fn bend_of(model: &Model, places: &Places, states: [&State; 3], o: &ImageObservations, h: f64) -> Option<Bend> {
-    let seen = [
-        SeenImage::of(model, states[0], o)?,
-        SeenImage::of(model, states[1], o)?,
-        SeenImage::of(model, states[2], o)?,
-    ];
+    let seen =
+        [SeenImage::of(model, states[0], o)?, SeenImage::of(model, states[1], o)?, SeenImage::of(model, states[2], o)?];
     match seen[1].camera.camera.window() {
         None => bend_in::<EDGE, LOCAL>(model, places, states[1], &seen, h),
         Some(_) => bend_in::<EDGE_BEHIND, LOCAL_BEHIND>(model, places, states[1], &seen, h),

@@ -233,8 +233,7 @@ pub(super) fn bend<const E: usize>(
         let second = (plus.distance_px - 2.0 * here.distance_px + minus.distance_px) * iw / (h * h);
         Some((row::<E>(circles[1].camera, &here)?.map(|x| x * iw), [here.distance_px * iw, second]))
     };
-    let (mut rows, mut rest): (Vec<[f64; E]>, Vec<[f64; 2]>) =
-        (0..edge.u_px.len()).map(bent).collect::<Option<_>>()?;
+    let (mut rows, mut rest): (Vec<[f64; E]>, Vec<[f64; 2]>) = (0..edge.u_px.len()).map(bent).collect::<Option<_>>()?;
     if let Some(outline) = &seen.outline {
         outline.apply(&mut rows);
         outline.apply(&mut rest);

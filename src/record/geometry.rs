@@ -57,9 +57,8 @@ impl Record {
     /// # Errors
     /// [`crate::error::Invalid::Value`] where a parameter is none of a camera.
     pub fn placed_cameras(&self) -> Result<Vec<PlacedCamera>> {
-        let placed = |c: &super::schema::Camera| {
-            Ok(PlacedCamera { camera: c.model()?, cam_from_rig: c.cam_from_rig.motion() })
-        };
+        let placed =
+            |c: &super::schema::Camera| Ok(PlacedCamera { camera: c.model()?, cam_from_rig: c.cam_from_rig.motion() });
         self.cameras.iter().map(placed).collect()
     }
 }

@@ -2,8 +2,8 @@
 
 use super::{CameraStart, Mono, RigProblem, rms_of};
 use crate::bundle::{
-    AdjustOptions, Adjustment, CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, SolveOptions, State, TargetShape,
-    ViewModel, ViewPlace, ViewState, adjust,
+    AdjustOptions, Adjustment, CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, SolveOptions, State,
+    TargetShape, ViewModel, ViewPlace, ViewState, adjust,
 };
 use crate::camera::{Camera, EffectivePinhole, Intrinsics};
 use crate::conic::Ellipse;

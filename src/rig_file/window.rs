@@ -29,7 +29,8 @@ pub(super) fn read(item: &Item<'_>) -> Result<WindowDescription> {
             (Some(item), _) => known(&item, limits)?,
             (None, Some(usual)) => (usual, None),
             (None, None) => {
-                section.require(key, "give the distance from the lens to the glass along the normal of the window, mm")?;
+                section
+                    .require(key, "give the distance from the lens to the glass along the normal of the window, mm")?;
                 continue;
             }
         };
