@@ -16,6 +16,7 @@
 //! | symbol | identifier | size | unit | frame | meaning |
 //! |---|---|---|---|---|---|
 //! | e | chart of a camera | 10 | px, rad, 1 | - | intrinsics, see [`chart`](self) below |
+//! | (t, d, g, n) | `windows` | 2 + 5 | rad, mm, 1 | solver frame | direction and layers of a camera's window |
 //! | (w, v) | `camera_from_first` | 6 | rad, mm | second camera | motion between the cameras, step on the left |
 //! | (w, v) | pose of a view | 6 | rad, mm | first camera | `first_from_target`, step on the left |
 //! | (wx, wy, vz) | plane | 3 | rad, mm | Sheet | the common plane of all views in the sheet or on a traverse |
@@ -61,11 +62,11 @@ pub use focus::Focus;
 pub use influence::{named_rows, natural_of, predicted_without_view, readjusted_without_view};
 pub use model::{
     CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, PairObservation,
-    PlanePosition, TargetModel, TargetShape, ViewModel, ViewPlace,
+    PlanePosition, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
 };
 pub use outline::OutlineNoise;
-pub(crate) use posterior::intrinsic_words;
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
+pub(crate) use posterior::{intrinsic_words, layer_words};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};
 pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
 pub use state::{State, ViewState};

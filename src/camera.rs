@@ -38,9 +38,11 @@
 mod convert;
 mod design;
 mod radial;
+mod window;
 
 pub use convert::{EffectivePinhole, HalconTilt, OpenCvTilted};
 pub use design::Drawing;
+pub use window::{ApparentJet, LAYER_NAMES, LAYERS, WINDOW_STEP_NAMES, WINDOW_STEPS, WaterRay, Window, WindowJet};
 
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Direction, Pixel, Point};
@@ -146,6 +148,12 @@ pub enum Refusal {
         /// The largest valid one.
         limit: f64,
     },
+    /// The point does not lie beyond the window.
+    #[error("the point lies {missing_mm} mm before the far face of the window")]
+    BeforeWindow {
+        /// How much it lacks along the window's normal, mm.
+        missing_mm: f64,
+    },
     /// A coordinate is NaN or infinite.
     #[error("a coordinate is not finite")]
     NotFinite,
@@ -179,6 +187,7 @@ pub struct Camera {
     intrinsics: Intrinsics,
     limit: RadialLimit,
     tilt: TiltTerms,
+    window: Option<Window>,
 }
 
 /// Trigonometry of the tilts, computed once per camera.
@@ -238,12 +247,23 @@ impl Camera {
         let (sa, ca) = i.alpha_rad.sin_cos();
         let (sb, cb) = i.beta_rad.sin_cos();
         let tilt = TiltTerms { sa, ca, ta: sa / ca, sb, cb, tb: sb / cb };
-        Ok(Self { intrinsics, limit: RadialLimit::of(&i.k), tilt })
+        Ok(Self { intrinsics, limit: RadialLimit::of(&i.k), tilt, window: None })
     }
 
     /// The parameters.
     pub fn intrinsics(&self) -> &Intrinsics {
         &self.intrinsics
+    }
+
+    /// The same camera behind this window (in its own frame), or behind none. Points are then those behind the window; rays of
+    /// pixels ([`Camera::unproject`] and its kin) stay those in the air before it, [`Camera::line_of_sight`] goes through.
+    pub fn with_window(self, window: Option<Window>) -> Self {
+        Self { window, ..self }
+    }
+
+    /// The window before it.
+    pub fn window(&self) -> Option<&Window> {
+        self.window.as_ref()
     }
 
     /// Image of a point, px.
@@ -259,7 +279,10 @@ impl Camera {
     /// # Errors
     /// [`Refusal`] where the point has no image.
     pub fn project_xyz(&self, p: &Vector3<f64>) -> std::result::Result<Vector2<f64>, Refusal> {
-        let xd = self.distort(&ideal_point(p)?)?;
+        let xd = match &self.window {
+            None => self.distort(&ideal_point(p)?)?,
+            Some(window) => self.distort(&ideal_point(&window.apparent(p)?)?)?,
+        };
         let (t, _) = self.on_sensor(&xd)?;
         Ok(self.pixel(&t))
     }
@@ -269,6 +292,15 @@ impl Camera {
     /// # Errors
     /// [`Refusal`] where the point has no image.
     pub fn project_jet(&self, p: &Vector3<f64>) -> std::result::Result<ProjectionJet, Refusal> {
+        if let Some(window) = &self.window {
+            let WindowJet { pixel, dq_dp, dq_dintrinsics, .. } = self.project_through(window, p)?;
+            return Ok(ProjectionJet { pixel, dq_dp, dq_dintrinsics });
+        }
+        self.jet_in_air(p)
+    }
+
+    /// [`Camera::project_jet`] without the window.
+    fn jet_in_air(&self, p: &Vector3<f64>) -> std::result::Result<ProjectionJet, Refusal> {
         let xy = ideal_point(p)?;
         let (pixel, dq_dxy, dq_dintrinsics) = self.image_jet(&xy)?;
         let iz = 1.0 / p.z;
@@ -281,6 +313,16 @@ impl Camera {
     /// # Errors
     /// [`Refusal`] where the point has no image.
     pub fn image_of_point(&self, p: &Vector3<f64>) -> std::result::Result<(Vector2<f64>, Matrix2x3<f64>), Refusal> {
+        if let Some(window) = &self.window {
+            let a = window.apparent_jet(p)?;
+            let (pixel, dq_da) = self.image_in_air(&a.apparent)?;
+            return Ok((pixel, dq_da * a.by_point));
+        }
+        self.image_in_air(p)
+    }
+
+    /// [`Camera::image_of_point`] without the window.
+    fn image_in_air(&self, p: &Vector3<f64>) -> std::result::Result<(Vector2<f64>, Matrix2x3<f64>), Refusal> {
         let xy = ideal_point(p)?;
         let (xd, dxd_dxy, _) = self.distort_jet(&xy)?;
         let (t, h) = self.on_sensor(&xd)?;
@@ -292,7 +334,19 @@ impl Camera {
         Ok((self.pixel(&t), dq_dxy * Matrix2x3::new(iz, 0.0, -xy.x * iz, 0.0, iz, -xy.y * iz)))
     }
 
-    /// Ray of a pixel: direction (x, y, 1) in the camera frame.
+    /// Where the scene is that a pixel sees: behind the window where there is one, else from the projection centre.
+    ///
+    /// # Errors
+    /// [`Refusal`] where no ray reaches that place of the sensor plane, or none passes the window.
+    pub fn line_of_sight(&self, q: &Vector2<f64>) -> std::result::Result<WaterRay, Refusal> {
+        let direction = self.ideal_of_pixel(q)?.push(1.0);
+        match &self.window {
+            Some(window) => window.water_ray(&direction),
+            None => Ok(WaterRay { from_mm: Vector3::zeros(), direction: direction.normalize() }),
+        }
+    }
+
+    /// Ray of a pixel: direction (x, y, 1) in the camera frame, in the air before any window.
     ///
     /// # Errors
     /// [`Refusal`] where no ray reaches that place of the sensor plane.

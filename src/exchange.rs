@@ -186,6 +186,14 @@ impl Cameras {
                     .into(),
             )
         })?;
+        if let Some(c) = record.cameras.iter().find(|c| c.window.is_some()) {
+            let what = format!(
+                "camera \"{}\" looks through a flat window, which no other package's format can hold; use the calibration here, \
+                 or tabulate pixels and points of the sheet with spivcal dewarp",
+                c.name
+            );
+            return Err(Invalid::Contradiction(what).into());
+        }
         let rig_from_sheet: Motion<Rig, Sheet> = sheet.rig_from_sheet.motion();
         let cameras = record.cameras.iter().map(|c| {
             let cam_from_rig: Motion<Cam, Rig> = c.cam_from_rig.motion();

@@ -31,7 +31,7 @@ pub use geometry::PlacedCamera;
 pub use residuals::{FeatureKind, Residual, ResidualTable};
 pub use schema::{
     ANGLES_CONVENTION, Camera, Covariance, Effective, FORMAT, Fit, Homography, ImageFile, Known, NearNull, Parameter,
-    Pose, Provenance, Radial, Record, Rig, Scale, Sheet, Target, TargetPoint, VERSION, View, ViewTarget,
+    Pose, Provenance, Radial, Record, Rig, Scale, Sheet, Target, TargetPoint, VERSION, View, ViewTarget, Window,
 };
 pub use sheet_check::{CheckRound, DisparityMap, SheetCheck};
-pub use sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, TargetSigma};
+pub use sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, TargetSigma, WindowSigma};

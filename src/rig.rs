@@ -27,6 +27,7 @@ mod labels;
 mod mono;
 mod print;
 mod starts;
+mod windows;
 
 pub use joint::calibrate_rig;
 pub use labels::{OpenImage, OpenLabels};

@@ -54,6 +54,7 @@ mod sheet;
 mod solve;
 mod target;
 mod view;
+mod window;
 
 #[cfg(test)]
 mod tests;
@@ -103,6 +104,18 @@ pub struct CameraDescription {
     pub known: Vec<(Parameter, Knowledge)>,
     /// Focal length and tilts by the drawing of the rig.
     pub design: Option<Design>,
+    /// `[camera.window]`: a flat window between air and water before the camera.
+    pub window: Option<WindowDescription>,
+}
+
+/// A flat window before a camera, see [`crate::camera::Window`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WindowDescription {
+    /// Distance, thickness and indices in the order of [`crate::camera::LAYER_NAMES`], each with a standard deviation where it
+    /// is estimated.
+    pub layers: [(f64, Option<f64>); crate::camera::LAYERS],
+    /// Standard deviation of the angle between window and sheet, rad.
+    pub tilt_sigma_rad: f64,
 }
 
 /// Focal length and tilts that follow from the drawing of the rig, see [`crate::camera::Drawing`].
@@ -455,6 +468,7 @@ impl RigDescription {
         let focus = solve::read_focus(&root, &cameras, &views)?;
         let sheet = sheet::read(&root, &target.target, &views)?;
         let solve = solve::read(&root, &target, &cameras)?;
+        window::refuse_contradictions(&root, &cameras, &views, &solve)?;
         let mut job =
             Self { file: file.to_string(), text: text.to_string(), cameras, target, scale, focus, sheet, solve, views };
         job.remember_scale_in_target();

@@ -49,7 +49,7 @@ fn drawn(scene: &Scene, seed: u64) -> Scene {
             Fact::Baseline { value_mm, sigma_mm } | Fact::Shape { value_mm, sigma_mm, .. } => {
                 *value_mm += *sigma_mm * noise.normal();
             }
-            Fact::Focus(_) => unreachable!("the scenes state no focus"),
+            _ => unreachable!("the scenes state no focus and no windows"),
         }
     }
     out

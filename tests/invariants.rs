@@ -90,6 +90,7 @@ proptest! {
             Err(Refusal::BehindCamera { depth_mm }) => prop_assert!(depth_mm <= 0.0 && depth_mm == p.z),
             Err(Refusal::BeyondDistortion { radius, limit }) => prop_assert!(radius >= limit && limit > 0.0),
             Err(Refusal::OffSensor) => prop_assert!(p.z > 0.0),
+            Err(Refusal::BeforeWindow { .. }) => prop_assert!(false, "there is no window"),
             Err(Refusal::NotFinite) => {
                 let far = (p.x / p.z).hypot(p.y / p.z) > 1e30;
                 prop_assert!(far || p.iter().any(|c| !c.is_finite()), "{p} is a point like any other");

@@ -8,11 +8,12 @@
 //! ```
 //! The inverse of the polynomial is Newton's iteration on the factor q of the radius, carried out on dual numbers.
 
-#![allow(clippy::suspicious_arithmetic_impl, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod dual;
 
 use nalgebra::{Vector2, Vector3};
 use spivcal::camera::{Camera, INTRINSICS, Intrinsics, Radial};
-use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// Three coordinates (or two pixels and an idle one), then the intrinsics.
 const N: usize = 3 + INTRINSICS;
@@ -20,64 +21,8 @@ const N: usize = 3 + INTRINSICS;
 /// Largest departure of an analytic derivative, relative to the length of its column.
 const RELATIVE: f64 = 1e-10;
 
-/// A number with its gradient.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Dual {
-    x: f64,
-    d: [f64; N],
-}
-
-impl Dual {
-    fn constant(x: f64) -> Self {
-        Self { x, d: [0.0; N] }
-    }
-    fn variable(x: f64, index: usize) -> Self {
-        let mut v = Self::constant(x);
-        v.d[index] = 1.0;
-        v
-    }
-    /// Value and slope of a function of one number.
-    fn chain(self, x: f64, slope: f64) -> Self {
-        Self { x, d: self.d.map(|d| d * slope) }
-    }
-    fn sin(self) -> Self {
-        self.chain(self.x.sin(), self.x.cos())
-    }
-    fn cos(self) -> Self {
-        self.chain(self.x.cos(), -self.x.sin())
-    }
-}
-impl Add for Dual {
-    type Output = Self;
-    fn add(self, o: Self) -> Self {
-        Self { x: self.x + o.x, d: std::array::from_fn(|i| self.d[i] + o.d[i]) }
-    }
-}
-impl Neg for Dual {
-    type Output = Self;
-    fn neg(self) -> Self {
-        self.chain(-self.x, -1.0)
-    }
-}
-impl Sub for Dual {
-    type Output = Self;
-    fn sub(self, o: Self) -> Self {
-        self + -o
-    }
-}
-impl Mul for Dual {
-    type Output = Self;
-    fn mul(self, o: Self) -> Self {
-        Self { x: self.x * o.x, d: std::array::from_fn(|i| self.d[i] * o.x + self.x * o.d[i]) }
-    }
-}
-impl Div for Dual {
-    type Output = Self;
-    fn div(self, o: Self) -> Self {
-        let x = self.x / o.x;
-        Self { x, d: std::array::from_fn(|i| (self.d[i] - x * o.d[i]) / o.x) }
-    }
-}
+/// A number with its gradient by all of them.
+type Dual = dual::Dual<N>;
 
 type Space = [Dual; 3];
 

@@ -6,7 +6,8 @@ mod scene;
 
 use serde_json::Value;
 use spivcal::error::{Error, Invalid};
-use spivcal::record::{Known, Record, TargetPoint};
+use spivcal::exchange::{ExportFormat, export};
+use spivcal::record::{Known, Record, TargetPoint, Window, WindowSigma};
 use spivcal::target::DotId;
 
 fn reread(record: &Record) -> Record {
@@ -283,4 +284,43 @@ fn how_a_parameter_is_known_is_a_plain_word() {
     let text = scene::record().to_json().unwrap();
     assert!(text.contains(r#"{ "name": "left.cy_px", "known": "prior", "prior_share": 0.93 }"#), "{text}");
     assert_eq!(reread(&scene::record()).fit.parameters[4].known, Known::Free);
+}
+
+/// A camera behind a window: written and read to the bit, absent without one, refused where it is none.
+#[test]
+fn a_window_stands_beside_its_camera() {
+    assert!(!scene::record().to_json().unwrap().contains("window"));
+    let mut record = scene::record();
+    record.cameras[1].window = Some(Window {
+        normal_in_cam: [0.6, 0.0, 0.8],
+        distance_mm: 212.1 + 1e-13,
+        thickness_mm: 12.0,
+        n_air: 1.0003,
+        n_glass: 1.49,
+        n_water: 1.333,
+        sigma: WindowSigma {
+            normal_rad: [0.02, 0.01, 0.003],
+            distance_mm: 5.1,
+            thickness_mm: 0.0,
+            n_air: 0.0,
+            n_glass: 0.0,
+            n_water: 0.0,
+        },
+    });
+    assert_eq!(reread(&record), record);
+    let camera = record.cameras[1].model().unwrap();
+    assert_eq!(camera.window().unwrap().layers(), [212.1 + 1e-13, 12.0, 1.0003, 1.49, 1.333]);
+    let text = record.to_json().unwrap();
+    for (from, to, words) in [
+        ("\"n_water\": 1.333", "\"n_water\": -1.0", "n_water"),
+        ("\"thickness_mm\": 12.0", "\"thickness_mm\": -2.0", "thickness"),
+    ] {
+        assert!(text.contains(from));
+        let message = Record::from_json(&text.replacen(from, to, 1), "c.json").unwrap_err().to_string();
+        assert!(message.contains("window") && message.contains(words), "{message}");
+    }
+    for format in [ExportFormat::OpenCv, ExportFormat::Csv] {
+        let message = export(&record, format).unwrap_err().to_string();
+        assert!(message.contains("window"), "{message}");
+    }
 }

@@ -73,10 +73,10 @@ fn drawn(scene: &Scene, seed: u64) -> Scene {
     for fact in &mut out.model.facts {
         match fact {
             Fact::Intrinsic { value, sigma, .. } => *value += *sigma * noise.normal(),
-            Fact::Focus(_) => unreachable!("the scenes state no focus"),
             Fact::Baseline { value_mm, sigma_mm } | Fact::Shape { value_mm, sigma_mm, .. } => {
                 *value_mm += *sigma_mm * noise.normal();
             }
+            _ => unreachable!("the scenes state no focus and no windows"),
         }
     }
     out

@@ -4,7 +4,8 @@
 //! `tan a = dv / f_e`. Turning a tilt turns the pinhole's frame: `dE = [w]x E` with `w = da u - db y`, where u is the
 //! sensor's first axis and y the camera's second.
 
-use super::model::CameraModel;
+use super::model::{CameraModel, Model};
+use super::state::State;
 use crate::camera::{Camera, EffectivePinhole, INTRINSICS, Intrinsics};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
@@ -25,6 +26,13 @@ impl SolverCamera {
         let camera = Camera::new(*intrinsics).ok()?;
         let cam_from_solver = if model.uses_pinhole_frame() { camera.cam_from_pinhole() } else { Matrix3::identity() };
         Some(Self { camera, cam_from_solver })
+    }
+
+    /// Camera `c` of a state, behind its window.
+    pub(super) fn seen(model: &Model, state: &State, c: usize) -> Option<Self> {
+        let mut out = Self::of(&model.cameras[c], &state.cameras[c])?;
+        out.camera = out.camera.with_window(state.window(c).map(|w| w.in_frame(&out.cam_from_solver)));
+        Some(out)
     }
 }
 
@@ -104,7 +112,7 @@ mod tests {
         for free_f in [true, false] {
             let mut free = [true; INTRINSICS];
             free[0] = free_f;
-            let model = CameraModel { name: "c".into(), free };
+            let model = CameraModel { name: "c".into(), free, window: None };
             let mut i = Intrinsics::pinhole(8000.0, 500.0, 390.0);
             (i.alpha_rad, i.beta_rad, i.aspect, i.k) = (0.2, -0.35, 1.02, [0.1, -0.2, 0.3]);
             let here = SolverCamera::of(&model, &i).unwrap();

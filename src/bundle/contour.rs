@@ -12,13 +12,15 @@
 //! with e the radial direction. A shift of the centre is a shift v turned into the camera frame.
 
 use super::model::{DiscObservation, Loss};
-use crate::camera::{Camera, INTRINSICS};
+use crate::camera::{Camera, INTRINSICS, ProjectionJet, WINDOW_STEPS};
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 
 /// Unknowns of one edge point: intrinsics, turn, shift, radius.
 pub(super) const EDGE: usize = INTRINSICS + 7;
+/// The same behind a window: its turn and its layers follow.
+pub(super) const EDGE_BEHIND: usize = EDGE + WINDOW_STEPS;
 
 /// A circle of the target as one camera has it.
 #[derive(Debug, Clone, Copy)]
@@ -94,9 +96,9 @@ impl SeenCircle<'_> {
 }
 
 /// Normal equations of one disc's contour in its own unknowns.
-pub(super) struct DiscNormal {
-    pub(super) h: SMatrix<f64, EDGE, EDGE>,
-    pub(super) b: SVector<f64, EDGE>,
+pub(super) struct DiscNormal<const E: usize> {
+    pub(super) h: SMatrix<f64, E, E>,
+    pub(super) b: SVector<f64, E>,
     pub(super) cost: f64,
 }
 
@@ -126,49 +128,52 @@ pub(super) fn cost(circle: &SeenCircle, seen: &DiscObservation, scale: f64, loss
 }
 
 /// Normal equations of one contour; `None` where the circle has no image.
-pub(super) fn linearise(circle: &SeenCircle, seen: &DiscObservation, scale: f64, loss: Loss) -> Option<DiscNormal> {
+pub(super) fn linearise<const E: usize>(
+    circle: &SeenCircle,
+    seen: &DiscObservation,
+    scale: f64,
+    loss: Loss,
+) -> Option<DiscNormal<E>> {
     let start = circle.start()?;
     let edge = &seen.edge;
-    let whitened = |i: usize| -> Option<WhiteRow> {
+    // Row and residual of an edge point over its sigma.
+    let whitened = |i: usize| -> Option<([f64; E], [f64; 1])> {
         let foot = circle.foot(&start, &Vector2::new(edge.u_px[i], edge.v_px[i]))?;
         let iw = 1.0 / (edge.sigma_px[i] * scale);
-        let mut out = [foot.distance_px * iw; EDGE + 1];
-        out.iter_mut().zip(row(circle.camera, &foot)?).for_each(|(o, x)| *o = x * iw);
-        Some(out)
+        Some((row::<E>(circle.camera, &foot)?.map(|x| x * iw), [foot.distance_px * iw]))
     };
-    let mut sums = Sums { h: [[0.0; EDGE]; EDGE], b: [0.0; EDGE], rho: 0.0 };
+    let mut sums = Sums { h: [[0.0; E]; E], b: [0.0; E], rho: 0.0 };
     match &seen.outline {
         None => {
             for i in 0..edge.u_px.len() {
-                sums.add(&whitened(i)?, loss);
+                let (row, [r]) = whitened(i)?;
+                sums.add(&row, r, loss);
             }
         }
         Some(outline) => {
-            let mut all: Vec<WhiteRow> = (0..edge.u_px.len()).map(whitened).collect::<Option<_>>()?;
-            outline.apply(&mut all);
-            all.iter().for_each(|w| sums.add(w, loss));
+            let (mut rows, mut rest): (Vec<[f64; E]>, Vec<[f64; 1]>) =
+                (0..edge.u_px.len()).map(whitened).collect::<Option<_>>()?;
+            outline.apply(&mut rows);
+            outline.apply(&mut rest);
+            rows.iter().zip(&rest).for_each(|(row, [r])| sums.add(row, *r, loss));
         }
     }
     sums.done()
 }
 
-/// Row and residual of one edge point over its sigma.
-type WhiteRow = [f64; EDGE + 1];
-
 /// Normal equations under way, lower triangle.
-struct Sums {
-    h: [[f64; EDGE]; EDGE],
-    b: [f64; EDGE],
+struct Sums<const E: usize> {
+    h: [[f64; E]; E],
+    b: [f64; E],
     rho: f64,
 }
 
-impl Sums {
+impl<const E: usize> Sums<E> {
     /// The residual is (distance)/sigma and falls as the image moves outwards: J = -row / sigma.
-    fn add(&mut self, w: &WhiteRow, loss: Loss) {
-        let r = w[EDGE];
+    fn add(&mut self, w: &[f64; E], r: f64, loss: Loss) {
         let (rho, weight) = loss.apply(r * r);
         self.rho += rho;
-        for m in 0..EDGE {
+        for m in 0..E {
             let f = weight * w[m];
             self.b[m] += f * r;
             for n in 0..=m {
@@ -176,18 +181,27 @@ impl Sums {
             }
         }
     }
-    fn done(self) -> Option<DiscNormal> {
+    fn done(self) -> Option<DiscNormal<E>> {
         let h = SMatrix::from_fn(|m, n| if n <= m { self.h[m][n] } else { self.h[n][m] });
         self.rho.is_finite().then(|| DiscNormal { h, b: SVector::from(self.b), cost: 0.5 * self.rho })
     }
 }
 
 /// `n . dq/dz` of one edge point.
-pub(super) fn row(camera: &Camera, foot: &Foot) -> Option<[f64; EDGE]> {
-    let jet = camera.project_jet(&foot.p_in_cam).ok()?;
+pub(super) fn row<const E: usize>(camera: &Camera, foot: &Foot) -> Option<[f64; E]> {
+    let mut row = [0.0; E];
+    let jet = match camera.window() {
+        Some(window) => {
+            let jet = camera.project_through(window, &foot.p_in_cam).ok()?;
+            let (turn, layers) = (jet.dq_dturn.tr_mul(&foot.normal), jet.dq_dlayers.tr_mul(&foot.normal));
+            let steps = turn.iter().chain(layers.iter());
+            row.iter_mut().skip(EDGE).zip(steps).for_each(|(r, s)| *r = *s);
+            ProjectionJet { pixel: jet.pixel, dq_dp: jet.dq_dp, dq_dintrinsics: jet.dq_dintrinsics }
+        }
+        None => camera.project_jet(&foot.p_in_cam).ok()?,
+    };
     let g = jet.dq_dp.tr_mul(&foot.normal);
     let turn = foot.p_in_cam.cross(&g);
-    let mut row = [0.0; EDGE];
     for k in 0..INTRINSICS {
         row[k] = jet.dq_dintrinsics.column(k).dot(&foot.normal);
     }
@@ -201,34 +215,33 @@ pub(super) fn row(camera: &Camera, foot: &Foot) -> Option<[f64; EDGE]> {
 
 /// `sum of w row r_vv / sigma`: the part of one contour in the right-hand side of the geodesic acceleration, with
 /// `r_vv = (r(+h) - 2 r + r(-h)) / h^2`; `None` where a circle has no image.
-pub(super) fn bend(
+pub(super) fn bend<const E: usize>(
     circles: [&SeenCircle; 3],
     seen: &DiscObservation,
     scale: f64,
     loss: Loss,
     h: f64,
-) -> Option<SVector<f64, EDGE>> {
+) -> Option<SVector<f64, E>> {
     let starts = [circles[0].start()?, circles[1].start()?, circles[2].start()?];
     let edge = &seen.edge;
-    // Row, residual and second derivative of an edge point, over its sigma.
-    let bent = |i: usize| -> Option<[f64; EDGE + 2]> {
+    // Row of an edge point; residual and second derivative; all over its sigma.
+    let bent = |i: usize| -> Option<([f64; E], [f64; 2])> {
         let q = Vector2::new(edge.u_px[i], edge.v_px[i]);
         let foot = |k: usize| circles[k].foot(&starts[k], &q);
         let (minus, here, plus) = (foot(0)?, foot(1)?, foot(2)?);
         let iw = 1.0 / (edge.sigma_px[i] * scale);
-        let mut out = [here.distance_px * iw; EDGE + 2];
-        out.iter_mut().zip(row(circles[1].camera, &here)?).for_each(|(o, x)| *o = x * iw);
-        out[EDGE + 1] = (plus.distance_px - 2.0 * here.distance_px + minus.distance_px) * iw / (h * h);
-        Some(out)
+        let second = (plus.distance_px - 2.0 * here.distance_px + minus.distance_px) * iw / (h * h);
+        Some((row::<E>(circles[1].camera, &here)?.map(|x| x * iw), [here.distance_px * iw, second]))
     };
-    let mut all: Vec<[f64; EDGE + 2]> = (0..edge.u_px.len()).map(bent).collect::<Option<_>>()?;
+    let (mut rows, mut rest): (Vec<[f64; E]>, Vec<[f64; 2]>) = (0..edge.u_px.len()).map(bent).collect::<Option<_>>()?;
     if let Some(outline) = &seen.outline {
-        outline.apply(&mut all);
+        outline.apply(&mut rows);
+        outline.apply(&mut rest);
     }
     let mut b = SVector::zeros();
-    for w in &all {
-        let factor = loss.weight(w[EDGE]) * w[EDGE + 1];
-        (0..EDGE).for_each(|m| b[m] += w[m] * factor);
+    for (row, [r, second]) in rows.iter().zip(&rest) {
+        let factor = loss.weight(*r) * second;
+        (0..E).for_each(|m| b[m] += row[m] * factor);
     }
     Some(b)
 }

@@ -116,6 +116,9 @@ fn shared(base: &Places, places: &Places) -> Vec<usize> {
         old.iter().zip(new).for_each(|(a, b)| put(*a, *b, 1));
     }
     base.motions.iter().zip(&places.motions).for_each(|(a, b)| put(*a, *b, 6));
+    for (old, new) in base.windows.iter().zip(&places.windows) {
+        old.iter().zip(new).for_each(|(a, b)| put(*a, *b, 1));
+    }
     put(base.plane, places.plane, 3);
     base.shape.iter().zip(&places.shape).for_each(|(a, b)| put(*a, *b, 1));
     let offsets = base.offsets.map_or(0, |at| base.global - at);

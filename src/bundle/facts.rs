@@ -7,6 +7,8 @@
 //! | a length of the target | tau_k, shared or of one view | 1 |
 //! | position along a traverse | z of a view in the common plane | 1 |
 //! | offsets of printed discs | (dx, dy, dz, dr) | 1 |
+//! | a layer of a window | distance, thickness, index | 1 |
+//! | a window parallel to the common plane | m_x, m_y of `m = R^T n`, R camera from plane | `R^T (w x n)` by its turn, the opposite by the motion, `-w x m` by the plane |
 //! | focus | the sheet lies in the plane of focus | see [`super::focus`] |
 
 use super::assemble::{Slot, add};
@@ -17,7 +19,7 @@ use super::model::{Model, PlanePosition, ViewPlace};
 use super::state::State;
 use crate::camera::INTRINSICS;
 use crate::solve::NormalEquations;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector3};
 
 /// Something known before the images are looked at.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,6 +52,26 @@ pub enum Fact {
         value_mm: f64,
         /// Its standard deviation, mm.
         sigma_mm: f64,
+    },
+    /// A layer of a camera's window, by its index in [`crate::camera::LAYER_NAMES`].
+    WindowLayer {
+        /// Camera.
+        camera: usize,
+        /// Index of the layer.
+        layer: usize,
+        /// Known value, mm or 1.
+        value: f64,
+        /// Its standard deviation.
+        sigma: f64,
+    },
+    /// The window of a camera stands parallel to the common plane, as far as a turn about one of its axes goes; needs a plane.
+    WindowParallel {
+        /// Camera.
+        camera: usize,
+        /// Part of the window's normal in the plane's frame that is zero: 0 (x) or 1 (y).
+        axis: usize,
+        /// Standard deviation, rad.
+        sigma_rad: f64,
     },
     /// The common plane lies where a camera is focused; needs a plane.
     Focus(Focus),
@@ -113,8 +135,37 @@ fn row(model: &Model, places: &Places, state: &State, fact: &Fact) -> Option<Row
             let slots = slot.map(|s| (s, 1.0 / sigma_mm)).into_iter().collect();
             Some(Row { view: view.unwrap_or(0), residual: (now - value_mm) / sigma_mm, slots })
         }
+        Fact::WindowLayer { camera, layer, value, sigma } => {
+            let now = state.window(camera)?.layers()[layer];
+            let at = places.windows[camera][2 + layer].map(|at| (Slot::Global(at), 1.0 / sigma));
+            Some(Row { view: 0, residual: (now - value) / sigma, slots: at.into_iter().collect() })
+        }
+        Fact::WindowParallel { camera, axis, sigma_rad } => parallel(places, state, camera, axis, sigma_rad),
         Fact::Focus(_) => None,
     }
+}
+
+/// The window's normal in the plane's frame, one part.
+fn parallel(places: &Places, state: &State, camera: usize, axis: usize, sigma_rad: f64) -> Option<Row> {
+    let window = state.window(camera)?;
+    let n = window.normal();
+    let plane_from_camera = (state.camera_from_first[camera].rotation * state.first_from_plane?.rotation).transpose();
+    let m = plane_from_camera * n;
+    let mut slots = vec![];
+    let mut by = |at: Option<usize>, dm: Vector3<f64>| {
+        slots.extend(at.map(|at| (Slot::Global(at), dm[axis] / sigma_rad)));
+    };
+    for (k, t) in window.tangents().iter().enumerate() {
+        by(places.windows[camera][k], plane_from_camera * t.cross(n));
+    }
+    for k in 0..3 {
+        let step = Vector3::ith(k, 1.0);
+        by(places.motions[camera].map(|at| at + k), -(plane_from_camera * step.cross(n)));
+        if k < 2 {
+            by(places.plane.map(|at| at + k), -step.cross(&m));
+        }
+    }
+    Some(Row { view: 0, residual: m[axis] / sigma_rad, slots })
 }
 
 /// Views whose position along the common plane's normal is known with a sigma: view, position and sigma in mm.

@@ -1,12 +1,12 @@
 //! Where each unknown stands in the normal equations, and how far it may go in one step.
 //!
-//! Global unknowns: cameras' charts, motions between cameras, plane, shape, offsets. Block of a view: pose (6, or 3 in the
+//! Global unknowns: cameras' charts, motions between cameras, windows, plane, shape, offsets. Block of a view: pose (6, or 3 in the
 //! plane, 4 where its distance from the plane is estimated) and its own shape where it has one.
 
 use super::chart;
 use super::model::Model;
 use super::state::State;
-use crate::camera::INTRINSICS;
+use crate::camera::{INTRINSICS, LAYERS};
 use crate::solve::{self, Step};
 use nalgebra::DVector;
 
@@ -17,6 +17,8 @@ pub(super) struct Places {
     pub(super) charts: Vec<[Option<usize>; INTRINSICS]>,
     /// Per camera: first of six (the first camera has none).
     pub(super) motions: Vec<Option<usize>>,
+    /// Per camera: turn of its window about its two tangents, then its layers.
+    pub(super) windows: Vec<[Option<usize>; 2 + LAYERS]>,
     /// First of three.
     pub(super) plane: Option<usize>,
     /// Shared shape parameters.
@@ -41,6 +43,10 @@ impl Places {
         };
         let charts = model.cameras.iter().map(|c| chart::active(c).map(|on| on.then(|| take(1)))).collect();
         let motions = (0..model.cameras.len()).map(|c| (c > 0).then(|| take(6))).collect();
+        let window = |c: &super::CameraModel| -> [bool; 2 + LAYERS] {
+            std::array::from_fn(|k| c.window.is_some_and(|w| k < 2 || w.free[k - 2]))
+        };
+        let windows = model.cameras.iter().map(|c| window(c).map(|on| on.then(|| take(1)))).collect();
         let plane = model.views.iter().any(|v| v.place.in_plane()).then(|| take(3));
         let per_view = model.target.per_view();
         let shape = model.target.free.map(|on| (on && !per_view).then(|| take(1)));
@@ -54,7 +60,18 @@ impl Places {
         });
         let pose_size = |v: &super::ViewModel| if v.place.in_plane() { v.place.planar_steps().len() } else { 6 };
         let pose_sizes = model.views.iter().map(pose_size).collect();
-        Self { charts, motions, plane, shape, offsets, global: next, pose_sizes, view_shape, view_shape_size: inside }
+        Self {
+            charts,
+            motions,
+            windows,
+            plane,
+            shape,
+            offsets,
+            global: next,
+            pose_sizes,
+            view_shape,
+            view_shape_size: inside,
+        }
     }
 
     pub(super) fn layout(&self) -> solve::Layout {
@@ -81,6 +98,12 @@ pub(super) fn scales(model: &Model, places: &Places, state: &State) -> Step {
     let pose = [0.02, 0.02, 0.02, 0.02 * distance, 0.02 * distance, 0.02 * distance];
     for at in places.motions.iter().flatten() {
         (0..6).for_each(|k| global[at + k] = pose[k]);
+    }
+    for (c, at) in places.windows.iter().enumerate() {
+        let Some(window) = state.window(c) else { continue };
+        let [distance, thickness, ..] = window.layers();
+        let all = [0.02, 0.02, 0.05 * distance, 0.05 * distance.max(thickness), 0.01, 0.01, 0.01];
+        at.iter().zip(all).for_each(|(at, scale)| at.iter().for_each(|at| global[*at] = scale));
     }
     if let Some(at) = places.plane {
         (0..3).for_each(|k| global[at + k] = [pose[0], pose[1], pose[5]][k]);

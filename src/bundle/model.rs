@@ -2,7 +2,7 @@
 
 use super::facts::Fact;
 use super::outline::OutlineNoise;
-use crate::camera::INTRINSICS;
+use crate::camera::{INTRINSICS, LAYERS};
 use crate::detect::EdgePoints;
 use nalgebra::{DMatrix, Vector3};
 
@@ -13,6 +13,17 @@ pub struct CameraModel {
     pub name: String,
     /// Which intrinsics are adjusted, in the order of [`crate::camera::INTRINSIC_NAMES`].
     pub free: [bool; INTRINSICS],
+    /// The window before it.
+    pub window: Option<WindowModel>,
+}
+
+/// The flat window before a camera (see [`crate::camera::Window`]); its direction is always adjusted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WindowModel {
+    /// Which layers are adjusted, in the order of [`crate::camera::LAYER_NAMES`].
+    pub free: [bool; LAYERS],
+    /// Where they start, or are held.
+    pub layers: [f64; LAYERS],
 }
 
 impl CameraModel {

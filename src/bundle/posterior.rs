@@ -3,6 +3,7 @@
 //! The solver's unknowns are charts and steps in solver frames. The natural parameters follow linearly at the estimate:
 //! ```text
 //! intrinsics       di = A dchart
+//! window           w_c + E_c dturn, dlayers
 //! cam_from_rig     (w_c, 0) + diag(E_c, E_c) dmotion - Ad(cam_from_rig) (w_0, 0)      w_c = B_c dchart_c
 //! rig_from_target  (w_0, 0) + diag(E_0, E_0) dpose
 //! ```
@@ -10,11 +11,11 @@
 
 use super::Fact;
 use super::adjust::Adjustment;
-use super::chart::{self, SolverCamera};
+use super::chart::{self, ChartDerivative, SolverCamera};
 use super::layout::Places;
 use super::model::{Model, TargetShape};
 use super::state::State;
-use crate::camera::{Camera, INTRINSIC_NAMES, INTRINSICS};
+use crate::camera::{Camera, INTRINSIC_NAMES, INTRINSICS, LAYERS, WINDOW_STEP_NAMES};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::rigid::Motion;
 use crate::solve::{Posterior, posterior};
@@ -140,7 +141,7 @@ pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
 
 pub(super) fn natural(model: &Model, state: &State) -> Option<Natural> {
     let solver: Option<Vec<SolverCamera>> =
-        model.cameras.iter().zip(&state.cameras).map(|(m, i)| SolverCamera::of(m, i)).collect();
+        (0..model.cameras.len()).map(|c| SolverCamera::seen(model, state, c)).collect();
     let solver = solver?;
     let e0 = solver[0].cam_from_solver;
     let rig_from_first: Motion<Rig, Rig> = Motion::new(e0, Vector3::zeros());
@@ -156,6 +157,21 @@ pub(super) fn natural(model: &Model, state: &State) -> Option<Natural> {
     })
 }
 
+/// Turn of a camera's window about the axes of the lens frame, and its layers that are adjusted.
+fn window_rows(model: &Model, places: &Places, state: &State, c: usize, d: &ChartDerivative) -> Vec<Row> {
+    let own = || Some((state.window(c)?, SolverCamera::of(&model.cameras[c], &state.cameras[c])?));
+    let Some((window, solver)) = own() else { return vec![] };
+    let name = |k: usize| format!("{}.window.{}", model.cameras[c].name, WINDOW_STEP_NAMES[k]);
+    let tangents = window.tangents().map(|t| solver.cam_from_solver * t);
+    let turn = |r: usize| {
+        let own = (0..2).filter_map(|k| Some((places.windows[c][k]?, tangents[k][r])));
+        let of_chart = (0..INTRINSICS).filter_map(|j| Some((places.charts[c][j]?, d[(INTRINSICS + r, j)])));
+        Row { name: name(r), terms: own.chain(of_chart).collect() }
+    };
+    let layer = |k: usize| Some(Row { name: name(3 + k), terms: vec![(places.windows[c][2 + k]?, 1.0)] });
+    (0..3).map(turn).chain((0..LAYERS).filter_map(layer)).collect()
+}
+
 const STEP_NAMES: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
 
 pub(super) fn rows(model: &Model, places: &Places, state: &State, natural: &Natural) -> Option<Vec<Row>> {
@@ -168,6 +184,7 @@ pub(super) fn rows(model: &Model, places: &Places, state: &State, natural: &Natu
             let terms = (0..INTRINSICS).filter_map(|j| chart_at(c, j).map(|at| (at, d[(k, j)]))).collect();
             out.push(Row { name: format!("{}.{name}", model.cameras[c].name), terms });
         }
+        out.extend(window_rows(model, places, state, c, &d));
         turns.push(d.fixed_rows::<3>(INTRINSICS).into_owned());
     }
     // A turn of a camera's solver frame as a left step through the adjoint `ad`.
@@ -329,4 +346,9 @@ pub(crate) fn intrinsic_words(k: usize) -> &'static str {
         "distortion k3",
         "pupil ratio",
     ][k]
+}
+
+/// A layer of a window in words, by its index in [`crate::camera::LAYER_NAMES`].
+pub(crate) fn layer_words(k: usize) -> &'static str {
+    ["distance", "thickness", "index before the glass", "index of the glass", "index behind the glass"][k]
 }

@@ -83,6 +83,13 @@ pub(super) fn retract(model: &Model, places: &Places, state: &State, step: &Step
         let d: [f64; INTRINSICS] = places.charts[c].map(|at| at.map_or(0.0, |at| g[at]));
         next.cameras[c] = chart::retract(camera, &state.cameras[c], &d)?;
     }
+    for c in 0..next.windows.len() {
+        let (Some(window), Some(at)) = (state.window(c), places.windows.get(c)) else { continue };
+        let of = |k: usize| at[k].map_or(0.0, |at| g[at]);
+        let [first, second] = window.tangents();
+        let layers = std::array::from_fn(|k| of(2 + k));
+        next.windows[c] = Some(window.stepped(&(first * of(0) + second * of(1)), &layers).ok()?);
+    }
     for (k, at) in places.shape.iter().enumerate() {
         next.shape_mm[k] = grown(state.shape_mm[k], at.map_or(0.0, |at| g[at]));
     }
@@ -236,7 +243,8 @@ fn move_cameras(
 /// Scales the scene so that the length that sets the scale is its linear prediction; false where that is not positive.
 fn metric_scaled(model: &Model, places: &Places, state: &State, next: &mut State, step: &Step) -> bool {
     let per_view = model.target.per_view();
-    if !(per_view || model.target.free[0]) {
+    // Behind windows of known distances a similarity does change images.
+    if !(per_view || model.target.free[0]) || next.windows.iter().any(Option::is_some) {
         return true;
     }
     let wanted = model.facts.iter().find_map(|f| match *f {

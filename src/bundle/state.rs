@@ -1,6 +1,6 @@
 //! A point in the space of unknowns.
 
-use crate::camera::Intrinsics;
+use crate::camera::{Intrinsics, Window};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::rigid::Motion;
 
@@ -33,4 +33,13 @@ pub struct State {
     pub shape_mm: [f64; 3],
     /// Offsets `(dx, dy, dz, dr)` of each disc, mm; empty where discs are not estimated.
     pub offsets_mm: Vec<[f64; 4]>,
+    /// Window of each camera in its solver frame; empty where no camera has one.
+    pub windows: Vec<Option<Window>>,
+}
+
+impl State {
+    /// Window of a camera, in its solver frame.
+    pub fn window(&self, camera: usize) -> Option<&Window> {
+        self.windows.get(camera)?.as_ref()
+    }
 }

@@ -37,6 +37,10 @@ fn circles_by_shape(image: &SeenImage, discs: [usize; 2]) -> SMatrix<f64, 6, 3> 
 
 /// Whitened residual, and with `derive` its negative derivative by the image's camera space.
 fn residual(image: &SeenImage, pair: &PairObservation, derive: bool) -> Option<(DVector<f64>, DMatrix<f64>)> {
+    // Behind a window circles have no tangents in common with their images.
+    if image.camera.camera.window().is_some() {
+        return None;
+    }
     let ((c0, r0), (c1, r1)) = (image.disc(pair.discs[0]), image.disc(pair.discs[1]));
     let features = circle_features(c0.xy(), r0, c1.xy(), r1).ok()?;
     if pair.kept.contains(&EXTERNAL_CROSSING) && !features.external_is_finite {
@@ -90,7 +94,11 @@ pub(super) fn cost(image: &SeenImage, pair: &PairObservation) -> Option<f64> {
 }
 
 /// Adds one pair to the normal equations of its image; `None` where it has no image.
-pub(super) fn linearise(image: &SeenImage, pair: &PairObservation, out: &mut ImageNormal) -> Option<()> {
+pub(super) fn linearise<const L: usize>(
+    image: &SeenImage,
+    pair: &PairObservation,
+    out: &mut ImageNormal<L>,
+) -> Option<()> {
     let (r, d) = residual(image, pair, true)?;
     let (rho, weight) = pair_loss(image.model.loss, r.len()).apply(r.norm_squared());
     let h = d.tr_mul(&d) * weight;

@@ -146,7 +146,7 @@ impl SheetMap {
             .into());
         };
         let cam_from_rig = c.cam_from_rig.motion::<Cam, crate::frames::Rig>();
-        Ok(Self::new(Camera::new(c.intrinsics())?, cam_from_rig * sheet.rig_from_sheet.motion(), c.image_size_px))
+        Ok(Self::new(c.model()?, cam_from_rig * sheet.rig_from_sheet.motion(), c.image_size_px))
     }
 
     /// The same camera seen from another frame of the sheet.
@@ -180,9 +180,30 @@ impl SheetMap {
     /// # Errors
     /// [`NoMeeting`] where it does not see it.
     pub fn sheet_from_pixel(&self, q: &Vector2<f64>, z_mm: f64) -> std::result::Result<Vector2<f64>, NoMeeting> {
+        if self.camera.window().is_some() {
+            return self.behind_window(q, z_mm).map(|(xy_mm, _)| xy_mm);
+        }
         let ray = self.cam_from_sheet.rotation.tr_mul(&self.camera.ideal_of_pixel(q)?.push(1.0));
         let depth_mm = self.depth_mm(&ray, z_mm).ok_or(NoMeeting::OffSheet)?;
         Ok(self.center_mm.xy() + ray.xy() * depth_mm)
+    }
+
+    /// Where one pixel sees the plane z = `z_mm` through the window, and the slope of its ray there.
+    fn behind_window(
+        &self,
+        q: &Vector2<f64>,
+        z_mm: f64,
+    ) -> std::result::Result<(Vector2<f64>, Vector2<f64>), NoMeeting> {
+        let sight = self.camera.line_of_sight(q)?;
+        let from_mm = self.cam_from_sheet.rotation.tr_mul(&sight.from_mm) + self.center_mm;
+        let ray = self.cam_from_sheet.rotation.tr_mul(&sight.direction);
+        let slope = ray.xy() / ray.z;
+        let rise_mm = z_mm - from_mm.z;
+        let met = rise_mm / ray.z;
+        if !(met >= 0.0 && met.is_finite()) {
+            return Err(NoMeeting::OffSheet);
+        }
+        Ok((from_mm.xy() + slope * rise_mm, slope))
     }
 
     /// Depth along the lens axis at which a ray meets the plane z = `z_mm`; the ray has unit z in the camera.
@@ -204,6 +225,13 @@ impl SheetMap {
 
     /// Where one pixel sees the plane z = `z_mm`.
     pub(crate) fn hit(&self, q: &Vector2<f64>, z_mm: f64) -> Option<PlaneHit> {
+        if self.camera.window().is_some() {
+            let (xy_mm, slope) = self.behind_window(q, z_mm).ok()?;
+            // The pixel of that point moves with it by the derivative of the projection; backwards by its inverse.
+            let (_, dq_dp) = self.project_jet(&xy_mm.push(z_mm))?;
+            let dxy_dq = dq_dp.fixed_columns::<2>(0).into_owned().try_inverse()?;
+            return Some(PlaneHit { xy_mm, dxy_dq, slope });
+        }
         let jet = self.camera.unproject_jet(q).ok()?;
         let r = &self.cam_from_sheet.rotation;
         let ray = r.tr_mul(&jet.xy.push(1.0));

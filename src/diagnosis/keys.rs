@@ -2,7 +2,7 @@
 
 use crate::bundle::{NamedCovariance, Natural};
 use crate::camera::INTRINSIC_NAMES;
-use crate::sheet::{Parameter, StereoSheet, stepped_camera, stepped_motion};
+use crate::sheet::{Parameter, StereoSheet, stepped_camera, stepped_motion, stepped_window};
 use nalgebra::{DMatrix, DVector, Vector3};
 
 /// One number.
@@ -154,6 +154,8 @@ pub(super) fn typical(natural: &Natural, name: &str, names: &[&str]) -> Option<f
                 _ => PART,
             }
         }
+        Parameter::Window(_, 3 | 4) => PART * distance_mm(natural),
+        Parameter::Window(..) => PART,
         Parameter::Motion(k) | Parameter::Sheet(k) => {
             if k < 3 {
                 PART
@@ -168,7 +170,7 @@ fn step(natural: &Natural, parameter: Parameter) -> f64 {
     match parameter {
         Parameter::Intrinsic(c, 0 | 2 | 3) => 1e-5 * natural.cameras[c].intrinsics().f_px,
         Parameter::Intrinsic(_, 6..=8) => 1e-3,
-        Parameter::Motion(3..) | Parameter::Sheet(3..) => 1e-5 * distance_mm(natural),
+        Parameter::Motion(3..) | Parameter::Sheet(3..) | Parameter::Window(_, 3 | 4) => 1e-5 * distance_mm(natural),
         _ => 1e-5,
     }
 }
@@ -177,6 +179,7 @@ fn stepped(natural: &Natural, parameter: Parameter, h: f64) -> Option<Natural> {
     let mut out = natural.clone();
     match parameter {
         Parameter::Intrinsic(c, k) => out.cameras[c] = stepped_camera(&out.cameras[c], k, h)?,
+        Parameter::Window(c, k) => out.cameras[c] = stepped_window(&out.cameras[c], k, h)?,
         Parameter::Motion(k) => out.cam_from_rig[1] = stepped_motion(&out.cam_from_rig[1], k, h),
         Parameter::Sheet(k) => out.rig_from_plane = Some(stepped_motion(out.rig_from_plane.as_ref()?, k, h)),
     }
@@ -200,6 +203,11 @@ pub(super) fn parameter_words(name: &str, names: &[&str]) -> (String, f64, &'sta
             let words = crate::bundle::intrinsic_words(k);
             let (factor, unit) = intrinsic_unit(k);
             (format!("{words} of camera {}", own[c]), factor, unit)
+        }
+        Some(Parameter::Window(c, k)) if k < 3 => step(k, &format!("the window of camera {}", own[c])),
+        Some(Parameter::Window(c, k)) => {
+            let unit = if k < 5 { "mm" } else { "" };
+            (format!("{} of the window of camera {}", crate::bundle::layer_words(k - 3), own[c]), 1.0, unit)
         }
         Some(Parameter::Motion(k)) => step(k, &format!("camera {}", own[1])),
         Some(Parameter::Sheet(k)) => step(k, "the sheet"),

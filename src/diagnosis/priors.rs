@@ -2,7 +2,7 @@
 
 use super::keys::intrinsic_unit;
 use super::{FALSE_ALARMS, Subject, digits, measured};
-use crate::bundle::{Fact, PriorCheck, PriorOf, TargetShape, intrinsic_words, prior_checks};
+use crate::bundle::{Fact, PriorCheck, PriorOf, TargetShape, intrinsic_words, layer_words, prior_checks};
 use crate::record::Prior;
 use crate::stats::{chi_square_above, normal_beyond};
 
@@ -100,6 +100,26 @@ fn known(s: &Subject<'_>, index: usize, row: usize) -> Known {
                 advice: "correct the value in [camera.known] or [camera.design], give it the sigma it deserves, or remove it",
             }
         }
+        Fact::WindowLayer { camera: c, layer, value, sigma } => Known {
+            name: format!("{} of the window of camera {}", layer_words(*layer), camera(*c)),
+            value: *value,
+            sigma: *sigma,
+            factor: 1.0,
+            unit: if *layer < 2 { "mm" } else { "" },
+            advice: "correct the value in [camera.window], or give it the sigma it deserves",
+        },
+        Fact::WindowParallel { camera: c, axis, sigma_rad } => Known {
+            name: format!(
+                "angle between the window of camera {} and the sheet along sheet {}",
+                camera(*c),
+                if *axis == 0 { "x" } else { "y" }
+            ),
+            value: 0.0,
+            sigma: *sigma_rad,
+            factor: 1f64.to_degrees(),
+            unit: "deg",
+            advice: "does the window stand parallel to the sheet? give tilt_sigma_deg in [camera.window] what it deserves",
+        },
         Fact::Baseline { value_mm, sigma_mm } => Known {
             name: "distance of the cameras".into(),
             value: *value_mm,

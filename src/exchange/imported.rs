@@ -84,6 +84,7 @@ fn camera(c: &super::WorldCamera, pose: &Motion<Cam, Rig>) -> record::Camera {
         effective: Effective { f_px: e.f_px, cx_px: e.cx_px, cy_px: e.cy_px },
         sigma: CameraSigma::default(),
         cam_from_rig: Pose::from(pose),
+        window: None,
         rms_px: c.loss.rms_px,
         edge_rms_px: None,
         observations: 0,

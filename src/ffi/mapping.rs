@@ -172,7 +172,8 @@ unsafe fn status_of(to: *mut i32, count: u64) -> Option<Filled<i32>> {
 
 fn refusal(refusal: Refusal) -> i32 {
     match refusal {
-        Refusal::BehindCamera { .. } => SPIVCAL_POINT_BEHIND_CAMERA,
+        // Calibrations with windows are refused, so no point lies before one.
+        Refusal::BehindCamera { .. } | Refusal::BeforeWindow { .. } => SPIVCAL_POINT_BEHIND_CAMERA,
         Refusal::OffSensor => SPIVCAL_POINT_OFF_SENSOR,
         Refusal::BeyondDistortion { .. } => SPIVCAL_POINT_BEYOND_DISTORTION,
         Refusal::NotFinite => SPIVCAL_POINT_NOT_FINITE,

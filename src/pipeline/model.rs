@@ -3,7 +3,7 @@
 use super::images::SeenImage;
 use crate::bundle::{
     CameraModel, DiscObservation, Fact, Focus, ImageObservations, Loss, Model, Node, PlanePosition, TargetModel,
-    TargetShape, ViewModel, ViewPlace,
+    TargetShape, ViewModel, ViewPlace, WindowModel,
 };
 use crate::camera::INTRINSICS;
 use crate::conic::Ellipse;
@@ -11,7 +11,7 @@ use crate::error::{Insufficient, Invalid, Result};
 use crate::rig::{CameraStart, OpenLabels, RigProblem};
 use crate::rig_file::{
     Adjust, CameraDescription, Knowledge, Length, Loss as LossName, Parameter, PlaneZ, RigDescription, Scale,
-    ViewDescription,
+    ViewDescription, WindowDescription,
 };
 use crate::target::{DotId, Target};
 
@@ -51,6 +51,7 @@ pub(super) fn build(job: &RigDescription, images: &[SeenImage], sizes_px: &[[f64
         assumed.extend(facts.len()..facts.len() + own.len());
         facts.extend(own);
         facts.extend(focus(job, c)?);
+        facts.extend(window_facts(c, description));
         cameras.push(model);
         starts.push(start);
     }
@@ -231,7 +232,7 @@ fn camera(job: &RigDescription, d: &CameraDescription, size_px: [f64; 2]) -> (Ca
     let nominal_f_px = values[0].or(d.design.map(|d| d.f_px)).or(from_lens);
     let design = d.design.map(|d| [d.f_px, d.alpha_rad, d.beta_rad]);
     (
-        CameraModel { name: d.name.clone(), free },
+        CameraModel { name: d.name.clone(), free, window: d.window.map(|w| window(&w)) },
         CameraStart { size_px, nominal_f_px, values, design, radial: d.radial },
     )
 }
@@ -264,6 +265,20 @@ fn stated_facts(camera: usize, d: &CameraDescription) -> Vec<Fact> {
         add(Parameter::Beta, design.beta_rad, design.tilt_sigma_rad);
     }
     out
+}
+
+fn window(d: &WindowDescription) -> WindowModel {
+    WindowModel { free: d.layers.map(|l| l.1.is_some()), layers: d.layers.map(|l| l.0) }
+}
+
+/// What the rig file says of a camera's window.
+fn window_facts(camera: usize, d: &CameraDescription) -> Vec<Fact> {
+    let Some(window) = &d.window else { return vec![] };
+    let layer = |(layer, (value, sigma)): (usize, &(f64, Option<f64>))| {
+        sigma.map(|sigma| Fact::WindowLayer { camera, layer, value: *value, sigma })
+    };
+    let parallel = |axis: usize| Fact::WindowParallel { camera, axis, sigma_rad: window.tilt_sigma_rad };
+    window.layers.iter().enumerate().filter_map(layer).chain([0, 1].map(parallel)).collect()
 }
 
 /// The weak prior on an axis point of which the rig file says nothing.

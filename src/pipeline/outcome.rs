@@ -3,11 +3,11 @@
 use super::calibrate::Solved;
 use super::residual_rows::ImageFit;
 use crate::bundle::{Fact, Observed, ParameterKnowledge, TargetShape, Termination};
-use crate::camera::{Camera, INTRINSIC_NAMES};
+use crate::camera::{Camera, INTRINSIC_NAMES, WINDOW_STEP_NAMES, Window};
 use crate::error::{Error, Result};
 use crate::record::{
     self, CameraSigma, Covariance, Effective, Fit, ImageFile, Known, Parameter, Pose, PoseSigma, Provenance, Record,
-    Rig, RigSigma, Scale, Sheet, Target, TargetPoint, TargetSigma, View, ViewTarget,
+    Rig, RigSigma, Scale, Sheet, Target, TargetPoint, TargetSigma, View, ViewTarget, WindowSigma,
 };
 use crate::rig_file::{Adjust, Length, Loss, Observations, Scale as ScaleFact};
 use crate::target::Target as Kind;
@@ -89,10 +89,32 @@ fn camera(s: &Solved, fits: &[ImageFit], c: usize) -> Option<record::Camera> {
             cam_from_rig: if c == 0 { still() } else { pose_sigma(s, &format!("{}.cam_from_rig", description.name)) },
         },
         cam_from_rig: Pose::from(&s.covariance.natural.cam_from_rig[c]),
+        window: camera.window().map(|w| window(s, &description.name, w)),
         rms_px: own.rms_px(),
         edge_rms_px: Some(own.edge_rms_px()),
         observations: own.edges,
     })
+}
+
+fn window(s: &Solved, name: &str, window: &Window) -> record::Window {
+    let of = |k: usize| sigma(s, &format!("{name}.window.{}", WINDOW_STEP_NAMES[k]));
+    let [distance_mm, thickness_mm, n_air, n_glass, n_water] = window.layers();
+    record::Window {
+        normal_in_cam: (*window.normal()).into(),
+        distance_mm,
+        thickness_mm,
+        n_air,
+        n_glass,
+        n_water,
+        sigma: WindowSigma {
+            normal_rad: [of(0), of(1), of(2)],
+            distance_mm: of(3),
+            thickness_mm: of(4),
+            n_air: of(5),
+            n_glass: of(6),
+            n_water: of(7),
+        },
+    }
 }
 
 fn still() -> PoseSigma {

@@ -128,6 +128,16 @@ fn held_cameras(job: &RigDescription, calibration: &Record) -> Result<HeldCamera
             ),
         ));
     }
+    if let Some(c) = calibration.cameras.iter().find(|c| c.window.is_some()) {
+        return Err(mismatch(
+            job,
+            format!(
+                "camera \"{}\" of the calibration looks through a window, behind which the homography of the sheet does not hold; \
+                 mark the views in the sheet with sheet = true and calibrate them together, or use spivcal check",
+                c.name
+            ),
+        ));
+    }
     let mut names: Vec<String> = vec![];
     let mut sigmas = vec![];
     for c in &calibration.cameras {

@@ -1,12 +1,12 @@
 //! The calibration moved by one sigma along each column of the Cholesky factor of its covariance.
 
-use crate::camera::{Camera, INTRINSIC_NAMES, Intrinsics};
+use crate::camera::{Camera, INTRINSIC_NAMES, Intrinsics, WINDOW_STEP_NAMES, WINDOW_STEPS};
 use crate::dewarp::SheetMap;
 use crate::error::Result;
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::Record;
 use crate::rigid::Motion;
-use nalgebra::{DMatrix, DVector, SVector};
+use nalgebra::{DMatrix, DVector, SVector, Vector3};
 
 const STEPS: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
 
@@ -14,6 +14,8 @@ const STEPS: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Moved {
     Intrinsic(usize, usize),
+    /// Camera and step of its window.
+    Window(usize, usize),
     /// Part of a left step of a camera's pose.
     Pose(usize, usize),
     /// Part of a left step of the sheet's pose.
@@ -31,6 +33,12 @@ fn moved_numbers(record: &Record) -> Option<(Vec<Moved>, DMatrix<f64>)> {
         for (k, name) in INTRINSIC_NAMES.iter().enumerate() {
             if let Some(row) = c.index(&format!("{}.{name}", camera.name)) {
                 moved.push(Moved::Intrinsic(i, k));
+                rows.push(Some(row));
+            }
+        }
+        for (k, name) in WINDOW_STEP_NAMES.iter().enumerate() {
+            if let Some(row) = c.index(&format!("{}.window.{name}", camera.name)) {
+                moved.push(Moved::Window(i, k));
                 rows.push(Some(row));
             }
         }
@@ -117,15 +125,22 @@ fn maps_after(record: &Record, steps: &[(Moved, f64)]) -> Option<Vec<SheetMap>> 
         let intrinsics = camera.intrinsics();
         let mut values = intrinsics.to_array();
         let mut pose = SVector::<f64, 6>::zeros();
+        let mut window = [0.0; WINDOW_STEPS];
         for (what, step) in steps {
             match what {
                 Moved::Intrinsic(c, k) if *c == i => values[*k] += step,
                 Moved::Pose(c, k) if *c == i => pose[*k] += step,
+                Moved::Window(c, k) if *c == i => window[*k] += step,
                 _ => {}
             }
         }
         let cam_from_rig = camera.cam_from_rig.motion::<Cam, Rig>().retract(&pose);
-        let moved = Camera::new(Intrinsics::from_array(&values, intrinsics.radial)).ok()?;
+        let [rx, ry, rz, layers @ ..] = window;
+        let window = match camera.model().ok()?.window() {
+            Some(window) => Some(window.stepped(&Vector3::new(rx, ry, rz), &layers).ok()?),
+            None => None,
+        };
+        let moved = Camera::new(Intrinsics::from_array(&values, intrinsics.radial)).ok()?.with_window(window);
         Some(SheetMap::new(moved, cam_from_rig * rig_from_sheet, camera.image_size_px))
     };
     record.cameras.iter().enumerate().map(map).collect()

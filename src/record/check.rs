@@ -95,6 +95,20 @@ fn check_camera(c: &Camera, at: &str) -> Check {
     if let Err(error) = crate::camera::Camera::new(c.intrinsics()) {
         return fault(at, error.to_string());
     }
+    if let Some(window) = &c.window {
+        if let Err(error) = window.model() {
+            return fault(format!("{at}.window"), error.to_string());
+        }
+        let length = nalgebra::Vector3::from(window.normal_in_cam).norm();
+        if (length - 1.0).abs() > ROTATION_TOLERANCE {
+            return fault(format!("{at}.window.normal_in_cam"), format!("its length is {length}: expected 1"));
+        }
+        let s = &window.sigma;
+        let all = [s.distance_mm, s.thickness_mm, s.n_air, s.n_glass, s.n_water];
+        for x in s.normal_rad.into_iter().chain(all) {
+            not_negative(format!("{at}.window.sigma"), x)?;
+        }
+    }
     let s = &c.sigma;
     let sigmas = [
         ("f_px", s.f_px),

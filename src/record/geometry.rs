@@ -25,13 +25,24 @@ impl PlacedCamera {
         self.camera.project_xyz(&self.cam_from_rig.apply(p_in_rig))
     }
 
-    /// Ray of a pixel: unit direction in the rig frame, from [`PlacedCamera::center_in_rig`].
+    /// Ray of a pixel: unit direction in the rig frame, from [`PlacedCamera::center_in_rig`]; of a camera behind a window the ray in
+    /// the air before it. Where the scene is that the pixel sees, says [`PlacedCamera::sight_in_rig`].
     ///
     /// # Errors
     /// [`Refusal`] where no ray reaches the pixel.
     pub fn ray_in_rig(&self, pixel: &Vector2<f64>) -> std::result::Result<Vector3<f64>, Refusal> {
         let xy = self.camera.ideal_of_pixel(pixel)?;
         Ok((self.cam_from_rig.rotation.transpose() * Vector3::new(xy.x, xy.y, 1.0)).normalize())
+    }
+
+    /// Line of sight of a pixel in the rig frame, behind the window where there is one: a point on it (mm) and its unit direction.
+    ///
+    /// # Errors
+    /// [`Refusal`] where no ray reaches the pixel.
+    pub fn sight_in_rig(&self, pixel: &Vector2<f64>) -> std::result::Result<(Vector3<f64>, Vector3<f64>), Refusal> {
+        let sight = self.camera.line_of_sight(pixel)?;
+        let rig_from_cam = self.cam_from_rig.inverse();
+        Ok((rig_from_cam.apply(&sight.from_mm), rig_from_cam.rotation * sight.direction))
     }
 
     /// Projection centre in the rig frame, mm.
@@ -46,9 +57,8 @@ impl Record {
     /// # Errors
     /// [`crate::error::Invalid::Value`] where a parameter is none of a camera.
     pub fn placed_cameras(&self) -> Result<Vec<PlacedCamera>> {
-        let placed = |c: &super::schema::Camera| {
-            Ok(PlacedCamera { camera: Camera::new(c.intrinsics())?, cam_from_rig: c.cam_from_rig.motion() })
-        };
+        let placed =
+            |c: &super::schema::Camera| Ok(PlacedCamera { camera: c.model()?, cam_from_rig: c.cam_from_rig.motion() });
         self.cameras.iter().map(placed).collect()
     }
 }

@@ -2,7 +2,7 @@
 
 use super::diagnosis::{Diagnosis, MappingUncertainty};
 use super::number::{label, maybe, maybe_array, maybe_list, maybe_map, maybe_rows};
-use super::sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, TargetSigma};
+use super::sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, TargetSigma, WindowSigma};
 use crate::camera::{self, Intrinsics};
 use crate::rigid::Motion;
 use crate::target::DotId;
@@ -136,6 +136,9 @@ pub struct Camera {
     pub sigma: CameraSigma,
     /// Pose: camera coordinates from rig coordinates.
     pub cam_from_rig: Pose,
+    /// The flat window before it, where there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub window: Option<Window>,
     /// Root mean square residual of this camera, px: length of the departure of a disc's place or of a point, both
     /// coordinates together.
     pub rms_px: f64,
@@ -161,6 +164,47 @@ impl Camera {
             pupil_ratio: self.pupil_ratio,
             radial: self.radial.into(),
         }
+    }
+}
+
+impl Camera {
+    /// The camera as a model, behind its window where it has one.
+    ///
+    /// # Errors
+    /// [`crate::error::Invalid::Value`] where a number is none of a camera or window.
+    pub fn model(&self) -> crate::error::Result<camera::Camera> {
+        let window = self.window.as_ref().map(Window::model).transpose()?;
+        Ok(camera::Camera::new(self.intrinsics())?.with_window(window))
+    }
+}
+
+/// A flat window between air and water before a camera, see [`crate::camera::Window`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Window {
+    /// Unit normal in the camera frame, away from the camera.
+    pub normal_in_cam: [f64; 3],
+    /// From the projection centre to the glass along the normal, mm.
+    pub distance_mm: f64,
+    /// Thickness of the glass, mm.
+    pub thickness_mm: f64,
+    /// Refractive index before the glass.
+    pub n_air: f64,
+    /// Refractive index of the glass.
+    pub n_glass: f64,
+    /// Refractive index behind the glass.
+    pub n_water: f64,
+    /// Standard deviations.
+    pub sigma: WindowSigma,
+}
+
+impl Window {
+    /// The window as a model.
+    ///
+    /// # Errors
+    /// As [`camera::Window::new`].
+    pub fn model(&self) -> crate::error::Result<camera::Window> {
+        let indices = [self.n_air, self.n_glass, self.n_water];
+        camera::Window::new(self.normal_in_cam.into(), self.distance_mm, self.thickness_mm, indices)
     }
 }
 

@@ -128,6 +128,29 @@ impl Default for SheetSigma {
     }
 }
 
+/// Standard deviations of a [`super::Window`]; 0 where known.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WindowSigma {
+    /// Of the normal, about the axes of the camera frame, rad.
+    #[serde(with = "maybe_array", default = "maybe_array::unknown")]
+    pub normal_rad: [f64; 3],
+    /// Of `distance_mm`.
+    #[serde(with = "maybe", default = "maybe::unknown")]
+    pub distance_mm: f64,
+    /// Of `thickness_mm`.
+    #[serde(with = "maybe", default = "maybe::unknown")]
+    pub thickness_mm: f64,
+    /// Of `n_air`.
+    #[serde(with = "maybe", default = "maybe::unknown")]
+    pub n_air: f64,
+    /// Of `n_glass`.
+    #[serde(with = "maybe", default = "maybe::unknown")]
+    pub n_glass: f64,
+    /// Of `n_water`.
+    #[serde(with = "maybe", default = "maybe::unknown")]
+    pub n_water: f64,
+}
+
 /// Standard deviations of a [`Target`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TargetSigma {

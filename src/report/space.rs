@@ -294,6 +294,7 @@ mod tests {
             radial: Radial::IdealToDistorted,
             pupil_ratio: 1.0,
             pixel_pitch_mm: None,
+            window: None,
             effective: Effective::default(),
             sigma: CameraSigma::default(),
             cam_from_rig: Pose {

@@ -5,6 +5,7 @@ use super::labels::{changed, image_at, is_pair, labellings, labels, order_pairs,
 use super::mono::{calibrate_camera, thinned_model};
 use super::print::labels_by_print;
 use super::starts::{best_start, joint_start};
+use super::windows::set_windows;
 use super::{Mono, Pose, RigProblem, RigSolution, rms_of};
 use crate::bundle::{
     AdjustOptions, Fact, Iteration, Model, PlanePosition, SolveOptions, State, Termination, ViewPlace, ViewState,
@@ -271,10 +272,12 @@ fn pair_start(problem: &RigProblem, monos: &[Mono], agreed: &Agreed) -> Result<S
         views: views.collect(),
         shape_mm: shape0.map(|s| s * scale),
         offsets_mm: model.target.offset_sigma_mm.map_or(vec![], |_| vec![[0.0; 4]; model.target.disc_count()]),
+        windows: vec![],
     };
     if !model.target.free[0] && !per_view {
         state.shape_mm[0] = problem.shape_mm[0].unwrap_or(state.shape_mm[0]);
     }
+    set_windows(problem, &mut state)?;
     Ok(state)
 }
 
@@ -289,7 +292,7 @@ fn metric_scale(problem: &RigProblem, agreed: &Agreed, poses: &[(Motion<Rig, Tar
         match *fact {
             Fact::Baseline { value_mm, .. } => return value_mm / agreed.motion.translation_mm.norm(),
             Fact::Shape { parameter, view, value_mm, .. } => return value_mm / poses[view.unwrap_or(0)].1[parameter],
-            Fact::Intrinsic { .. } | Fact::Focus(_) => {}
+            Fact::Intrinsic { .. } | Fact::Focus(_) | Fact::WindowLayer { .. } | Fact::WindowParallel { .. } => {}
         }
     }
     // Steps of a traverse, where nothing else is metric.

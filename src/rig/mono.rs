@@ -3,8 +3,8 @@
 use super::joint::Observe;
 use super::{CameraStart, Mono, RigProblem, rms_of};
 use crate::bundle::{
-    AdjustOptions, Adjustment, DiscObservation, Fact, ImageObservations, Loss, Model, SolveOptions, State, TargetShape,
-    Termination, ViewModel, ViewPlace, ViewState, adjust,
+    AdjustOptions, Adjustment, CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, SolveOptions, State,
+    TargetShape, Termination, ViewModel, ViewPlace, ViewState, adjust,
 };
 use crate::camera::{Camera, EffectivePinhole, Intrinsics};
 use crate::conic::Ellipse;
@@ -231,7 +231,8 @@ fn mono_model(problem: &RigProblem, c: usize, seeds: &[SeededImage]) -> Model {
         _ => None,
     });
     Model {
-        cameras: vec![full.cameras[c].clone()],
+        // A camera alone sees the scene through the window as a pinhole sees another scene.
+        cameras: vec![CameraModel { window: None, ..full.cameras[c].clone() }],
         target,
         views: vec![ViewModel { place: ViewPlace::Free }; seeds.len()],
         facts: facts.collect(),
@@ -302,6 +303,7 @@ fn mono_start(problem: &RigProblem, c: usize, seeds: &[SeededImage], pinhole: &E
         views,
         shape_mm,
         offsets_mm: vec![],
+        windows: vec![],
     })
 }
 

@@ -165,12 +165,13 @@ fn offsets(model: &Model, state: &State, ids: &[DotId], v: usize) -> Option<Offs
     let mut out: BTreeMap<DotId, (Vector2<f64>, f64)> = BTreeMap::new();
     for image in model.images.iter().filter(|i| i.view == v) {
         let c = image.camera;
-        let camera = Camera::new(state.cameras[c]).ok()?;
+        let bare = Camera::new(state.cameras[c]).ok()?;
         let turn: Motion<Cam, Cam> = if model.cameras[c].uses_pinhole_frame() {
-            Motion::new(camera.cam_from_pinhole(), Vector3::zeros())
+            Motion::new(bare.cam_from_pinhole(), Vector3::zeros())
         } else {
             Motion::identity()
         };
+        let camera = bare.with_window(state.window(c).map(|w| w.in_frame(&turn.rotation)));
         let cam_from_target = turn * state.camera_from_first[c] * state.views[v].first_from_target;
         let h = 1e-4 * state.shape_mm[0];
         for r in residuals(model, state, image)?.discs {

@@ -1,7 +1,7 @@
-//! `[[camera]]`, `[camera.known]` and `[camera.design]`.
+//! `[[camera]]`, `[camera.known]` and `[camera.design]`; `[camera.window]` has a file of its own.
 
 use super::reader::{FINITE, Item, LENGTH_MM, Limits, POSITIVE, SIGMA, Section};
-use super::{CameraDescription, Design, Knowledge, Parameter};
+use super::{CameraDescription, Design, Knowledge, Parameter, window};
 use crate::camera::{Drawing, Radial};
 use crate::error::Result;
 
@@ -49,7 +49,7 @@ pub(super) fn read_all(root: &Section<'_>) -> Result<Vec<CameraDescription>> {
 }
 
 fn read(section: &Section<'_>) -> Result<CameraDescription> {
-    section.only(&["name", "pixel_pitch_mm", "focal_length_mm", "radial", "known", "design"], |key| {
+    section.only(&["name", "pixel_pitch_mm", "focal_length_mm", "radial", "known", "design", "window"], |key| {
         Parameter::ALL.iter().any(|p| p.key() == key).then(|| "belongs under [camera.known]".to_string())
     })?;
     let mut camera = CameraDescription {
@@ -59,6 +59,7 @@ fn read(section: &Section<'_>) -> Result<CameraDescription> {
         radial: section.find("radial").map_or(Ok(Radial::default()), |item| item.choice(&RADIAL))?,
         known: section.find("known").map_or(Ok(Vec::new()), |item| known(&item))?,
         design: None,
+        window: section.find("window").map(|item| window::read(&item)).transpose()?,
     };
     if let Some(item) = section.find("design") {
         camera.design = Some(design(&item, &camera)?);

@@ -394,3 +394,40 @@ fn images_are_beside_the_rig_file_or_where_told() {
 fn line_ends_of_windows_count_once() {
     refused(&FULL.replace('\n', "\r\n"), "8889", "nan", 7, &["f_px"]);
 }
+
+/// A window stands below its camera, and needs views from which its direction is counted.
+const WINDOW: &str = r#"[[camera]]
+name = "a"
+[camera.window]
+distance_mm = { value = 300, sigma = 20 }
+thickness_mm = 12
+n_glass = { value = 1.49, sigma = 0.01 }
+tilt_sigma_deg = 0.5
+[[camera]]
+name = "b"
+[target]
+kind = "two-discs"
+spacing_mm = 26.0
+[[view]]
+a = "a.png"
+b = "b.png"
+sheet = true
+"#;
+
+#[test]
+fn a_window_is_read_and_its_contradictions_are_refused() {
+    let job = RigDescription::parse(WINDOW, "rig.toml").unwrap();
+    let window = job.cameras[0].window.unwrap();
+    let want = [(300.0, Some(20.0)), (12.0, None), (1.0, None), (1.49, Some(0.01)), (1.333, None)];
+    assert_eq!(window.layers, want);
+    assert!((window.tilt_sigma_rad - 0.5f64.to_radians()).abs() < 1e-15);
+    assert_eq!(job.cameras[1].window, None);
+    let distance = "distance_mm = { value = 300, sigma = 20 }\n";
+    refused(WINDOW, distance, "", 3, &["[camera.window]", "distance_mm"]);
+    refused(WINDOW, "value = 300, ", "", 4, &["value"]);
+    refused(WINDOW, "thickness_mm = 12", "thickness_mm = -1", 5, &["thickness"]);
+    refused(WINDOW, "thickness_mm = 12", "thickness = 12", 5, &["thickness_mm"]);
+    refused(WINDOW, "value = 1.49", "value = 14.9", 6, &["refractive index"]);
+    refused(WINDOW, "sheet = true\n", "", 1, &["sheet = true"]);
+    refused(WINDOW, "[[view]]", "[solve]\nobservations = \"bitangent\"\n[[view]]", 13, &["contour"]);
+}

@@ -28,7 +28,7 @@
 //! Source: method sections 6 and 7; Prasad, "Stereoscopic particle image velocimetry" (2000) for the ratio of out-of-plane to in-plane errors.
 //! Not valid where both cameras see the sheet along the same line (A has no inverse: `None`).
 
-use super::parameter::{Parameter, stepped_camera, stepped_motion};
+use super::parameter::{Parameter, stepped_camera, stepped_motion, stepped_window};
 use super::{Placement, plane_geometry};
 use crate::bundle::NamedCovariance;
 use crate::camera::Camera;
@@ -111,9 +111,14 @@ impl StereoSheet {
     /// Point of the sheet that camera `c` sees at a pixel, mm; `None` where its ray does not meet the sheet.
     pub fn point_at(&self, c: usize, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
         let cam_from_sheet = self.cam_from_rig[c] * self.rig_from_sheet;
-        let ray = self.cameras[c].ideal_of_pixel(pixel).ok()?.push(1.0);
         let sheet_from_cam = cam_from_sheet.inverse();
-        let (center, along) = (sheet_from_cam.translation_mm, sheet_from_cam.rotation * ray);
+        let (center, along) = if self.cameras[c].window().is_some() {
+            let sight = self.cameras[c].line_of_sight(pixel).ok()?;
+            (sheet_from_cam.apply(&sight.from_mm), sheet_from_cam.rotation * sight.direction)
+        } else {
+            let ray = self.cameras[c].ideal_of_pixel(pixel).ok()?.push(1.0);
+            (sheet_from_cam.translation_mm, sheet_from_cam.rotation * ray)
+        };
         let s = -center.z / along.z;
         (s > 0.0 && s.is_finite()).then(|| (center + along * s).xy())
     }
@@ -158,6 +163,7 @@ impl StereoSheet {
         let mut out = *self;
         match parameter {
             Parameter::Intrinsic(c, k) => out.cameras[c] = stepped_camera(&out.cameras[c], k, h)?,
+            Parameter::Window(c, k) => out.cameras[c] = stepped_window(&out.cameras[c], k, h)?,
             Parameter::Motion(k) => out.cam_from_rig[1] = stepped_motion(&out.cam_from_rig[1], k, h),
             Parameter::Sheet(k) => {
                 return Some(Self::new(out.cameras, out.cam_from_rig[1], &stepped_motion(&self.rig_from_sheet, k, h)));
@@ -173,7 +179,8 @@ impl StereoSheet {
         match parameter {
             Parameter::Intrinsic(c, 0 | 2 | 3) => 1e-5 * self.cameras[c].intrinsics().f_px,
             Parameter::Intrinsic(_, 6..=8) => 1e-3,
-            Parameter::Intrinsic(..) => 1e-5,
+            Parameter::Window(_, 3 | 4) => 1e-5 * distance_mm,
+            Parameter::Intrinsic(..) | Parameter::Window(..) => 1e-5,
             Parameter::Motion(k) | Parameter::Sheet(k) => pose(k),
         }
     }

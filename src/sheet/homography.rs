@@ -11,7 +11,7 @@
 //! Start: the features of both cameras meet near points p (middle of the shortest line between their rays); `abc . p = 1` is
 //! linear in abc.
 
-use super::parameter::{Parameter, stepped_camera, stepped_motion};
+use super::parameter::{Parameter, stepped_camera, stepped_motion, stepped_window};
 use super::{Placement, SheetEstimate, plane_geometry, sigmas};
 use crate::bitangent::bitangents;
 use crate::bundle::NamedCovariance;
@@ -45,7 +45,7 @@ pub struct Homography {
 
 impl PairFeatures {
     /// Tangency points of two discs from their contours in both cameras; `None` where an image does not give two separated
-    /// ellipses.
+    /// ellipses, or a camera looks through a window, behind which circles have no ellipses as images.
     pub fn of(cameras: [&Camera; 2], contours: [[&EdgePoints; 2]; 2]) -> Option<Self> {
         let mut seen = [vec![], vec![]];
         let mut variance = 0.0;
@@ -61,6 +61,9 @@ impl PairFeatures {
 
 /// The eight tangency points in real pixels and the mean variance of a coordinate.
 fn tangency_points(camera: &Camera, contours: [&EdgePoints; 2]) -> Option<(Vec<Vector2<f64>>, f64)> {
+    if camera.window().is_some() {
+        return None;
+    }
     let e = camera.effective_pinhole();
     let turn = camera.cam_from_pinhole();
     let straight = |edge: &EdgePoints| {
@@ -151,6 +154,7 @@ impl HeldCameras {
         let mut out = self.pair.clone();
         match parameter {
             Parameter::Intrinsic(c, k) => out.cameras[c] = stepped_camera(&out.cameras[c], k, h)?,
+            Parameter::Window(c, k) => out.cameras[c] = stepped_window(&out.cameras[c], k, h)?,
             Parameter::Motion(k) => out.second_from_first = stepped_motion(&out.second_from_first, k, h),
             Parameter::Sheet(_) => {}
         }

@@ -1,6 +1,6 @@
 //! The named numbers of two cameras and a sheet, and what a change of one does.
 
-use crate::camera::{Camera, INTRINSIC_NAMES, Intrinsics};
+use crate::camera::{Camera, INTRINSIC_NAMES, Intrinsics, WINDOW_STEP_NAMES};
 use crate::rigid::Motion;
 use nalgebra::SVector;
 
@@ -12,6 +12,8 @@ pub(crate) const STEP_NAMES: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm",
 pub(crate) enum Parameter {
     /// Camera and index of the intrinsic.
     Intrinsic(usize, usize),
+    /// Camera and step of its window, see [`WINDOW_STEP_NAMES`].
+    Window(usize, usize),
     /// Part of a left step of the motion of the second camera against the rig.
     Motion(usize),
     /// Part of a left step of the sheet against the rig.
@@ -30,6 +32,9 @@ impl Parameter {
         if let Some(k) = INTRINSIC_NAMES.iter().position(|n| *n == rest) {
             return Some(Parameter::Intrinsic(c, k));
         }
+        if let Some(rest) = rest.strip_prefix("window.") {
+            return WINDOW_STEP_NAMES.iter().position(|n| *n == rest).map(|k| Parameter::Window(c, k));
+        }
         step(rest.strip_prefix("cam_from_rig.").filter(|_| c == 1)?).map(Parameter::Motion)
     }
 }
@@ -39,7 +44,19 @@ pub(crate) fn stepped_camera(camera: &Camera, k: usize, h: f64) -> Option<Camera
     let old = camera.intrinsics();
     let mut p = old.to_array();
     p[k] += h;
-    Camera::new(Intrinsics::from_array(&p, old.radial)).ok()
+    Some(Camera::new(Intrinsics::from_array(&p, old.radial)).ok()?.with_window(camera.window().copied()))
+}
+
+/// The camera after one step of its window; `None` where it has none, or there is no such window.
+pub(crate) fn stepped_window(camera: &Camera, k: usize, h: f64) -> Option<Camera> {
+    let (mut turn, mut layers) = ([0.0; 3], [0.0; 5]);
+    if k < 3 {
+        turn[k] = h;
+    } else {
+        layers[k - 3] = h;
+    }
+    let window = camera.window()?.stepped(&turn.into(), &layers).ok()?;
+    Some(camera.with_window(Some(window)))
 }
 
 /// The motion after a left step of one part.

@@ -202,7 +202,7 @@ impl Parts {
     /// The scene with exact contours.
     pub(crate) fn scene(&self) -> Scene {
         let model = Model {
-            cameras: ["left", "right"].map(|n| CameraModel { name: n.into(), free: self.free }).into(),
+            cameras: ["left", "right"].map(|n| CameraModel { name: n.into(), free: self.free, window: None }).into(),
             target: self.target.clone(),
             views: self.views.iter().map(|v| ViewModel { place: v.place }).collect(),
             facts: self.facts.clone(),
@@ -227,6 +227,7 @@ impl Parts {
             views: self.views.iter().map(view).collect(),
             shape_mm: self.shape_mm,
             offsets_mm: self.offsets_mm.clone(),
+            windows: vec![],
         };
         let mut scene = Scene { model, cameras: self.cameras.clone(), truth };
         for (v, view) in self.views.iter().enumerate() {

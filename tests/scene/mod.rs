@@ -119,6 +119,7 @@ fn camera(e: &Eye, observations: usize, rms_px: f64) -> Camera {
             cam_from_rig: PoseSigma { rotation_rad: pose.map(|x| x * 2.2e-3), translation_mm: pose.map(|x| x * 0.61) },
         },
         cam_from_rig: Pose::from(&e.cam_from_rig),
+        window: None,
         rms_px,
         edge_rms_px: Some(rms_px * 1.02),
         observations,
