@@ -18,7 +18,7 @@ const STOPS: [[f64; 3]; 3] = [[33.0, 102.0, 172.0], [247.0, 247.0, 247.0], [178.
 
 const STYLE: &str = "text{font:13px system-ui,sans-serif;fill:#1b1f24}.tick{font-size:12px;fill:#444}.title{font-size:15px;font-weight:600}\
 path{fill:none;stroke-linecap:round;stroke-linejoin:round}.axis{stroke:#444;stroke-width:1}.arrow{stroke:#111;stroke-width:1.1}\
-.flagged{stroke:#e8590c;stroke-width:1.8}.missing{stroke:#999;stroke-width:3}";
+.flagged{stroke:#00b35a;stroke-width:1.8}.missing{stroke:#999;stroke-width:3}";
 
 /// What a picture of vectors shows: lists of one length, one element per point of a regular grid.
 #[derive(Debug, Clone, Copy)]
