@@ -46,7 +46,7 @@ fn arguments(mut words: impl Iterator<Item = String>) -> Result<Arguments, Box<d
         return Err("expected [--window PX] [--step PX] DEWARPED CAMERA OUT.csv FIRST SECOND [FIRST SECOND ...]".into());
     };
     let images: Vec<String> = rest.collect();
-    if images.is_empty() || images.len() % 2 != 0 {
+    if images.is_empty() || !images.len().is_multiple_of(2) {
         return Err(format!("{} images: expected first and second exposure by turns", images.len()).into());
     }
     Ok(Arguments { options, folder, camera, out, images })

@@ -3,7 +3,6 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
-#[allow(unused_imports)]
 mod rig_scene;
 
 use rig_scene::{Grid, Noise, Scene, tilted_camera};

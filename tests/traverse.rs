@@ -16,7 +16,7 @@ const RUNS: u64 = 40;
 /// Three free views, three along the traverse.
 fn scene(scale_by_traverse: bool, known: [PlanePosition; 3]) -> Scene {
     let cameras = vec![tilted_camera(-0.1107, 0.01), tilted_camera(0.1107, -0.02)];
-    let mut out = Scene::at_positions(9, cameras, false, false, &|v| (v >= 3).then(|| POSITIONS_MM[v - 3]));
+    let mut out = Scene::at_positions(9, cameras, &|v| (v >= 3).then(|| POSITIONS_MM[v - 3]));
     out.model.target.free[0] = scale_by_traverse;
     for k in 0..3 {
         out.model.views[3 + k].place = ViewPlace::InPlane { z_mm: POSITIONS_MM[k], known: known[k] };

@@ -190,6 +190,7 @@ fn facts(out: &mut Words, model: &Model) {
                 out.word("focus").word(f.camera).numbers(&[f.pixel_pitch_mm, f.tilt_sigma_rad]);
                 out.flags(&[f.distance.is_some()]).numbers(&[length, sigma])
             }
+            Fact::WindowLayer { .. } | Fact::WindowParallel { .. } => panic!("the text has no place for windows"),
         }
         .line();
     }

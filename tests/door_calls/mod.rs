@@ -3,7 +3,7 @@
 //!
 //! `tests/door_fuzz.rs` makes the bytes.
 
-#![allow(unsafe_code, dead_code, clippy::unwrap_used, clippy::panic, unreachable_pub)]
+#![allow(unsafe_code, dead_code, clippy::unwrap_used, clippy::expect_used, clippy::panic, unreachable_pub)]
 
 mod host;
 
