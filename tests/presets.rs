@@ -24,6 +24,11 @@ const SMALL: [(&str, &str); 2] =
 
 /// Calibrates a scene; every estimated parameter within 4 sigmas of the truth, the sheet flat, nothing to look at.
 fn end_to_end(scene: &str) -> Record {
+    end_to_end_but_for(scene, None)
+}
+
+/// The same with one thing to look at, which the scene does have.
+fn end_to_end_but_for(scene: &str, flag: Option<&str>) -> Record {
     let made = simulate(&Scene::parse(scene, "scene.toml").unwrap()).unwrap();
     let truth = Record::from_json(&made.truth_json, "truth.json").unwrap();
     let job = RigDescription::parse(&made.rig_toml, "rig.toml").unwrap();
@@ -52,7 +57,8 @@ fn end_to_end(scene: &str) -> Record {
     println!("rms {:.4} px, disparity {disparity:.5} px, flags {:?}", record.fit.rms_px, record.fit.flags);
     println!("not determined: {:?}", record.fit.undetermined);
     assert!(disparity < 0.03, "disparity {disparity} px");
-    assert!(record.fit.converged && record.fit.flags.is_empty(), "{:?}", record.fit.flags);
+    let surprises: Vec<_> = record.fit.flags.iter().filter(|f| !flag.is_some_and(|w| f.contains(w))).collect();
+    assert!(record.fit.converged && surprises.is_empty(), "{surprises:?}");
     assert!(wrong.is_empty(), "{wrong:#?}");
     record
 }
@@ -74,7 +80,8 @@ fn dot_grid_without_marks() {
 
 #[test]
 fn two_level_plate_on_a_traverse() {
-    let record = end_to_end(&changed(preset_text("two-level-plate").unwrap(), &SMALL));
+    // Its dots are printed 3 um off their places, and the calibration takes them for exact.
+    let record = end_to_end_but_for(&changed(preset_text("two-level-plate").unwrap(), &SMALL), Some("the dots lie"));
     let step = record.target.step_mm.unwrap();
     assert!((step - 1.2).abs() < 4.0 * record.target.sigma.step_mm.unwrap().max(1e-3), "step {step} mm");
 }

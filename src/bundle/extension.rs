@@ -158,16 +158,15 @@ fn bent(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> Optio
 fn displaced(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> Option<ExtensionTest> {
     let discs = model.target.disc_count();
     let tested: Vec<usize> = (0..discs).flat_map(|j| [first + 4 * j, first + 4 * j + 1]).collect();
-    let score = tests.test(&tested, &DMatrix::identity(2 * discs, 2 * discs))?;
     // What a stretch or a bend of the whole field of dots explains, cameras and poses explain as well: it is not said to
-    // be the dots'.
-    let rough = beside_smooth(model, state, discs)?;
-    let along = |k: usize| &rough * score.estimate.rows_with_step(k, discs, 1);
-    let variance = |k: usize| {
-        let own = DMatrix::from_fn(discs, discs, |i, j| score.covariance[(2 * i + k, 2 * j + k)]);
-        (&rough * own * &rough).trace()
-    };
-    let square: f64 = (0..2).map(|k| along(k).norm_squared() - variance(k)).sum();
+    // be the dots'. The rest is tested, in an orthonormal basis.
+    let eigen = beside_smooth(model, state, discs)?.symmetric_eigen();
+    let rough: Vec<usize> = (0..discs).filter(|&k| eigen.eigenvalues[k] > 0.5).collect();
+    let basis = DMatrix::from_fn(2 * discs, 2 * rough.len(), |i, k| {
+        if i % 2 == k % 2 { eigen.eigenvectors[(i / 2, rough[k / 2])] } else { 0.0 }
+    });
+    let score = tests.test(&tested, &basis)?;
+    let square = score.estimate.norm_squared() - score.covariance.trace();
     Some(ExtensionTest {
         extension: Extension::DisplacedDiscs,
         statistic: score.statistic,
