@@ -26,6 +26,7 @@ mod marks;
 mod matlab;
 mod opencv;
 mod openptv;
+mod placed;
 mod refit;
 mod soloff;
 mod storage;
@@ -33,11 +34,13 @@ mod uvmat;
 mod xml;
 
 use crate::camera::Camera;
+use crate::dewarp::SoloffDegrees;
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::Record;
 use crate::rigid::Motion;
 
+pub use placed::placed;
 pub use refit::Loss;
 
 /// Formats that can be written.
@@ -133,9 +136,17 @@ pub fn export(record: &Record, format: ExportFormat) -> Result<Conversion<Vec<(S
         ExportFormat::OpenCvXml => opencv::export(&rig, storage::Syntax::Xml),
         ExportFormat::OpenPtv => openptv::export(&rig),
         ExportFormat::Matlab => matlab::export(&rig),
-        ExportFormat::Soloff => soloff::export(&rig),
+        ExportFormat::Soloff => soloff::export(&rig, SoloffDegrees::default()),
         ExportFormat::Csv => Ok(csv::export(record)),
     }
+}
+
+/// As [`export`] to [`ExportFormat::Soloff`], with polynomials of these degrees.
+///
+/// # Errors
+/// As [`export`]; [`Invalid::Value`] for degrees other than 2 or 3 in x and y, 1 or 2 in z.
+pub fn export_soloff(record: &Record, degrees: SoloffDegrees) -> Result<Conversion<Vec<(String, Vec<u8>)>>> {
+    soloff::export(&Cameras::of(record)?, degrees)
 }
 
 /// Reads a calibration of another package.

@@ -302,7 +302,14 @@ fn the_program_reads_writes_and_refuses() {
     refused(&left, &none, &[], 3, "\"right\" has 0 of");
     refused(&left, &right[..right.len() / 2 - 3], &[], 2, "cut short");
     refused(&left.replace("x_px,y_px,dx_px,dy_px", "x,y,u,v"), &right, &[], 2, "--unit px");
-    refused(&left.replace("\n8,6,", "\n2008,6,"), &right, &[], 2, "");
+    // Wrong grids: of a larger image, of no regular positions, of one row, of the other camera's unit.
+    refused(&left.replace("\n8,6,", "\n2008,6,"), &right, &[], 2, "another");
+    refused(&left.replace("\n8,6,", "\n13,6,"), &right, &[], 2, "do not form a regular grid");
+    let row: String =
+        left.lines().filter(|l| l.contains(",6,") || l.starts_with('x')).map(|l| format!("{l}\n")).collect();
+    refused(&row, &right, &[], 2, "at least two rows and two columns");
+    refused(&left, &right.replace("x_px,y_px,dx_px,dy_px", "x_mm,y_mm,dx_mm,dy_mm"), &[], 2, "export both alike");
+    refused(&left.replace("\n8,6,", "\n8,six,"), &right, &[], 2, "\"six\" is not a number");
     refused(&left, &right, &["--unit", "mm"], 2, "check the unit");
     refused(&left, &right, &["--unit", "dewarped"], 2, "--dewarped dewarp.json");
     refused(&left, &right, &["--sigma", "-1"], 2, "a positive number");

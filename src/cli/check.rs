@@ -130,7 +130,9 @@ fn words(c: &SheetCheck, to: &Path, files: &[&str]) -> String {
         text.push('\n');
     }
     if !c.sigmas_hold_calibration {
-        text.push_str("the sigmas are those of the windows alone: the calibration states no covariance for what they need\n");
+        text.push_str(
+            "the sigmas are those of the windows alone: the calibration states no covariance for what they need\n",
+        );
     }
     text.push_str(&format!("Written to {}: {}\n", to.display(), files.join(", ")));
     text

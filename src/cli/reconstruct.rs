@@ -148,9 +148,10 @@ fn summary(
     let [cu, cv, cw] = found.calibration_sigma_mm.each_ref().map(|s| median(s));
     let residual = median(&found.residual_px);
     let how = match found.sigma_estimated {
-        true if found.sigma_by_gradient > 0.0 => {
-            &format!("estimated from the residuals; {:.3} of the change from vector to vector adds to it", found.sigma_by_gradient)
-        }
+        true if found.sigma_by_gradient > 0.0 => &format!(
+            "estimated from the residuals; {:.3} of the change from vector to vector adds to it",
+            found.sigma_by_gradient
+        ),
         true => "estimated from the residuals",
         false => "given",
     };

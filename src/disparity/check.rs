@@ -26,8 +26,8 @@ const ROUNDS: usize = 12;
 const STILL_PX: f64 = 0.002;
 /// Or moves by less than this part of its sigma (windows at the limit of being used come and go).
 const STILL_SIGMAS: f64 = 0.3;
-/// Smooth disparity beyond which the sheet (along the direction of depth) or the cameras (across it) are off, px ...
-const OFF_PX: f64 = 0.5;
+/// Smooth disparity beyond which the sheet (along the direction of depth) and the cameras (across it) are off, px ...
+const OFF_PX: [f64; 2] = [0.5, 0.3];
 /// ... where it is this many times what scatter alone would show.
 const OVER_NOISE: f64 = 3.0;
 
@@ -304,7 +304,13 @@ fn offset_and_tilt(start: &Record, now: &Record, reference_mm: [f64; 2]) -> Resu
 
 fn entry(start: &Record, next: &Record, r: &Round, window: usize, options: &CheckOptions) -> Result<CheckRound> {
     let (offset_mm, tilt_deg) = offset_and_tilt(start, next, options.reference_mm)?;
-    Ok(CheckRound { window_px: window, windows: [r.matches.len(), r.windows], median_px: r.median_px, offset_mm, tilt_deg })
+    Ok(CheckRound {
+        window_px: window,
+        windows: [r.matches.len(), r.windows],
+        median_px: r.median_px,
+        offset_mm,
+        tilt_deg,
+    })
 }
 
 /// Matches seen in a record's sheet.
@@ -329,7 +335,8 @@ fn map_in(record: &Record, matches: &[Match], used: &[bool], mm_per_px: f64) -> 
 
 /// What the map says must be looked at.
 fn told(before: &Misalignment, now: &Misalignment, refine: bool, flags: &mut Vec<String>) {
-    let off = |m: &Misalignment, a: usize| m.smooth_px[a] > OFF_PX && m.smooth_px[a] > OVER_NOISE * m.smooth_noise_px[a];
+    let off =
+        |m: &Misalignment, a: usize| m.smooth_px[a] > OFF_PX[a] && m.smooth_px[a] > OVER_NOISE * m.smooth_noise_px[a];
     if off(now, 1) {
         flags.push(format!(
             "disparities of {:.2} px (root mean square, smooth over the field) across the direction of depth remain: no sheet explains them, the \

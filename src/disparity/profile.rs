@@ -152,7 +152,11 @@ mod tests {
             let p = s.profile().unwrap();
             assert!((p.top_mm - 0.1).abs() < 0.01 && (p.middle_mm - 0.1).abs() < 0.02, "{} {}", p.top_mm, p.middle_mm);
             // The squared profile's sigma is 0.2, so the light's is sqrt 2 times that.
-            assert!((s.thickness_mm() / (4.0 * 0.2 * std::f64::consts::SQRT_2) - 1.0).abs() < 0.05, "{}", s.thickness_mm());
+            assert!(
+                (s.thickness_mm() / (4.0 * 0.2 * std::f64::consts::SQRT_2) - 1.0).abs() < 0.05,
+                "{}",
+                s.thickness_mm()
+            );
             let skewed = |z: f64| if z > 0.2 { 0.0 } else { ((z - 0.2) / 0.4).exp() };
             let sums = summed(skewed, slope, mm_per_px);
             let p = Summed { sums: &sums, window_px: 64, mm_per_px, slope_apart: slope }.profile().unwrap();

@@ -147,9 +147,8 @@ pub(super) fn propagate(
         }
     }
     let c = &start.covariance.matrix;
-    let among = |rows: &[usize], columns: &[usize]| {
-        DMatrix::from_fn(rows.len(), columns.len(), |i, j| c[rows[i]][columns[j]])
-    };
+    let among =
+        |rows: &[usize], columns: &[usize]| DMatrix::from_fn(rows.len(), columns.len(), |i, j| c[rows[i]][columns[j]]);
     let p: Vec<usize> = numbers.iter().map(|(i, _)| *i).collect();
     let all: Vec<usize> = p.iter().chain(&q).copied().collect();
     let both = among(&all, &all);
@@ -157,7 +156,8 @@ pub(super) fn propagate(
         return None;
     }
     // Plane and second centre by the numbers.
-    let by: DMatrix<f64> = DMatrix::from_fn(6, p.len(), |i, k| if i < 3 { by_number[(i, k)] } else { center_by_number[(i - 3, k)] });
+    let by: DMatrix<f64> =
+        DMatrix::from_fn(6, p.len(), |i, k| if i < 3 { by_number[(i, k)] } else { center_by_number[(i - 3, k)] });
     let shared = &by * among(&p, &p) * by.transpose();
     let mut plane_and_center = Matrix6::from_fn(|i, j| shared[(i, j)]);
     for (i, j) in (0..3).flat_map(|i| (0..3).map(move |j| (i, j))) {
@@ -166,7 +166,8 @@ pub(super) fn propagate(
     let by_plane = against_by_plane(&start_pose, &pose, reference_mm);
     let by_start = against_by_start(&start_pose, &pose, reference_mm);
     let by_p = by_plane * &by_number;
-    let gradient = DMatrix::from_fn(3, all.len(), |i, k| if k < p.len() { by_p[(i, k)] } else { by_start[(i, k - p.len())] });
+    let gradient =
+        DMatrix::from_fn(3, all.len(), |i, k| if k < p.len() { by_p[(i, k)] } else { by_start[(i, k - p.len())] });
     let known = &gradient * both * gradient.transpose();
     let against_start = Matrix3::from_fn(|i, j| known[(i, j)]) + by_plane * fit.covariance * by_plane.transpose();
     let covariance = with_sheet(&start.covariance, &p, &by_number, &pose, &plane_and_center);
@@ -174,7 +175,11 @@ pub(super) fn propagate(
 }
 
 /// Derivative of [`against`] by left steps of the starting sheet.
-fn against_by_start(start: &Motion<Rig, Sheet>, now: &Motion<Rig, Sheet>, reference_mm: [f64; 2]) -> SMatrix<f64, 3, 6> {
+fn against_by_start(
+    start: &Motion<Rig, Sheet>,
+    now: &Motion<Rig, Sheet>,
+    reference_mm: [f64; 2],
+) -> SMatrix<f64, 3, 6> {
     let mut out = SMatrix::<f64, 3, 6>::zeros();
     for k in 0..6 {
         let h = if k < 3 { 1e-7 } else { 1e-4 };

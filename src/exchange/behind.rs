@@ -73,7 +73,8 @@ impl WorldCamera {
 
     /// Half the depth of that volume, mm.
     pub(super) fn depth_mm(&self) -> f64 {
-        let of = |points: &Vec<Seen>| points.iter().map(|s: &Seen| Vector3::z().dot(&s.xyz_mm).abs()).fold(0.0, f64::max);
+        let of =
+            |points: &Vec<Seen>| points.iter().map(|s: &Seen| Vector3::z().dot(&s.xyz_mm).abs()).fold(0.0, f64::max);
         self.points.as_ref().map_or(DEPTH * self.cam_from_world.inverse().translation_mm.z.abs(), of)
     }
 }

@@ -123,7 +123,15 @@ fn marks(xml: &Xml<'_>, options: &ImportOptions) -> Result<Found> {
             loss.max_px
         ));
         let pixel_pitch_mm = options.pixel_pitch_mm;
-        cameras.push(WorldCamera { name, image_size_px, pixel_pitch_mm, camera: model, cam_from_world, loss, points: None });
+        cameras.push(WorldCamera {
+            name,
+            image_size_px,
+            pixel_pitch_mm,
+            camera: model,
+            cam_from_world,
+            loss,
+            points: None,
+        });
     }
     Ok(Found { cameras, notes, program: "davis marks" })
 }

@@ -362,9 +362,10 @@ fn behind_windows() -> Record {
         c
     });
     let [aside, left] = cameras;
-    let mut record = imported::record(Found { cameras: vec![left.clone(), aside.clone()], notes: vec![], program: "test" }, &[])
-        .unwrap()
-        .result;
+    let mut record =
+        imported::record(Found { cameras: vec![left.clone(), aside.clone()], notes: vec![], program: "test" }, &[])
+            .unwrap()
+            .result;
     for (c, from) in record.cameras.iter_mut().zip([left, aside]) {
         let w = from.camera.window().unwrap();
         let [distance_mm, thickness_mm, n_air, n_glass, n_water] = w.layers();
@@ -392,7 +393,11 @@ fn a_window_is_refitted_with_the_loss_stated_or_carried_within_the_map() {
         let told = done.notes.iter().filter(|n| n.contains("flat window")).count();
         assert_eq!(told, 2, "{:?}", done.notes);
         // Refraction on the normal is an aberration of a hundredth of a pixel or so, obliquely more: known to the user.
-        assert!(done.losses.iter().all(|l| l.max_px > 1e-4 && l.max_px < 3.0 && l.rms_px < l.max_px), "{:?}", done.losses);
+        assert!(
+            done.losses.iter().all(|l| l.max_px > 1e-4 && l.max_px < 3.0 && l.rms_px < l.max_px),
+            "{:?}",
+            done.losses
+        );
         assert!(done.losses[0].max_px < done.losses[1].max_px, "{:?}", done.losses);
     }
     // What comes back sees the points of the sheet where the stated loss says.
@@ -412,5 +417,8 @@ fn a_window_is_refitted_with_the_loss_stated_or_carried_within_the_map() {
     let soloff = export(&record, ExportFormat::Soloff).unwrap();
     assert!(soloff.losses.iter().all(|l| l.max_px < 0.05), "{:?}", soloff.losses);
     let tables = texts(&export(&record, ExportFormat::Csv).unwrap().result);
-    assert!(tables[0].text.contains("aside,window.distance,250,,mm") && tables[0].text.contains("left,window.n_glass,1.49,,1"));
+    assert!(
+        tables[0].text.contains("aside,window.distance,250,,mm")
+            && tables[0].text.contains("left,window.n_glass,1.49,,1")
+    );
 }

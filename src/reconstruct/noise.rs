@@ -125,7 +125,10 @@ mod tests {
             // Each square has a relative variance of 2: 4000 of them give 2.2 %, two numbers together somewhat more.
             let tolerance = 0.12;
             assert!((n.still / still - 1.0).abs() < tolerance, "{n:?} of {still} {by_gradient}");
-            assert!((n.by_gradient - by_gradient).abs() < tolerance * (by_gradient + 0.2), "{n:?} of {still} {by_gradient}");
+            assert!(
+                (n.by_gradient - by_gradient).abs() < tolerance * (by_gradient + 0.2),
+                "{n:?} of {still} {by_gradient}"
+            );
         }
         assert_eq!(Noise::fit(&[], &[]), None);
         let even = Noise::fit(&[1.0; 50], &[0.0; 50]).unwrap();

@@ -58,7 +58,11 @@ fn verdict(out: &mut String, check: &SheetCheck) {
         None => (
             "good",
             "Good.",
-            format!("The light is in the calibrated sheet: median disparity {} px. {}", plain(before, 2), left_over(check)),
+            format!(
+                "The light is in the calibrated sheet: median disparity {} px. {}",
+                plain(before, 2),
+                left_over(check)
+            ),
         ),
     };
     let _ = writeln!(
@@ -171,7 +175,8 @@ fn profile_figure(out: &mut String, p: &LightProfile) {
     };
     let mut svg = open(width, height, "The light along the normal of the sheet");
     let points = (0..p.z_mm.len()).filter(|i| (low..=high).contains(&p.z_mm[*i])).map(|i| place(p.z_mm[i], p.light[i]));
-    path(&mut svg, "sheet", &path_data(points, false));
+    let ends = [place(high, 0.0), place(low, 0.0)];
+    path(&mut svg, "sheet", &path_data(points.chain(ends), true));
     line(&mut svg, "axis", place(low, 0.0), place(high, 0.0));
     for (z, class) in [(0.0, "axis"), (p.top_mm, "grid"), (p.middle_mm, "grid")] {
         line(&mut svg, class, place(z, 0.0), place(z, 1.05));
@@ -188,9 +193,9 @@ fn profile_figure(out: &mut String, p: &LightProfile) {
     svg.push_str("</svg>");
     let _ = writeln!(
         out,
-        "<figure>{svg}<figcaption><b>The light along the normal</b> of the plane found (z = 0), as both cameras' images correlate, all windows \
+        "<div class=\"two\"><figure>{svg}<figcaption><b>The light along the normal</b> of the plane found (z = 0), as both cameras' images correlate, all windows \
          together; brightest at {} mm, centre of gravity at {} mm. Where the two are apart, the place of the light is no better defined than \
-         that.</figcaption></figure>",
+         that.</figcaption></figure></div>",
         plain(p.top_mm, 2).replace('-', "−"),
         plain(p.middle_mm, 2).replace('-', "−")
     );

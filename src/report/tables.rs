@@ -100,14 +100,16 @@ fn window_turn(record: &Record, camera: &Camera, w: &Window, axis: usize) -> (f6
         gradient
     };
     let dz = [y, -x, 0.0];
-    let (value, gradient) =
-        if axis == 0 { ((-y).atan2(z), by([-z, 0.0, x], dz, y, -1.0)) } else { (x.atan2(z), by([0.0, z, -y], dz, x, 1.0)) };
+    let (value, gradient) = if axis == 0 {
+        ((-y).atan2(z), by([-z, 0.0, x], dz, y, -1.0))
+    } else {
+        (x.atan2(z), by([0.0, z, -y], dz, x, 1.0))
+    };
     let c = &record.covariance;
     let rows = ["rx_rad", "ry_rad", "rz_rad"].map(|k| c.index(&format!("{}.window.{k}", camera.name)));
     let [Some(a), Some(b), Some(d)] = rows else { return (value, f64::NAN) };
     let rows = [a, b, d];
-    let variance: f64 =
-        (0..9).map(|i| gradient[i / 3] * gradient[i % 3] * c.matrix[rows[i / 3]][rows[i % 3]]).sum();
+    let variance: f64 = (0..9).map(|i| gradient[i / 3] * gradient[i % 3] * c.matrix[rows[i / 3]][rows[i % 3]]).sum();
     (value, variance.max(0.0).sqrt())
 }
 
