@@ -17,7 +17,7 @@
 //! Source: Baarda, "A testing procedure for use in geodetic networks" (1968): a prior is one more observation.
 
 use super::adjust::Adjustment;
-use super::assemble::Slot;
+use super::image_map::Slot;
 use super::facts::{self, Fact};
 use super::layout::Places;
 use crate::solve::{Posterior, posterior};

@@ -49,7 +49,8 @@ impl Columns {
         }
         out
     }
-    fn list(&self) -> &[usize] {
+    /// In ascending order, the radius last.
+    pub(super) fn list(&self) -> &[usize] {
         &self.at[..self.len]
     }
 }
@@ -453,7 +454,7 @@ impl Kernel for Normal<'_> {
     fn run<L: Lanes>(self) -> Option<()> {
         let (image, columns, out) = (self.image, self.columns, self.out);
         let camera = LaneCamera::<L>::of(&image.camera.camera)?;
-        let (used, estimated) = (columns.len + 1, !image.offsets_mm.is_empty());
+        let (used, estimated) = (columns.len + 1, columns.list().contains(&RADIUS));
         let mut rows = Rows::new(self.scratch, used.next_multiple_of(4));
         // The columns that only fill the last tile may hold anything finite.
         rows.scratch.rows.clear();
@@ -550,7 +551,7 @@ impl Kernel for Bend<'_> {
             for (m, &k) in columns.list().iter().enumerate().filter(|(_, k)| **k != RADIUS) {
                 self.local[k] += own[m];
             }
-            if !here.offsets_mm.is_empty() {
+            if columns.list().contains(&RADIUS) {
                 let of = |k: usize| columns.list().iter().position(|c| *c == k).map_or(0.0, |m| own[m]);
                 let shift = INTRINSICS + 3;
                 let moved = Vector4::new(of(shift), of(shift + 1), of(shift + 2), of(RADIUS));

@@ -11,7 +11,7 @@
 //! | a window parallel to the common plane | m_x, m_y of `m = R^T n`, R camera from plane | `R^T (w x n)` by its turn, the opposite by the motion, `-w x m` by the plane |
 //! | focus | the sheet lies in the plane of focus | see [`super::focus`] |
 
-use super::assemble::{Slot, add};
+use super::image_map::{Slot, add};
 use super::chart::{self, SolverCamera};
 use super::focus::Focus;
 use super::layout::Places;

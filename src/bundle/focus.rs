@@ -29,7 +29,7 @@
 //!
 //! Source: method section 6, there for m = 1. Not valid for a sheet along the lens axis.
 
-use super::assemble::Slot;
+use super::image_map::Slot;
 use super::chart::{self, SolverCamera};
 use super::facts::Row;
 use super::layout::Places;
