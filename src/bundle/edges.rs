@@ -607,3 +607,6 @@ impl Kernel for Distances<'_> {
         Some(())
     }
 }
+
+#[cfg(test)]
+mod tests;
