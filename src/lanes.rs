@@ -38,8 +38,6 @@ pub(crate) trait Lanes:
     fn select(mask: Self::Mask, a: Self, b: Self) -> Self;
     /// Both.
     fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask;
-    /// Either.
-    fn or(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// True where every mask is set.
     fn all(mask: Self::Mask) -> bool;
     /// The larger one; `other` where self is NaN.
@@ -86,10 +84,6 @@ impl Lanes for f64 {
         a & b
     }
     #[inline(always)]
-    fn or(a: bool, b: bool) -> bool {
-        a | b
-    }
-    #[inline(always)]
     fn all(mask: bool) -> bool {
         mask
     }
@@ -118,6 +112,16 @@ pub(crate) fn run<K: Kernel>(kernel: K) -> K::Output {
         }
     }
     kernel.run::<f64>()
+}
+
+/// Each number in every lane. Plain loops: what is handed closures is not always compiled for the kernel's instructions.
+#[inline(always)]
+pub(crate) fn splats<L: Lanes, const N: usize>(x: [f64; N]) -> [L; N] {
+    let mut out = [L::splat(0.0); N];
+    for k in 0..N {
+        out[k] = L::splat(x[k]);
+    }
+    out
 }
 
 /// The sum of [`GROUP`] running sums, always in this order.
@@ -160,7 +164,7 @@ mod tests {
             let mut out = vec![];
             for i in (0..GROUP).step_by(L::N) {
                 let (x, y) = (L::load(&a[i..]), L::load(&b[i..]));
-                let some = L::or(x.below(y), y.below(L::splat(0.5)));
+                let some = x.below(y);
                 let both = L::and(x.below(y), y.below(L::splat(0.5)));
                 let all = [
                     x + y,

@@ -57,6 +57,7 @@ impl<const L: usize> ImageNormal<L> {
 #[derive(Default)]
 struct Scratch {
     edges: edges::Scratch,
+    tangent: tangent::Scratch,
     map: Vec<MapColumn>,
     normal: MappedNormal,
 }
@@ -108,7 +109,7 @@ impl<'a> SeenImage<'a> {
             false => self.plain_cost()?,
         };
         for pair in &self.observations.pairs {
-            sum += tangent::cost(self, pair)?;
+            sum += tangent::cost(self, pair, &mut scratch.tangent)?;
         }
         Some(sum)
     }
@@ -229,7 +230,7 @@ fn linearised(
         image.plain_contours::<EDGE_BEHIND, LOCAL_BEHIND>(estimated, &mut normal)?;
         // Tangents are refused there.
         for pair in &image.observations.pairs {
-            tangent::cost(image, pair)?;
+            tangent::cost(image, pair, &mut scratch.tangent)?;
         }
         mapped(&normal, &scratch.map, &mut scratch.normal);
         return Some(());
@@ -242,7 +243,7 @@ fn linearised(
         image.plain_contours::<EDGE, LOCAL>(estimated, &mut normal)?;
     }
     for pair in &image.observations.pairs {
-        tangent::linearise(image, pair, &columns, &mut normal)?;
+        tangent::linearise(image, pair, &columns, &mut scratch.tangent, &mut normal)?;
     }
     mapped(&normal, &scratch.map, &mut scratch.normal);
     Some(())

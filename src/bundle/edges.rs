@@ -18,7 +18,7 @@ use super::assemble::{ImageNormal, LOCAL, OffsetNormal, SPACE, SeenImage};
 use super::contour::SeenCircle;
 use super::model::{DiscObservation, Loss};
 use crate::camera::{Camera, INTRINSICS, LaneCamera, LaneImage, Radial};
-use crate::lanes::{self, GROUP, Kernel, Lanes};
+use crate::lanes::{self, GROUP, Kernel, Lanes, splats};
 use nalgebra::{Matrix4, SMatrix, SVector, Vector3, Vector4};
 
 /// Columns of a row: the camera space and the radius.
@@ -114,15 +114,15 @@ impl<L: Lanes> LaneCircle<L> {
     fn of(circle: &SeenCircle) -> Option<Self> {
         let start = circle.start()?;
         let motion = circle.cam_from_target;
-        let axis = |k: usize| std::array::from_fn(|i| L::splat(motion.rotation[(i, k)] * circle.radius));
+        let axes = motion.rotation * circle.radius;
         let (center, plane) = (motion.apply(&circle.center), start.plane_from_image());
         Some(Self {
-            center: std::array::from_fn(|i| L::splat(center[i])),
-            ex: axis(0),
-            ey: axis(1),
+            center: splats([center.x, center.y, center.z]),
+            ex: splats([axes[(0, 0)], axes[(1, 0)], axes[(2, 0)]]),
+            ey: splats([axes[(0, 1)], axes[(1, 1)], axes[(2, 1)]]),
             inverse_radius: L::splat(1.0 / circle.radius),
-            center_px: [L::splat(start.center_px().x), L::splat(start.center_px().y)],
-            plane_from_image: [0, 1].map(|i| [L::splat(plane[(i, 0)]), L::splat(plane[(i, 1)])]),
+            center_px: splats([start.center_px().x, start.center_px().y]),
+            plane_from_image: [splats([plane[(0, 0)], plane[(0, 1)]]), splats([plane[(1, 0)], plane[(1, 1)]])],
         })
     }
 }
@@ -156,13 +156,16 @@ fn feet<L: Lanes>(camera: &LaneCamera<L>, circle: &LaneCircle<L>, q: [L; 2]) -> 
     let off = zero.below(size);
     let (mut cos, mut sin) = (L::select(off, gx / size, one), L::select(off, gy / size, zero));
     for round in 0..12 {
-        let spoke: [L; 3] = std::array::from_fn(|k| circle.ex[k] * cos + circle.ey[k] * sin);
-        let p: [L; 3] = std::array::from_fn(|k| circle.center[k] + spoke[k]);
+        let (mut spoke, mut p, mut turned) = ([zero; 3], [zero; 3], [zero; 3]);
+        for k in 0..3 {
+            spoke[k] = circle.ex[k] * cos + circle.ey[k] * sin;
+            p[k] = circle.center[k] + spoke[k];
+            turned[k] = circle.ey[k] * cos - circle.ex[k] * sin;
+        }
         let image = camera.image(p);
         if !L::all(image.valid) {
             return None;
         }
-        let turned: [L; 3] = std::array::from_fn(|k| circle.ey[k] * cos - circle.ex[k] * sin);
         let tangent = camera.along(&image, turned);
         let gap = [q[0] - image.u, q[1] - image.v];
         let (speed, along) = (dot(tangent, tangent), dot(gap, tangent));
@@ -172,8 +175,10 @@ fn feet<L: Lanes>(camera: &LaneCamera<L>, circle: &LaneCircle<L>, q: [L; 2]) -> 
             let length = one / speed.sqrt();
             let outward = [tangent[1] * length, -(tangent[0] * length)];
             let inwards = dot(outward, [image.u - cu, image.v - cv]).below(zero);
-            let normal = [0, 1].map(|k| L::select(inwards, -outward[k], outward[k]));
-            let radial = spoke.map(|x| x * circle.inverse_radius);
+            let normal =
+                [L::select(inwards, -outward[0], outward[0]), L::select(inwards, -outward[1], outward[1])];
+            let inverse = circle.inverse_radius;
+            let radial = [spoke[0] * inverse, spoke[1] * inverse, spoke[2] * inverse];
             return Some(LaneFoot { p, radial, normal, distance: dot(normal, gap), image });
         }
         // The ellipse's own q'' = centre - q.
@@ -281,14 +286,15 @@ impl<'a> Rows<'a> {
         let scale = L::splat(image.observations.sigma_scale);
         let d = image.model.target.disc_derivative(seen.disc);
         // Movement of the centre and growth of the radius by each length of the target.
-        let shapes: [([L; 3], L); 3] = std::array::from_fn(|k| {
+        let mut shapes = [([L::splat(0.0); 3], L::splat(0.0)); 3];
+        for (k, shape) in shapes.iter_mut().enumerate() {
             let shift = image.cam_from_target.rotation * Vector3::new(d[0][k], d[1][k], d[2][k]);
-            (std::array::from_fn(|i| L::splat(shift[i])), L::splat(d[3][k]))
-        });
+            *shape = (splats([shift.x, shift.y, shift.z]), L::splat(d[3][k]));
+        }
         for i in (0..filled(edge.u_px.len())).step_by(L::N) {
             let foot = feet(camera, &circle, [padded(&edge.u_px, i, None), padded(&edge.v_px, i, None)])?;
             let iw = L::splat(1.0) / (padded::<L>(&edge.sigma_px, i, Some(f64::INFINITY)) * scale);
-            let (g, by_intrinsics) = camera.derivative(&foot.image, foot.normal.map(|n| n * iw));
+            let (g, by_intrinsics) = camera.derivative(&foot.image, [foot.normal[0] * iw, foot.normal[1] * iw]);
             let p = foot.p;
             let turn = [p[1] * g[2] - p[2] * g[1], p[2] * g[0] - p[0] * g[2], p[0] * g[1] - p[1] * g[0]];
             let outwards = dot(g, foot.radial);
@@ -380,11 +386,14 @@ impl<'a> Rows<'a> {
                     let mut tile = [[L::splat(0.0); 4]; A];
                     for group in rows.chunks_exact(width * GROUP) {
                         let (left, right) = (&group[i * GROUP..(i + A) * GROUP], &group[j * GROUP..(j + 4) * GROUP]);
-                        let right: [L; 4] = std::array::from_fn(|b| L::load(&right[b * GROUP + part..]));
+                        let mut columns = [L::splat(0.0); 4];
+                        for b in 0..4 {
+                            columns[b] = L::load(&right[b * GROUP + part..]);
+                        }
                         for a in 0..A {
                             let left = L::load(&left[a * GROUP + part..]);
                             for b in 0..4 {
-                                tile[a][b] = tile[a][b] + left * right[b];
+                                tile[a][b] = tile[a][b] + left * columns[b];
                             }
                         }
                     }
@@ -534,8 +543,9 @@ impl Kernel for Bend<'_> {
     fn run<L: Lanes>(self) -> Option<()> {
         let here = &self.seen[1];
         let (columns, scale) = (self.columns, here.observations.sigma_scale);
-        let cameras = [0, 1, 2].map(|k| LaneCamera::<L>::of(&self.seen[k].camera.camera));
-        let [Some(before), Some(camera), Some(behind)] = cameras else { return None };
+        let before = LaneCamera::<L>::of(&self.seen[0].camera.camera)?;
+        let camera = LaneCamera::<L>::of(&here.camera.camera)?;
+        let behind = LaneCamera::<L>::of(&self.seen[2].camera.camera)?;
         // Behind the rows: residual, that before, that behind the state.
         let r = columns.len;
         let mut rows = Rows::new(self.scratch, r + 3);

@@ -13,7 +13,7 @@ use crate::camera::INTRINSICS;
 use crate::frames::Cam;
 use crate::rigid::Motion;
 use crate::solve::{Gradient, NormalEquations};
-use nalgebra::{DMatrix, DVector, Matrix4, SMatrix, SVector, Vector3, Vector4};
+use nalgebra::{Matrix4, SMatrix, SVector, Vector3, Vector4};
 
 /// Where an unknown of an image stands.
 #[derive(Debug, Clone, Copy)]
@@ -224,18 +224,18 @@ pub(super) fn add_gradient<const L: usize>(
     }
 }
 
-/// Adds a dense symmetric piece to the block-arrow equations.
-pub(super) fn add(e: &mut NormalEquations, view: usize, slots: &[Slot], h: &DMatrix<f64>, b: &DVector<f64>) {
-    for (i, si) in slots.iter().enumerate() {
+/// Adds one whitened row, `(unknown, derivative)` and residual, to the block-arrow equations.
+pub(super) fn add_row(e: &mut NormalEquations, view: usize, row: &[(Slot, f64)], residual: f64) {
+    for (si, di) in row {
         match *si {
-            Slot::Global(g) => e.b_g[g] += b[i],
-            Slot::Block(v) => e.blocks[view].b_v[v] += b[i],
+            Slot::Global(g) => e.b_g[g] -= di * residual,
+            Slot::Block(v) => e.blocks[view].b_v[v] -= di * residual,
         }
-        for (j, sj) in slots.iter().enumerate() {
+        for (sj, dj) in row {
             match (*si, *sj) {
-                (Slot::Global(p), Slot::Global(q)) => e.h_gg[(p, q)] += h[(i, j)],
-                (Slot::Block(p), Slot::Block(q)) => e.blocks[view].h_vv[(p, q)] += h[(i, j)],
-                (Slot::Block(p), Slot::Global(q)) => e.blocks[view].h_vg[(p, q)] += h[(i, j)],
+                (Slot::Global(p), Slot::Global(q)) => e.h_gg[(p, q)] += di * dj,
+                (Slot::Block(p), Slot::Block(q)) => e.blocks[view].h_vv[(p, q)] += di * dj,
+                (Slot::Block(p), Slot::Global(q)) => e.blocks[view].h_vg[(p, q)] += di * dj,
                 (Slot::Global(_), Slot::Block(_)) => {}
             }
         }

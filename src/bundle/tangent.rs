@@ -10,12 +10,12 @@
 //! the camera space that are in use, the residual being one more.
 
 use super::assemble::{ImageNormal, LOCAL, SPACE, SeenImage};
-use super::edges::Columns;
+use super::edges::{Columns, allows};
 use super::model::{Loss, PairObservation};
 use crate::bitangent::{EXTERNAL_CROSSING, POINTS, circle_features};
 use crate::camera::{Camera, INTRINSICS, LaneCamera};
-use crate::lanes::{self, GROUP, Kernel, Lanes};
-use nalgebra::{DVector, Matrix3x2, SMatrix, SVector, Vector3};
+use crate::lanes::{self, GROUP, Kernel, Lanes, splats};
+use nalgebra::{Matrix3x2, SMatrix, SVector, Vector3};
 
 fn pair_loss(loss: Loss, rank: usize) -> Loss {
     let root = (rank as f64).sqrt();
@@ -45,57 +45,70 @@ const WIDE: usize = (LOCAL + 1).next_multiple_of(GROUP);
 /// Where no more are in use.
 const NARROW: usize = WIDE - GROUP;
 
-/// Features of a pair imaged: observed minus predicted pixels, and minus the derivative of those by the camera space.
-struct Gaps {
-    gap: SVector<f64, { 2 * POINTS }>,
-    /// Column k by column k, as far as it is in use.
-    by: [[f64; 2 * POINTS]; LOCAL],
+/// Memory that is used again from pair to pair.
+#[derive(Debug)]
+pub(super) struct Scratch {
+    imaged: Imaged,
+    gap: [f64; 2 * POINTS],
+    /// Per coordinate of a feature the derivative of its image by the columns in use, then the gap.
+    rows: [[f64; WIDE]; 2 * POINTS],
+}
+
+impl Default for Scratch {
+    fn default() -> Self {
+        Self {
+            imaged: [[[0.0; 2 * GROUP]; 4 + INTRINSICS]; 2],
+            gap: [0.0; 2 * POINTS],
+            rows: [[0.0; WIDE]; 2 * POINTS],
+        }
+    }
 }
 
 /// Images of points with their derivatives by the point and by the intrinsics.
 struct Images<'a> {
     camera: &'a Camera,
-    points: [[f64; POINTS]; 3],
+    points: &'a [[f64; POINTS]; 3],
     n: usize,
+    out: &'a mut Imaged,
 }
 
 /// Pixel, its derivative by the point, by the intrinsics; of the u and of the v coordinate.
 type Imaged = [[[f64; 2 * GROUP]; 4 + INTRINSICS]; 2];
 
 impl Kernel for Images<'_> {
-    type Output = Option<Imaged>;
+    type Output = Option<()>;
     #[inline(always)]
-    fn run<L: Lanes>(self) -> Option<Imaged> {
-        let camera = LaneCamera::<L>::of(self.camera)?;
-        let mut out = [[[0.0; 2 * GROUP]; 4 + INTRINSICS]; 2];
+    fn run<L: Lanes>(self) -> Option<()> {
+        let (camera, out) = (LaneCamera::<L>::of(self.camera)?, self.out);
         for i in (0..self.n).step_by(L::N) {
-            let part = |k: usize| {
+            let mut p = [L::splat(0.0); 3];
+            for (p, points) in p.iter_mut().zip(self.points) {
                 let mut place = [0.0; GROUP];
                 for (l, x) in place[..L::N].iter_mut().enumerate() {
                     // Past the end the last point once more.
-                    *x = self.points[k][(i + l).min(self.n - 1)];
+                    *x = points[(i + l).min(self.n - 1)];
                 }
-                L::load(&place)
-            };
-            let image = camera.image([part(0), part(1), part(2)]);
+                *p = L::load(&place);
+            }
+            let image = camera.image(p);
             if !L::all(image.valid) {
                 return None;
             }
             for (s, n) in [[1.0, 0.0], [0.0, 1.0]].into_iter().enumerate() {
-                let (by_point, by_intrinsics) = camera.derivative(&image, n.map(L::splat));
+                let (by_point, by_intrinsics) = camera.derivative(&image, splats(n));
                 let pixel = if s == 0 { image.u } else { image.v };
                 pixel.store(&mut out[s][0][i..]);
-                (0..3).for_each(|k| by_point[k].store(&mut out[s][1 + k][i..]));
-                (0..INTRINSICS).for_each(|k| by_intrinsics[k].store(&mut out[s][4 + k][i..]));
+                for (k, x) in by_point.into_iter().chain(by_intrinsics).enumerate() {
+                    x.store(&mut out[s][1 + k][i..]);
+                }
             }
         }
-        Some(out)
+        Some(())
     }
 }
 
 /// The same for a camera that lanes do not serve.
-fn plain_images(camera: &Camera, points: &[[f64; POINTS]; 3], n: usize) -> Option<Imaged> {
-    let mut out = [[[0.0; 2 * GROUP]; 4 + INTRINSICS]; 2];
+fn plain_images(camera: &Camera, points: &[[f64; POINTS]; 3], n: usize, out: &mut Imaged) -> Option<()> {
     for i in 0..n {
         let jet = camera.project_jet(&Vector3::new(points[0][i], points[1][i], points[2][i])).ok()?;
         for (s, out) in out.iter_mut().enumerate() {
@@ -104,11 +117,11 @@ fn plain_images(camera: &Camera, points: &[[f64; POINTS]; 3], n: usize) -> Optio
             (0..INTRINSICS).for_each(|k| out[4 + k][i] = jet.dq_dintrinsics[(s, k)]);
         }
     }
-    Some(out)
+    Some(())
 }
 
-/// Gaps of the features that were kept; `None` where they have no image.
-fn gaps(image: &SeenImage, pair: &PairObservation, columns: Option<&Columns>) -> Option<Gaps> {
+/// Gaps of the features that were kept, observed minus predicted, and minus their derivatives; `None` where they have no image.
+fn gaps(image: &SeenImage, pair: &PairObservation, columns: Option<&Columns>, scratch: &mut Scratch) -> Option<()> {
     let camera = &image.camera.camera;
     // Behind a window circles have no tangents in common with their images.
     if camera.window().is_some() {
@@ -125,19 +138,18 @@ fn gaps(image: &SeenImage, pair: &PairObservation, columns: Option<&Columns>) ->
         let p = motion.apply(&Vector3::new(features.points_mm[2 * k], features.points_mm[2 * k + 1], c0.z));
         (0..3).for_each(|i| points[i][row] = p[i]);
     }
-    let imaged = match super::edges::allows(camera) {
-        true => lanes::run(Images { camera, points, n })?,
-        false => plain_images(camera, &points, n)?,
+    let Scratch { imaged, gap, rows } = scratch;
+    match allows(camera) {
+        true => lanes::run(Images { camera, points: &points, n, out: imaged })?,
+        false => plain_images(camera, &points, n, imaged)?,
     };
-    let mut out = Gaps { gap: SVector::zeros(), by: [[0.0; 2 * POINTS]; LOCAL] };
-    (0..2 * n).for_each(|j| out.gap[j] = pair.pixels_px[j] - imaged[j % 2][0][j / 2]);
+    (0..2 * n).for_each(|j| gap[j] = pair.pixels_px[j] - imaged[j % 2][0][j / 2]);
     if let Some(lens) = &pair.lens {
         let now = camera.intrinsics().to_array();
-        let change = DVector::from_fn(INTRINSICS, |i, _| now[i] - lens.intrinsics[i]);
-        let moved = &lens.derivative * change;
-        (0..2 * n).for_each(|j| out.gap[j] += moved[j]);
+        let change = SVector::<f64, INTRINSICS>::from_fn(|i, _| now[i] - lens.intrinsics[i]);
+        (0..2 * n).for_each(|j| gap[j] += lens.derivative.row(j).iter().zip(&change).map(|(d, c)| d * c).sum::<f64>());
     }
-    let Some(columns) = columns else { return Some(out) };
+    let Some(columns) = columns else { return Some(()) };
     let by_shape = features.jacobian * circles_by_shape(image, pair.discs);
     let in_plane: Matrix3x2<f64> = motion.rotation.fixed_columns::<2>(0).into_owned();
     for j in 0..2 * n {
@@ -146,25 +158,28 @@ fn gaps(image: &SeenImage, pair: &PairObservation, columns: Option<&Columns>) ->
         let g = Vector3::new(of[1][row], of[2][row], of[3][row]);
         let turn = p.cross(&g);
         let shape = in_plane.tr_mul(&g).transpose() * by_shape.fixed_rows::<2>(2 * pair.kept[row]);
-        for &k in columns.list() {
-            out.by[k][j] = match k {
+        for (x, &k) in rows[j].iter_mut().zip(columns.list()) {
+            *x = match k {
                 k if k < INTRINSICS => of[4 + k][row] - pair.lens.as_ref().map_or(0.0, |l| l.derivative[(j, k)]),
                 k if k < INTRINSICS + 3 => turn[k - INTRINSICS],
                 k if k < SPACE => g[k - INTRINSICS - 3],
-                k => shape[k - SPACE],
+                k if k < LOCAL => shape[k - SPACE],
+                // Discs are not estimated from their tangents: a radius of its own moves nothing.
+                _ => 0.0,
             };
         }
+        rows[j][columns.list().len()] = gap[j];
     }
-    Some(out)
+    Some(())
 }
 
 /// Cost of one pair; `None` where it has no image.
-pub(super) fn cost(image: &SeenImage, pair: &PairObservation) -> Option<f64> {
-    let gaps = gaps(image, pair, None)?;
+pub(super) fn cost(image: &SeenImage, pair: &PairObservation, scratch: &mut Scratch) -> Option<f64> {
+    gaps(image, pair, None, scratch)?;
     let (rank, scale) = (pair.whitening.nrows(), image.observations.sigma_scale);
     let mut square = 0.0;
-    for i in 0..rank {
-        let r: f64 = (0..pair.whitening.ncols()).map(|j| pair.whitening[(i, j)] * gaps.gap[j]).sum();
+    for row in pair.whitening.row_iter() {
+        let r: f64 = row.iter().zip(&scratch.gap).map(|(w, g)| w * g).sum();
         square += (r / scale).powi(2);
     }
     let rho = pair_loss(image.model.loss, rank).apply(square).0;
@@ -176,21 +191,25 @@ pub(super) fn linearise(
     image: &SeenImage,
     pair: &PairObservation,
     columns: &Columns,
+    scratch: &mut Scratch,
     out: &mut ImageNormal<LOCAL>,
 ) -> Option<()> {
-    let gaps = gaps(image, pair, Some(columns))?;
-    match columns.list().len() < NARROW {
-        true => lanes::run(Product::<NARROW> { image, pair, columns, gaps: &gaps, out }),
-        false => lanes::run(Product::<WIDE> { image, pair, columns, gaps: &gaps, out }),
+    gaps(image, pair, Some(columns), scratch)?;
+    let (loss, scale) = (image.model.loss, image.observations.sigma_scale);
+    let (list, rows) = (columns.list(), &scratch.rows);
+    match list.len() < NARROW {
+        true => lanes::run(Product::<NARROW> { pair, loss, scale, list, rows, out }),
+        false => lanes::run(Product::<WIDE> { pair, loss, scale, list, rows, out }),
     }
 }
 
-/// Whitens the gaps and adds their products, rows of `W` numbers.
+/// Whitens the rows and adds their products, `W` numbers of each.
 struct Product<'a, const W: usize> {
-    image: &'a SeenImage<'a>,
     pair: &'a PairObservation,
-    columns: &'a Columns,
-    gaps: &'a Gaps,
+    loss: Loss,
+    scale: f64,
+    list: &'a [usize],
+    rows: &'a [[f64; WIDE]; 2 * POINTS],
     out: &'a mut ImageNormal<LOCAL>,
 }
 
@@ -198,32 +217,31 @@ impl<const W: usize> Kernel for Product<'_, W> {
     type Output = Option<()>;
     #[inline(always)]
     fn run<L: Lanes>(self) -> Option<()> {
-        let (list, out) = (self.columns.list(), self.out);
+        let (list, out, w) = (self.list, self.out, &self.pair.whitening);
         let m = list.len();
-        let w = &self.pair.whitening;
-        let mut rows = [[0.0; W]; 2 * POINTS];
-        for (j, row) in rows.iter_mut().enumerate().take(w.ncols()) {
-            // Discs are not estimated from their tangents: a radius of its own moves nothing.
-            list.iter().zip(row.iter_mut()).for_each(|(&k, x)| *x = self.gaps.by.get(k).map_or(0.0, |by| by[j]));
-            row[m] = self.gaps.gap[j];
-        }
         let (mut h, mut square) = ([[0.0; W]; W], 0.0);
-        let inverse_scale = 1.0 / self.image.observations.sigma_scale;
+        let inverse_scale = 1.0 / self.scale;
         for i in 0..w.nrows() {
             let mut white = [0.0; W];
-            for (j, row) in rows.iter().enumerate().take(w.ncols()) {
+            for (j, row) in self.rows.iter().enumerate().take(w.ncols()) {
                 let factor = w[(i, j)] * inverse_scale;
-                white.iter_mut().zip(row).for_each(|(x, y)| *x += factor * y);
+                for c in 0..W {
+                    white[c] += factor * row[c];
+                }
             }
             square += white[m] * white[m];
-            for (h, x) in h.iter_mut().zip(white).take(m) {
-                h.iter_mut().zip(&white).for_each(|(h, y)| *h += x * y);
+            for (a, h) in h.iter_mut().enumerate().take(m) {
+                for c in 0..W {
+                    h[c] += white[a] * white[c];
+                }
             }
         }
-        let (rho, weight) = pair_loss(self.image.model.loss, w.nrows()).apply(square);
+        let (rho, weight) = pair_loss(self.loss, w.nrows()).apply(square);
         for (h, &a) in h.iter().zip(list).filter(|(_, a)| **a < LOCAL) {
             out.b[a] += weight * h[m];
-            list.iter().zip(h).filter(|(b, _)| **b < LOCAL).for_each(|(&b, h)| out.h[(a, b)] += weight * h);
+            for (&b, h) in list.iter().zip(h).filter(|(b, _)| **b < LOCAL) {
+                out.h[(a, b)] += weight * h;
+            }
         }
         out.cost += 0.5 * rho;
         rho.is_finite().then_some(())

@@ -12,7 +12,7 @@
 //! ```
 
 use super::{Camera, INTRINSICS, Radial};
-use crate::lanes::Lanes;
+use crate::lanes::{Lanes, splats};
 
 /// A camera, each of its numbers in every lane.
 pub(crate) struct LaneCamera<L> {
@@ -75,14 +75,14 @@ impl<L: Lanes> LaneCamera<L> {
             aspect: L::splat(i.aspect),
             cx: L::splat(i.cx_px),
             cy: L::splat(i.cy_px),
-            k: i.k.map(L::splat),
+            k: splats(i.k),
             limit_squared: L::splat((limit * limit).min(f64::MAX)),
-            h_by: [t.tb / m, t.ta / (t.cb * m)].map(L::splat),
-            x_by: [1.0 / t.cb, t.ta * t.tb].map(L::splat),
+            h_by: splats([t.tb / m, t.ta / (t.cb * m)]),
+            x_by: splats([1.0 / t.cb, t.ta * t.tb]),
             y_by: L::splat(1.0 / t.ca),
-            alpha: [t.tb / ca2, t.sa / ca2, -1.0 / (ca2 * t.cb * m)].map(L::splat),
-            beta: [[t.sb / cb2, t.ta / cb2].map(L::splat), [-1.0 / (cb2 * m), -t.ta * t.sb / (cb2 * m)].map(L::splat)],
-            pupil: [t.tb / (m * m), t.ta / (t.cb * m * m)].map(L::splat),
+            alpha: splats([t.tb / ca2, t.sa / ca2, -1.0 / (ca2 * t.cb * m)]),
+            beta: [splats([t.sb / cb2, t.ta / cb2]), splats([-1.0 / (cb2 * m), -t.ta * t.sb / (cb2 * m)])],
+            pupil: splats([t.tb / (m * m), t.ta / (t.cb * m * m)]),
         })
     }
 

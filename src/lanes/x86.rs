@@ -6,7 +6,7 @@
 use super::{Kernel, Lanes};
 use std::arch::x86_64::{
     __m256d, __m512d, __mmask8, _CMP_LT_OQ, _mm256_add_pd, _mm256_and_pd, _mm256_blendv_pd, _mm256_cmp_pd, _mm256_div_pd,
-    _mm256_loadu_pd, _mm256_movemask_pd, _mm256_mul_pd, _mm256_or_pd, _mm256_set1_pd, _mm256_sqrt_pd, _mm256_storeu_pd,
+    _mm256_loadu_pd, _mm256_movemask_pd, _mm256_mul_pd, _mm256_set1_pd, _mm256_sqrt_pd, _mm256_storeu_pd,
     _mm256_sub_pd, _mm256_xor_pd, _mm512_add_pd, _mm512_cmp_pd_mask, _mm512_div_pd, _mm512_loadu_pd,
     _mm512_mask_blend_pd, _mm512_mul_pd, _mm512_set1_pd, _mm512_sqrt_pd, _mm512_storeu_pd, _mm512_sub_pd,
 };
@@ -111,11 +111,6 @@ impl Lanes for Four {
         unsafe { _mm256_and_pd(a, b) }
     }
     #[inline(always)]
-    fn or(a: __m256d, b: __m256d) -> __m256d {
-        // SAFETY: see the head of the file.
-        unsafe { _mm256_or_pd(a, b) }
-    }
-    #[inline(always)]
     fn all(mask: __m256d) -> bool {
         // SAFETY: see the head of the file.
         unsafe { _mm256_movemask_pd(mask) == 0b1111 }
@@ -158,10 +153,6 @@ impl Lanes for Eight {
     #[inline(always)]
     fn and(a: __mmask8, b: __mmask8) -> __mmask8 {
         a & b
-    }
-    #[inline(always)]
-    fn or(a: __mmask8, b: __mmask8) -> __mmask8 {
-        a | b
     }
     #[inline(always)]
     fn all(mask: __mmask8) -> bool {
