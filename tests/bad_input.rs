@@ -186,8 +186,10 @@ fn one_position_three_times() {
     let job = Job::new();
     let text = std::fs::read_to_string(job.path("rig.toml")).unwrap();
     let fourth = text.match_indices("[[view]]").nth(3).unwrap().0;
-    let repeated = text[..fourth].replace("v02_", "v01_").replace("v03_", "v01_").replacen("= false", "= true", 1);
-    std::fs::write(job.path("rig.toml"), repeated).unwrap();
+    std::fs::write(job.path("rig.toml"), &text[..fourth]).unwrap();
+    for (view, side) in [(2, "left"), (3, "left"), (2, "right"), (3, "right")] {
+        std::fs::copy(job.path(&format!("v01_{side}.png")), job.path(&format!("v0{view}_{side}.png"))).unwrap();
+    }
     job.refused(3, &["view 0, camera \"left\" (v01_left.png) and view 1, camera \"left\"", "one picture", "own image"]);
 }
 
