@@ -26,8 +26,7 @@ need objdump binutils || fail "objdump is missing: apt-get install binutils"
 package wine64 && need wine wine || fail "wine is missing: apt-get install wine64 wine"
 
 # --- compiler and linker -----------------------------------------------------------------------------------------------------
-rustc="cargo"
-verb="rustc"
+cargo=cargo
 if [ "${SPIVCAL_WINDOWS:-}" != zig ] && need x86_64-w64-mingw32-gcc gcc-mingw-w64-x86-64; then
     echo "== mingw"
     compile=(x86_64-w64-mingw32-gcc)
@@ -39,7 +38,7 @@ else
     export PYTHONPATH="$work/zig${PYTHONPATH:+:$PYTHONPATH}" PATH="$work/zig/bin:$PATH"
     compile=(python3 -m ziglang cc -target x86_64-windows-gnu)
     dlltool=(python3 -m ziglang dlltool -m i386:x86-64)
-    verb="zigrustc"
+    cargo=cargo-zigbuild
 fi
 # The import library that Microsoft's linker likes best, where LLVM is there.
 if have llvm-dlltool; then dlltool=(llvm-dlltool -m i386:x86-64); fi
@@ -52,10 +51,11 @@ else
     echo "== the standard library from its source"
     have rustup && rustup toolchain install nightly --profile minimal --component rust-src ||
         fail "rustup has neither the target $triple nor a nightly toolchain with rust-src"
-    rustc="cargo +nightly"
+    toolchain=nightly
     std=(-Zbuild-std=std,panic_unwind)
 fi
-cmake -DROOT="$root" -DTARGET="$work" -DTRIPLE=$triple -DRUSTC="$rustc $verb ${std[*]:-}" -P "$root/cmake/build_library.cmake"
+RUSTUP_TOOLCHAIN=${toolchain:-${RUSTUP_TOOLCHAIN:-}} cmake -DROOT="$root" -DTARGET="$work" -DTRIPLE=$triple \
+    -DRUSTC="$cargo rustc ${std[*]:-}" -P "$root/cmake/build_library.cmake"
 dll=$work/$triple/release/spivcal.dll
 cp "$dll" "$work/dist/"
 cp "$header" "$root/include/spivcal.hpp" "$root/include/spivcal_labview.h" "$work/dist/"
