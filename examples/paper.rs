@@ -238,7 +238,7 @@ fn printed(table: &str, quantity: &str) -> &'static str {
 fn possible_sigma(quantity: &str) -> &'static str {
     match quantity.split_once(' ').map_or(quantity, |q| q.1) {
         "f" | "beta" => "no: 14 to 500 times below the bound",
-        "alpha" | "k1" => "yes: of the bound's size",
+        "alpha" | "k1" => "plausible",
         _ => "-",
     }
 }
