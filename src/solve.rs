@@ -206,6 +206,8 @@ pub struct Outcome<S> {
 /// Ridge, times the diagonal of H, with which the "undamped" Newton decrement is computed: it bounds what rounding in an exactly flat
 /// direction can add to about 1e-8 sigmas, and changes a direction determined to one part in 1e5 by one percent.
 const FLAT_RIDGE: f64 = 1e-12;
+/// Residuals up to which a cost far below their number still has its rounding judged rightly.
+const FEW_RESIDUALS: f64 = 2000.0;
 /// Damping beyond which steps are too short to matter: scales times 1e-12 for residuals of 1e6 sigmas.
 const MU_MAX: f64 = 1e24;
 /// Damping below which it cannot be felt.
@@ -325,8 +327,9 @@ fn trial_step<P: Problem>(
     let predicted = reduced.predicted_decrease(&velocity);
     let next = problem.retract(state, &step)?;
     let decrease = equations.cost - problem.cost(&next)?;
-    // Pixels of size 1e3 and sigmas of 0.01 px leave 1e-11 in a whitened residual.
-    let rounding = 1e-11 * equations.cost;
+    // Pixels of size 1e3 and sigmas of 0.01 px leave 1e-11 in a whitened residual, hence at most 1e-11 sum |r| in the cost, and
+    // sum |r| <= sqrt(2 n cost): by the cost itself where residuals are of one sigma, more where a good fit leaves less.
+    let rounding = 1e-11 * (equations.cost + FEW_RESIDUALS.sqrt() * equations.cost.sqrt());
     if predicted > rounding || decrease.abs() > rounding {
         let gain = decrease / predicted;
         if !(gain > 1e-4) {
@@ -338,8 +341,8 @@ fn trial_step<P: Problem>(
     // an undamped step overshoots, and only this notices.
     let next_equations = problem.linearise(&next)?;
     let left = decrement(&next_equations) / decrement(equations);
-    let gain = if left < 0.3 { 1.0 } else { 0.5 };
-    (left < 1.0).then_some(Trial { state: next, equations: next_equations, gain })
+    // Little may be gained only because the damping still holds the weak valley: it falls, and an overshoot raises it again.
+    (left < 1.0).then_some(Trial { state: next, equations: next_equations, gain: 1.0 })
 }
 
 /// Newton decrement of normal equations, infinite where they are not positive.
