@@ -19,7 +19,7 @@ use super::contour::SeenCircle;
 use super::model::{DiscObservation, Loss};
 use crate::camera::{Camera, INTRINSICS, LaneCamera, LaneImage, Radial};
 use crate::lanes::{self, GROUP, Kernel, Lanes, splats};
-use nalgebra::{Matrix4, SMatrix, SVector, Vector3, Vector4};
+use nalgebra::{Matrix4, SMatrix, SVector, Vector2, Vector3, Vector4};
 
 /// Columns of a row: the camera space and the radius.
 const COLUMNS: usize = LOCAL + 1;
@@ -93,9 +93,46 @@ pub(super) fn bend(
     lanes::run(Bend { seen, columns, h, scratch, local: out.0, offsets: out.1 })
 }
 
-/// Signed distances of the edge points of one contour and their feet's outward normals, px.
-pub(super) fn distances(circle: &SeenCircle, seen: &DiscObservation, out: &mut [Vec<f64>; 3]) -> Option<()> {
-    lanes::run(Distances { circle, seen, out })
+/// Feet of the edge points of a contour, number by number.
+#[derive(Debug, Default)]
+pub(super) struct Feet {
+    /// Signed distance of the edge point, px; positive outside.
+    pub(super) distance_px: Vec<f64>,
+    /// Outward unit normal in the image.
+    pub(super) normal: [Vec<f64>; 2],
+    /// How far the image moves along it as the radius grows, px per mm.
+    pub(super) px_per_mm: Vec<f64>,
+    /// Cosine and sine of the foot's angle on the circle.
+    pub(super) direction: [Vec<f64>; 2],
+}
+
+impl Feet {
+    /// `None` where the circle has no image.
+    pub(super) fn of(circle: &SeenCircle, seen: &DiscObservation) -> Option<Self> {
+        if allows(circle.camera) { lanes::run(AllFeet { circle, seen }) } else { Self::plain(circle, seen) }
+    }
+
+    /// One by one.
+    fn plain(circle: &SeenCircle, seen: &DiscObservation) -> Option<Self> {
+        let (start, edge, mut out) = (circle.start()?, &seen.edge, Self::default());
+        let plane = &circle.cam_from_target.rotation;
+        for i in 0..edge.u_px.len() {
+            let foot = circle.foot(&start, &Vector2::new(edge.u_px[i], edge.v_px[i]))?;
+            let (_, dq_dp) = circle.camera.image_of_point(&foot.p_in_cam).ok()?;
+            out.distance_px.push(foot.distance_px);
+            out.px_per_mm.push(foot.normal.dot(&(dq_dp * foot.radial)));
+            for k in 0..2 {
+                out.normal[k].push(foot.normal[k]);
+                out.direction[k].push(plane.column(k).dot(&foot.radial));
+            }
+        }
+        Some(out)
+    }
+
+    fn all(&mut self) -> [&mut Vec<f64>; 6] {
+        let ([u, v], [cos, sin]) = (&mut self.normal, &mut self.direction);
+        [&mut self.distance_px, u, v, &mut self.px_per_mm, cos, sin]
+    }
 }
 
 /// A circle of the target in the camera frame, each number in every lane.
@@ -592,29 +629,36 @@ fn bent(rows: &mut Rows, n: usize, columns: &Columns, h: f64, loss: Loss) -> [f6
     sums.map(|s| lanes::sum(&s))
 }
 
-struct Distances<'a> {
+struct AllFeet<'a> {
     circle: &'a SeenCircle<'a>,
     seen: &'a DiscObservation,
-    out: &'a mut [Vec<f64>; 3],
 }
 
-impl Kernel for Distances<'_> {
-    type Output = Option<()>;
+impl Kernel for AllFeet<'_> {
+    type Output = Option<Feet>;
     #[inline(always)]
-    fn run<L: Lanes>(self) -> Option<()> {
-        let (edge, out) = (&self.seen.edge, self.out);
+    fn run<L: Lanes>(self) -> Option<Feet> {
+        let edge = &self.seen.edge;
         let camera = LaneCamera::<L>::of(self.circle.camera)?;
         let circle = LaneCircle::<L>::of(self.circle)?;
         let n = edge.u_px.len();
-        out.iter_mut().for_each(|o| o.resize(filled(n), 0.0));
-        for i in (0..if n > 0 { filled(n) } else { 0 }).step_by(L::N) {
+        let groups = if n > 0 { filled(n) } else { 0 };
+        let mut out = Feet::default();
+        out.all().into_iter().for_each(|o| o.resize(groups, 0.0));
+        // The axes are as long as the radius.
+        let inverse = circle.inverse_radius;
+        for i in (0..groups).step_by(L::N) {
             let foot = feet(&camera, &circle, [padded(&edge.u_px, i, None), padded(&edge.v_px, i, None)])?;
-            foot.distance.store(&mut out[0][i..]);
-            foot.normal[0].store(&mut out[1][i..]);
-            foot.normal[1].store(&mut out[2][i..]);
+            let (g, _) = camera.derivative(&foot.image, foot.normal);
+            foot.distance.store(&mut out.distance_px[i..]);
+            dot(g, foot.radial).store(&mut out.px_per_mm[i..]);
+            foot.normal[0].store(&mut out.normal[0][i..]);
+            foot.normal[1].store(&mut out.normal[1][i..]);
+            (dot(circle.ex, foot.radial) * inverse).store(&mut out.direction[0][i..]);
+            (dot(circle.ey, foot.radial) * inverse).store(&mut out.direction[1][i..]);
         }
-        out.iter_mut().for_each(|o| o.truncate(n));
-        Some(())
+        out.all().into_iter().for_each(|o| o.truncate(n));
+        Some(out)
     }
 }
 
