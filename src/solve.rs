@@ -283,7 +283,8 @@ fn accepted_step<P: Problem>(
         if let Some(trial) = trial_step(problem, state, equations, damping, &scales) {
             // Nielsen's law, allowed to fall by 100 so that the weak valley is undamped after few good steps.
             let factor = (1.0 - (2.0 * trial.gain - 1.0).powi(3)).clamp(0.01, 2.0);
-            *damping = Damping { mu: (damping.mu * factor).max(MU_MIN), growth: GROWTH, bent: trial.gain < STRAIGHT_GAIN };
+            *damping =
+                Damping { mu: (damping.mu * factor).max(MU_MIN), growth: GROWTH, bent: trial.gain < STRAIGHT_GAIN };
             return Some((trial.state, trial.equations));
         }
         damping.mu *= damping.growth;

@@ -215,13 +215,7 @@ pub(super) fn cost(model: &Model, state: &State) -> Option<f64> {
 }
 
 /// Normal equations of one image in the unknowns that it touches.
-fn linearised(
-    model: &Model,
-    places: &Places,
-    state: &State,
-    image: &SeenImage,
-    scratch: &mut Scratch,
-) -> Option<()> {
+fn linearised(model: &Model, places: &Places, state: &State, image: &SeenImage, scratch: &mut Scratch) -> Option<()> {
     image_map(model, places, state, image, &mut scratch.map);
     let camera = &image.camera.camera;
     let estimated = places.offsets.is_some();

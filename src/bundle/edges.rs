@@ -212,8 +212,7 @@ fn feet<L: Lanes>(camera: &LaneCamera<L>, circle: &LaneCircle<L>, q: [L; 2]) -> 
             let length = one / speed.sqrt();
             let outward = [tangent[1] * length, -(tangent[0] * length)];
             let inwards = dot(outward, [image.u - cu, image.v - cv]).below(zero);
-            let normal =
-                [L::select(inwards, -outward[0], outward[0]), L::select(inwards, -outward[1], outward[1])];
+            let normal = [L::select(inwards, -outward[0], outward[0]), L::select(inwards, -outward[1], outward[1])];
             let inverse = circle.inverse_radius;
             let radial = [spoke[0] * inverse, spoke[1] * inverse, spoke[2] * inverse];
             return Some(LaneFoot { p, radial, normal, distance: dot(normal, gap), image });

@@ -179,9 +179,8 @@ mod tests {
             let camera = LaneCamera::<L>::of(&self.camera).unwrap();
             let mut out = vec![[0.0; 18]; GROUP];
             for first in (0..GROUP).step_by(L::N) {
-                let part: [L; 3] = std::array::from_fn(|k| {
-                    L::load(&(0..L::N).map(|i| self.points[first + i][k]).collect::<Vec<_>>())
-                });
+                let part: [L; 3] =
+                    std::array::from_fn(|k| L::load(&(0..L::N).map(|i| self.points[first + i][k]).collect::<Vec<_>>()));
                 let at = camera.image(part);
                 let moved = camera.along(&at, [0.3, -0.2, 0.7].map(L::splat));
                 let (p, i) = camera.derivative(&at, [0.8, -0.6].map(L::splat));

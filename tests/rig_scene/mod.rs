@@ -19,7 +19,10 @@ mod reference;
 mod scatter;
 
 pub(crate) use reference::{Draw, Problem};
-pub(crate) use scatter::{Bound, QUANTITIES, Run, Summary, band, given_sigmas, solved, true_stereo};
+pub(crate) use scatter::{
+    Bound, QUANTITIES, Run, Summary, TWO_SIDED_95, TWO_SIDED_995, band, disparities, given_sigmas, grid, moved, solved,
+    together, true_stereo,
+};
 
 const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
 
@@ -199,6 +202,11 @@ impl Parts {
         }
     }
 
+    /// Two discs of known spacing in views parallel to the sheet at these positions, mm.
+    pub(crate) fn at_positions(seed: u64, cameras: Vec<Camera>, position: &dyn Fn(usize) -> Option<f64>) -> Self {
+        Self::of(seed, cameras, None, false, false, position)
+    }
+
     /// The scene with exact contours.
     pub(crate) fn scene(&self) -> Scene {
         let model = Model {
@@ -280,7 +288,7 @@ impl Scene {
 
     /// Two discs in views parallel to the sheet at the positions given, mm; `None`: anywhere.
     pub(crate) fn at_positions(seed: u64, cameras: Vec<Camera>, position: &dyn Fn(usize) -> Option<f64>) -> Self {
-        Parts::of(seed, cameras, None, false, false, position).scene()
+        Parts::at_positions(seed, cameras, position).scene()
     }
 
     /// The same scene with its discs moved by offsets (dx, dy, dz, dr), mm.

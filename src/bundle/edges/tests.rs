@@ -35,7 +35,9 @@ impl Kernel for OneImage<'_> {
         let mut scratch = Scratch::default();
         let mut normal = ImageNormal::zeros();
         let cost = Cost { image: self.image, scratch: &mut scratch }.run::<L>().unwrap();
-        Normal { image: self.image, columns: &self.columns, scratch: &mut scratch, out: &mut normal }.run::<L>().unwrap();
+        Normal { image: self.image, columns: &self.columns, scratch: &mut scratch, out: &mut normal }
+            .run::<L>()
+            .unwrap();
         Seen { cost, normal }
     }
 }
@@ -157,7 +159,9 @@ impl Kernel for OneBend<'_> {
     fn run<L: Lanes>(self) -> Self::Output {
         let (mut local, mut offsets, mut scratch) = (SVector::zeros(), vec![], Scratch::default());
         let (out, columns) = ((&mut local, &mut offsets), &self.columns);
-        Bend { seen: self.seen, columns, h: 0.1, scratch: &mut scratch, local: out.0, offsets: out.1 }.run::<L>().unwrap();
+        Bend { seen: self.seen, columns, h: 0.1, scratch: &mut scratch, local: out.0, offsets: out.1 }
+            .run::<L>()
+            .unwrap();
         (local, offsets)
     }
 }
