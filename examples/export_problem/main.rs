@@ -5,7 +5,7 @@
 //! cargo run --example export_problem -- DIR            DIR/NAME.problem for every problem, DIR/projection.txt
 //! cargo run --example export_problem -- --check DIR    Newton decrement of DIR/NAME.solution in the library's own equations
 //! cargo run --example export_problem -- --bench DIR NAME...      problems of the benchmark
-//! cargo run --example export_problem -- --time NAME N [THREADS]  median seconds of N adjustments of one of them
+//! cargo run --example export_problem -- --time NAME N [THREADS]  mean seconds of N adjustments of one of them
 //! cargo run --example export_problem -- --once NAME    a single call, to count its instructions
 //! cargo run --example export_problem -- --discs DIR    rendered discs with truth, Cramer-Rao bound and what the library finds
 //! ```
@@ -53,7 +53,9 @@ fn main() -> ExitCode {
             ExitCode::SUCCESS
         }
         _ => {
-            eprintln!("export_problem DIR | --check DIR | --discs DIR | --bench DIR NAME... | --time NAME N [THREADS] | --once NAME");
+            eprintln!(
+                "export_problem DIR | --check DIR | --discs DIR | --bench DIR NAME... | --time NAME N [THREADS] | --once NAME"
+            );
             ExitCode::from(2)
         }
     }
