@@ -66,6 +66,8 @@ impl Columns {
 pub(super) struct Scratch {
     /// Rows: group, then column, then point of the group.
     rows: Vec<f64>,
+    /// Columns of a group.
+    width: usize,
     /// Running sums of products: column, column, one of [`GROUP`].
     sums: Vec<f64>,
     /// First and second column of an outline's basis.
@@ -140,8 +142,6 @@ impl Kernel for Normal<'_> {
         let camera = LaneCamera::<L>::of(&image.camera.camera)?;
         let (used, estimated) = (columns.len + 1, columns.list().contains(&RADIUS));
         let mut rows = Rows::new(self.scratch, used.next_multiple_of(4));
-        // The columns that only fill the last tile may hold anything finite.
-        rows.scratch.rows.clear();
         rows.clear();
         let mut rho = 0.0;
         for seen in image.observations.discs.iter().filter(|d| !d.edge.u_px.is_empty()) {

@@ -21,6 +21,11 @@ pub(super) struct Rows<'a> {
 impl<'a> Rows<'a> {
     #[inline(always)]
     pub(super) fn new(scratch: &'a mut Scratch, width: usize) -> Self {
+        // Columns that only fill the last tile are never written: they stay zero as long as groups keep their width.
+        if scratch.width != width {
+            scratch.rows.clear();
+            scratch.width = width;
+        }
         Self { scratch, width, len: 0 }
     }
 
