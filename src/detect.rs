@@ -4,12 +4,16 @@ mod band;
 mod candidate;
 mod contour;
 mod edge_model;
+mod exact;
 mod find;
 mod light;
 pub mod pattern;
 mod plane;
+mod profile;
 mod refine;
+mod rim;
 mod sectors;
+mod surface;
 mod trace;
 
 pub use find::find_discs;
