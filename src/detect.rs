@@ -10,11 +10,13 @@ mod light;
 pub mod pattern;
 mod plane;
 mod profile;
+mod quick;
 mod refine;
 mod rim;
 mod sectors;
 mod surface;
 mod trace;
+mod wide;
 
 pub use find::find_discs;
 

@@ -29,6 +29,7 @@ use crate::detect::profile::{Lanes, Profile};
 use crate::detect::refine::{Start, reach_px};
 use crate::detect::rim::Rim;
 use crate::detect::surface::{At, on_contour};
+use crate::detect::wide::{Work, wide};
 use crate::image::GrayView;
 use nalgebra::{SMatrix, SVector};
 use std::f64::consts::TAU;
@@ -48,9 +49,9 @@ pub(crate) const MOST_CONTOUR_PX: f64 = 800.0;
 /// Gain in twice the logarithm of the likelihood that a field must bring.
 const WORTH: f64 = 16.0;
 /// Product of curvature and blur above which the local profile no longer holds.
-const SMALL: f64 = 0.33;
+pub(crate) const SMALL: f64 = 0.33;
 /// How much `chi^2` must fall for a slope of the light: its two coefficients, 3.5 standard deviations, and 4 for having looked.
-const SLOPE: f64 = 13.0;
+pub(crate) const SLOPE: f64 = 13.0;
 
 /// Random light inside the disc.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -122,6 +123,15 @@ pub(crate) struct Share {
 }
 
 impl Share {
+    /// Takes in a pixel with the response `h` and the residual `left`, both over the noise.
+    #[inline]
+    pub(crate) fn push(&mut self, h: f64, left: f64) {
+        self.score += h * left;
+        self.information += h * h;
+        self.squares += left * left;
+        self.pixels += 1.0;
+    }
+
     /// Outward shift of the edge beyond that of the ellipse, px.
     pub(crate) fn shift_px(&self) -> f64 {
         -self.score / self.information
@@ -198,13 +208,13 @@ impl Exact {
     }
 
     /// The local profile at `LANES` pixels from place `i` on.
-    fn profile(&self, state: &State, i: usize) -> Lanes {
+    fn profile(&self, state: &State, i: usize) -> Lanes<LANES> {
         let (a, b) = (state.ellipse.semi_major_px, state.ellipse.semi_minor_px);
-        let range = i..i + LANES;
-        Profile { blur_px: state.blur_px, a, b }.at(
-            &self.band.distance[range.clone()],
-            &self.band.cos[range.clone()],
-            &self.band.sin[range],
+        let take = |list: &[f64]| std::array::from_fn(|l| list[i + l]);
+        Profile { blur_px: state.blur_px, a, b }.at::<LANES>(
+            &take(&self.band.distance),
+            &take(&self.band.cos),
+            &take(&self.band.sin),
         )
     }
 
@@ -249,7 +259,7 @@ impl Exact {
         }
     }
 
-    fn fill_from_rim(&mut self, state: &State, lanes: &Lanes, p: usize, at: usize) {
+    fn fill_from_rim(&mut self, state: &State, lanes: &Lanes<LANES>, p: usize, at: usize) {
         let (a, b) = (state.ellipse.semi_major_px, state.ellipse.semi_minor_px);
         let (x, y) = (self.band.x[p], self.band.y[p]);
         let seen = self.rim.seen(x, y);
@@ -273,7 +283,7 @@ impl Exact {
         self.inside[p] = seen.inside;
     }
 
-    fn fill_from_profile(&mut self, state: &State, frame: &Frame, lanes: &Lanes, p: usize, at: usize) {
+    fn fill_from_profile(&mut self, state: &State, frame: &Frame, lanes: &Lanes<LANES>, p: usize, at: usize) {
         let (a, b, l) = (state.ellipse.semi_major_px, state.ellipse.semi_minor_px, p % LANES);
         let (c, s) = (self.band.cos[p], self.band.sin[p]);
         let foot = frame.on_contour(c, s);
@@ -352,7 +362,7 @@ impl Exact {
             for i in (start..end).step_by(LANES) {
                 self.fill(state, &frame, i, i - start);
             }
-            products(&self.columns, end - start, n, &mut self.gram);
+            wide(Products { columns: &self.columns, used: end - start, n, gram: &mut self.gram });
         }
     }
 
@@ -421,10 +431,7 @@ impl Exact {
                 let left = column[(lights + FIXED) * CHUNK] - model;
                 let (q, h) = (self.inside[p], self.response[p]);
                 let share = &mut self.shares[self.band.sector[p] as usize];
-                share.score += h * left;
-                share.information += h * h;
-                share.squares += left * left;
-                share.pixels += 1.0;
+                share.push(h, left);
                 let far = if q > 0.995 { Some(0) } else { (q < 0.005).then_some(1) };
                 if let Some(side) = far {
                     self.away[side][0] += left * left / Self::weight(state, q);
@@ -708,18 +715,30 @@ impl Exact {
 }
 
 /// Adds the products of the first `used` entries of all pairs of columns to the lower triangle.
-fn products(columns: &[f64], used: usize, n: usize, gram: &mut [f64]) {
-    for i in 0..n {
-        let ci = &columns[i * CHUNK..i * CHUNK + used];
-        for j in 0..=i {
-            let cj = &columns[j * CHUNK..j * CHUNK + used];
-            let mut sums = [0.0; LANES];
-            for (x, y) in ci.chunks_exact(LANES).zip(cj.chunks_exact(LANES)) {
-                for l in 0..LANES {
-                    sums[l] += x[l] * y[l];
+struct Products<'a> {
+    columns: &'a [f64],
+    used: usize,
+    n: usize,
+    gram: &'a mut [f64],
+}
+
+impl Work for Products<'_> {
+    type Out = ();
+    #[inline(always)]
+    fn run(self) {
+        let Self { columns, used, n, gram } = self;
+        for i in 0..n {
+            let ci = &columns[i * CHUNK..i * CHUNK + used];
+            for j in 0..=i {
+                let cj = &columns[j * CHUNK..j * CHUNK + used];
+                let mut sums = [0.0; LANES];
+                for (x, y) in ci.chunks_exact(LANES).zip(cj.chunks_exact(LANES)) {
+                    for l in 0..LANES {
+                        sums[l] += x[l] * y[l];
+                    }
                 }
+                gram[i * n + j] += sums.iter().sum::<f64>();
             }
-            gram[i * n + j] += sums.iter().sum::<f64>();
         }
     }
 }

@@ -25,7 +25,6 @@
 //!
 //! Not valid where `eps` exceeds about one half.
 
-use crate::detect::band::LANES;
 use crate::detect::sectors::normal_tails;
 
 /// One disc's part in the profile: what its pixels share.
@@ -37,26 +36,27 @@ pub(crate) struct Profile {
 }
 
 /// The profile at several pixels.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Lanes {
-    pub(crate) inside: [f64; LANES],
-    pub(crate) slope: [f64; LANES],
-    pub(crate) by_blur: [f64; LANES],
-    pub(crate) depth: [f64; LANES],
-    pub(crate) density: [f64; LANES],
-    pub(crate) narrow: [f64; LANES],
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Lanes<const N: usize> {
+    pub(crate) inside: [f64; N],
+    pub(crate) slope: [f64; N],
+    pub(crate) by_blur: [f64; N],
+    pub(crate) depth: [f64; N],
+    pub(crate) density: [f64; N],
+    pub(crate) narrow: [f64; N],
 }
 
 impl Profile {
     /// At pixels with distances `d`, whose foot points have the eccentric angles with `cos` and `sin`.
-    #[inline]
-    pub(crate) fn at(&self, d: &[f64], cos: &[f64], sin: &[f64]) -> Lanes {
+    #[inline(always)]
+    pub(crate) fn at<const N: usize>(&self, d: &[f64; N], cos: &[f64; N], sin: &[f64; N]) -> Lanes<N> {
         let (s, a, b) = (self.blur_px, self.a, self.b);
         let (s2, inverse) = (s * s, 1.0 / s);
         let (e2, affine) = (a * a - b * b, 1.0 / 8.0);
-        let mut out = Lanes::default();
-        let (mut y, mut root, mut eps, mut mean_by_blur) = ([0.0; LANES], [0.0; LANES], [0.0; LANES], [0.0; LANES]);
-        for i in 0..LANES {
+        let none = [0.0; N];
+        let mut out = Lanes { inside: none, slope: none, by_blur: none, depth: none, density: none, narrow: none };
+        let (mut y, mut root, mut eps, mut mean_by_blur) = ([0.0; N], [0.0; N], [0.0; N], [0.0; N]);
+        for i in 0..N {
             let (c, sn) = (cos[i], sin[i]);
             let n2 = b * b * c * c + a * a * sn * sn;
             let n = n2.sqrt();
@@ -72,11 +72,12 @@ impl Profile {
             y[i] = (d[i] * inverse + mean) * root[i];
         }
         normal_tails(&y, &mut out.inside, &mut out.density);
-        for i in 0..LANES {
+        for i in 0..N {
             let (y, r, f) = (y[i], root[i], out.density[i]);
             let y2 = y * y;
-            let third = (eps[i] * r).powi(3) * (1.0 / 6.0);
-            let fourth = 0.125 * (eps[i] * r).powi(4);
+            let bent = eps[i] * r;
+            let third = bent * bent * bent * (1.0 / 6.0);
+            let fourth = 0.125 * (bent * bent) * (bent * bent);
             let sixth = 0.5 * third * third;
             // He_2 and He_4 .. He_6 are even or odd: the tail is taken at -y.
             let (he2, he3, he4) = (y2 - 1.0, y * (y2 - 3.0), y2 * (y2 - 6.0) + 3.0);
