@@ -32,6 +32,16 @@ pub struct OutlineNoise {
 }
 
 impl OutlineNoise {
+    /// U column by column, continued by zeros up to `len` rows, and by how much each column is shrunk.
+    pub(super) fn split(&self, columns: &mut [Vec<f64>; 2], len: usize) -> [f64; 2] {
+        for (k, column) in columns.iter_mut().enumerate() {
+            column.clear();
+            column.extend(self.basis.iter().map(|u| u[k]));
+            column.resize(len, 0.0);
+        }
+        [self.shrink.x, self.shrink.y]
+    }
+
     /// T times a matrix given by its rows, one per edge point.
     pub(super) fn apply<const N: usize>(&self, rows: &mut [[f64; N]]) {
         let mut sums = [[0.0; N]; 2];

@@ -1,12 +1,10 @@
 //! Cameras read from another package as a record of this one.
 
 use super::{Conversion, Found, Loss, NamedText};
-use crate::camera::Camera;
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::{
-    self, CameraSigma, Covariance, Effective, FORMAT, Fit, Pose, Provenance, Record, RigSigma, Target, TargetSigma,
-    VERSION,
+    self, Covariance, FORMAT, Fit, PlacedCamera, Pose, Provenance, Record, RigSigma, Target, TargetSigma, VERSION,
 };
 use crate::rigid::Motion;
 use crate::sheet::SheetEstimate;
@@ -64,31 +62,8 @@ pub(super) fn record(found: Found, files: &[NamedText]) -> Result<Conversion<Rec
 }
 
 fn camera(c: &super::WorldCamera, pose: &Motion<Cam, Rig>) -> record::Camera {
-    let i = c.camera.intrinsics();
-    let e = Camera::effective_pinhole(&c.camera);
-    record::Camera {
-        name: c.name.clone(),
-        image_size_px: c.image_size_px,
-        f_px: i.f_px,
-        aspect: i.aspect,
-        cx_px: i.cx_px,
-        cy_px: i.cy_px,
-        alpha_rad: i.alpha_rad,
-        beta_rad: i.beta_rad,
-        k1: i.k[0],
-        k2: i.k[1],
-        k3: i.k[2],
-        radial: i.radial.into(),
-        pupil_ratio: i.pupil_ratio,
-        pixel_pitch_mm: c.pixel_pitch_mm,
-        effective: Effective { f_px: e.f_px, cx_px: e.cx_px, cy_px: e.cy_px },
-        sigma: CameraSigma::default(),
-        cam_from_rig: Pose::from(pose),
-        window: None,
-        rms_px: c.loss.rms_px,
-        edge_rms_px: None,
-        observations: 0,
-    }
+    let placed = PlacedCamera { camera: c.camera, cam_from_rig: *pose };
+    record::Camera { rms_px: c.loss.rms_px, ..placed.to_record(&c.name, c.image_size_px, c.pixel_pitch_mm) }
 }
 
 fn rig(second: &Motion<Cam, Rig>) -> record::Rig {

@@ -6,8 +6,8 @@ use crate::bundle::{Fact, Observed, ParameterKnowledge, TargetShape, Termination
 use crate::camera::{Camera, INTRINSIC_NAMES, WINDOW_STEP_NAMES, Window};
 use crate::error::{Error, Result};
 use crate::record::{
-    self, CameraSigma, Covariance, Effective, Fit, ImageFile, Known, Parameter, Pose, PoseSigma, Provenance, Record,
-    Rig, RigSigma, Scale, Sheet, Target, TargetPoint, TargetSigma, View, ViewTarget, WindowSigma,
+    self, CameraSigma, Covariance, Effective, Fit, ImageFile, Known, Parameter, PlacedCamera, Pose, PoseSigma,
+    Provenance, Record, Rig, RigSigma, Scale, Sheet, Target, TargetPoint, TargetSigma, View, ViewTarget, WindowSigma,
 };
 use crate::rig_file::{Adjust, Length, Loss, Observations, Scale as ScaleFact};
 use crate::target::Target as Kind;
@@ -55,25 +55,10 @@ fn camera(s: &Solved, fits: &[ImageFit], c: usize) -> Option<record::Camera> {
     let first = s.images.iter().find(|i| i.camera == c)?;
     let own = total(s.images.iter().zip(fits).filter(|(i, _)| i.camera == c).map(|(_, f)| f));
     let camera = &s.covariance.natural.cameras[c];
-    let i = camera.intrinsics();
-    let e = camera.effective_pinhole();
+    let size = [first.image.width(), first.image.height()];
+    let placed = PlacedCamera { camera: *camera, cam_from_rig: s.covariance.natural.cam_from_rig[c] };
     let of = |k: usize| sigma(s, &format!("{}.{}", description.name, INTRINSIC_NAMES[k]));
     Some(record::Camera {
-        name: description.name.clone(),
-        image_size_px: [first.image.width(), first.image.height()],
-        f_px: i.f_px,
-        aspect: i.aspect,
-        cx_px: i.cx_px,
-        cy_px: i.cy_px,
-        alpha_rad: i.alpha_rad,
-        beta_rad: i.beta_rad,
-        k1: i.k[0],
-        k2: i.k[1],
-        k3: i.k[2],
-        radial: i.radial.into(),
-        pupil_ratio: i.pupil_ratio,
-        pixel_pitch_mm: description.pixel_pitch_mm,
-        effective: Effective { f_px: e.f_px, cx_px: e.cx_px, cy_px: e.cy_px },
         sigma: CameraSigma {
             f_px: of(0),
             aspect: of(1),
@@ -88,11 +73,11 @@ fn camera(s: &Solved, fits: &[ImageFit], c: usize) -> Option<record::Camera> {
             effective: effective_sigma(s, &description.name, camera),
             cam_from_rig: if c == 0 { still() } else { pose_sigma(s, &format!("{}.cam_from_rig", description.name)) },
         },
-        cam_from_rig: Pose::from(&s.covariance.natural.cam_from_rig[c]),
         window: camera.window().map(|w| window(s, &description.name, w)),
         rms_px: own.rms_px(),
         edge_rms_px: Some(own.edge_rms_px()),
         observations: own.edges,
+        ..placed.to_record(&description.name, size, description.pixel_pitch_mm)
     })
 }
 

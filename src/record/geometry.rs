@@ -1,6 +1,7 @@
 //! A calibration as geometry: cameras at their places in the rig. What belongs to the sheet is in `dewarp`.
 
-use super::schema::Record;
+use super::schema::{self, Effective, Pose, Record};
+use super::sigma::CameraSigma;
 use crate::camera::{Camera, Refusal};
 use crate::error::Result;
 use crate::frames::{Cam, Rig};
@@ -48,6 +49,35 @@ impl PlacedCamera {
     /// Projection centre in the rig frame, mm.
     pub fn center_in_rig(&self) -> Vector3<f64> {
         self.cam_from_rig.inverse().translation_mm
+    }
+
+    /// Its entry in a record, with every standard deviation unknown, without a window and without observations.
+    pub fn to_record(&self, name: &str, image_size_px: [usize; 2], pixel_pitch_mm: Option<f64>) -> schema::Camera {
+        let i = self.camera.intrinsics();
+        let e = self.camera.effective_pinhole();
+        schema::Camera {
+            name: name.into(),
+            image_size_px,
+            f_px: i.f_px,
+            aspect: i.aspect,
+            cx_px: i.cx_px,
+            cy_px: i.cy_px,
+            alpha_rad: i.alpha_rad,
+            beta_rad: i.beta_rad,
+            k1: i.k[0],
+            k2: i.k[1],
+            k3: i.k[2],
+            radial: i.radial.into(),
+            pupil_ratio: i.pupil_ratio,
+            pixel_pitch_mm,
+            effective: Effective { f_px: e.f_px, cx_px: e.cx_px, cy_px: e.cy_px },
+            sigma: CameraSigma::default(),
+            cam_from_rig: Pose::from(&self.cam_from_rig),
+            window: None,
+            rms_px: f64::NAN,
+            edge_rms_px: None,
+            observations: 0,
+        }
     }
 }
 

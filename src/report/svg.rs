@@ -22,12 +22,26 @@ pub(super) fn escape(text: &str) -> String {
 
 /// A coordinate with two decimals at most; what is not finite is 0 (callers leave such marks out).
 pub(super) fn num(x: f64) -> String {
-    if !x.is_finite() {
-        return "0".into();
+    let mut out = String::new();
+    push_num(&mut out, x);
+    out
+}
+
+/// As [`num`], at the end of a text: a page holds tens of thousands of them.
+fn push_num(out: &mut String, x: f64) {
+    let hundredths = (x * 100.0).round();
+    // Pictures end far below this.
+    if !(hundredths.abs() < 1e15) {
+        out.push('0');
+        return;
     }
-    let text = format!("{x:.2}");
-    let text = text.trim_end_matches('0').trim_end_matches('.');
-    if text == "-0" { "0".into() } else { text.into() }
+    let (sign, whole) = (if hundredths < 0.0 { "-" } else { "" }, hundredths.abs() as u64);
+    let (tenths, rest) = (whole % 100 / 10, whole % 10);
+    let _ = match (tenths, rest) {
+        (0, 0) => write!(out, "{sign}{}", whole / 100),
+        (t, 0) => write!(out, "{sign}{}.{t}", whole / 100),
+        (t, r) => write!(out, "{sign}{}.{t}{r}", whole / 100),
+    };
 }
 
 /// Path data of a chain of points; points that are not finite are left out.
@@ -35,7 +49,10 @@ pub(super) fn path_data(points: impl IntoIterator<Item = [f64; 2]>, closed: bool
     let mut out = String::new();
     for [x, y] in points {
         if x.is_finite() && y.is_finite() {
-            let _ = write!(out, "{}{} {}", if out.is_empty() { 'M' } else { 'L' }, num(x), num(y));
+            out.push(if out.is_empty() { 'M' } else { 'L' });
+            push_num(&mut out, x);
+            out.push(' ');
+            push_num(&mut out, y);
         }
     }
     if closed && !out.is_empty() {
