@@ -7,9 +7,9 @@
 // its cost is printed. Rounds of all take turns; medians of the rounds. Automatic derivatives are left out of the large problems.
 
 #include <algorithm>
-#include <chrono>
 #include <cstdio>
 #include <cstdlib>
+#include <ctime>
 #include <functional>
 
 #include "build.hpp"
@@ -22,13 +22,16 @@ double median(std::vector<double> x) {
   return x[x.size() / 2];
 }
 
+// Processor time: what else the machine does is not counted.
 double now() {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+  timespec t;
+  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
+  return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
 }
 
-// A pose whose derivatives are given by a turn w and a shift v on the left, exp(w) q and exp(w) t + v: six of the seven columns of a
+// A pose whose derivatives are given by a turn w about its own origin and a shift v, exp(w) q and t + v: six of the seven columns of a
 // Jacobian, so that nothing has to be multiplied.
-class LeftStep : public ceres::Manifold {
+class OwnStep : public ceres::Manifold {
  public:
   int AmbientSize() const override { return 7; }
   int TangentSize() const override { return 6; }
@@ -37,7 +40,7 @@ class LeftStep : public ceres::Manifold {
     const double angle = w.norm(), s = angle > 1e-12 ? std::sin(0.5 * angle) / angle : 0.5;
     const Eigen::Quaterniond turn(std::cos(0.5 * angle), s * w.x(), s * w.y(), s * w.z());
     const Eigen::Quaterniond q = (turn * Eigen::Quaterniond(x[0], x[1], x[2], x[3])).normalized();
-    const Eigen::Vector3d t = turn * Eigen::Vector3d(x[4], x[5], x[6]) + Eigen::Vector3d(d[3], d[4], d[5]);
+    const Eigen::Vector3d t(x[4] + d[3], x[5] + d[4], x[6] + d[5]);
     out[0] = q.w(), out[1] = q.x(), out[2] = q.y(), out[3] = q.z();
     out[4] = t.x(), out[5] = t.y(), out[6] = t.z();
     return true;
@@ -49,6 +52,14 @@ class LeftStep : public ceres::Manifold {
   bool Minus(const double*, const double*, double*) const override { return false; }
   bool MinusJacobian(const double*, double*) const override { return false; }
 };
+
+// Derivatives by a turn w about the frame's origin and a shift v to those of OwnStep for a motion with translation t.
+void about_own_origin(const double* w, const double* v, const std::array<double, 3>& t, double* out) {
+  out[0] = w[0] - (t[1] * v[2] - t[2] * v[1]);
+  out[1] = w[1] - (t[2] * v[0] - t[0] * v[2]);
+  out[2] = w[2] - (t[0] * v[1] - t[1] * v[0]);
+  out[3] = v[0], out[4] = v[1], out[5] = v[2], out[6] = 0.0;
+}
 
 // All residuals of an image; blocks: intrinsics, motion unless the first camera, pose, lengths of the target.
 class ImageCost : public ceres::CostFunction {
@@ -76,16 +87,12 @@ class ImageCost : public ceres::CostFunction {
         for (int k = 0; k < 10; ++k) jacobians[0][10 * i + k] = row[k] * kUnit[k];
       if (jacobians[shape])
         for (int k = 0; k < 3; ++k) jacobians[shape][3 * i + k] = row[16 + k];
-      if (second_ && jacobians[1]) {
-        for (int k = 0; k < 6; ++k) jacobians[1][7 * i + k] = row[10 + k];
-        jacobians[1][7 * i + 6] = 0.0;
-      }
+      if (second_ && jacobians[1]) about_own_origin(row + 10, row + 13, cam_from_rig.t, jacobians[1] + 7 * i);
       double* out = jacobians[second_ ? 2 : 1];
       if (!out) continue;
       out += 7 * i;
-      out[6] = 0.0;
       if (!second_) {
-        for (int k = 0; k < 6; ++k) out[k] = row[10 + k];
+        about_own_origin(row + 10, row + 13, pose.t, out);
         continue;
       }
       // Through the adjoint of cam_from_rig: w -> R w, [t]x R w;  v -> R v.
@@ -93,11 +100,13 @@ class ImageCost : public ceres::CostFunction {
       const auto& t = cam_from_rig.t;
       const double a[3] = {w[0] + v[1] * t[2] - v[2] * t[1], w[1] + v[2] * t[0] - v[0] * t[2],
                            w[2] + v[0] * t[1] - v[1] * t[0]};
+      double turn[3], shift[3];
       for (int k = 0; k < 3; ++k) {
         const auto& r = cam_from_rig.r;
-        out[k] = a[0] * r[k] + a[1] * r[3 + k] + a[2] * r[6 + k];
-        out[3 + k] = v[0] * r[k] + v[1] * r[3 + k] + v[2] * r[6 + k];
+        turn[k] = a[0] * r[k] + a[1] * r[3 + k] + a[2] * r[6 + k];
+        shift[k] = v[0] * r[k] + v[1] * r[3 + k] + v[2] * r[6 + k];
       }
+      about_own_origin(turn, shift, pose.t, out);
     }
     return true;
   }
@@ -136,7 +145,7 @@ std::vector<double*> build_by_hand(const Problem& problem, Unknowns& u, ceres::P
     blocks.push_back(u.shape.data());
     ceres.AddResidualBlock(new ImageCost(converted(problem, image), second), nullptr, blocks);
   }
-  return with_facts(problem, u, ceres, [] { return new LeftStep; });
+  return with_facts(problem, u, ceres, [] { return new OwnStep; });
 }
 
 struct Run {

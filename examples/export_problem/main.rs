@@ -5,7 +5,8 @@
 //! cargo run --example export_problem -- DIR            DIR/NAME.problem for every problem, DIR/projection.txt
 //! cargo run --example export_problem -- --check DIR    Newton decrement of DIR/NAME.solution in the library's own equations
 //! cargo run --example export_problem -- --bench DIR NAME...      problems of the benchmark
-//! cargo run --example export_problem -- --time NAME N [THREADS]  median seconds of N adjustments of one of them
+//! cargo run --example export_problem -- --time NAME N [THREADS]  mean seconds of N adjustments of one of them
+//! cargo run --example export_problem -- --once NAME    a single call, to count its instructions
 //! cargo run --example export_problem -- --discs DIR    rendered discs with truth, Cramer-Rao bound and what the library finds
 //! ```
 //! The formats are described in `text.rs`, `projection.rs` and `discs.rs`; `cpp_tests` reads them.
@@ -14,6 +15,7 @@
 
 mod check;
 mod discs;
+mod once;
 mod problems;
 mod projection;
 #[path = "../../tests/render/mod.rs"]
@@ -38,6 +40,7 @@ fn main() -> ExitCode {
             names.iter().for_each(|n| text::write_start(&named(n), Path::new(dir)));
             ExitCode::SUCCESS
         }
+        ["--once", name] => once::run(name),
         ["--time", name, rounds] => timing::run(name, rounds.parse().expect("a number of rounds"), 1),
         ["--time", name, rounds, threads] => {
             let number = |x: &str| x.parse().expect("a number");
@@ -50,7 +53,9 @@ fn main() -> ExitCode {
             ExitCode::SUCCESS
         }
         _ => {
-            eprintln!("export_problem DIR | --check DIR | --discs DIR | --bench DIR NAME... | --time NAME N [THREADS]");
+            eprintln!(
+                "export_problem DIR | --check DIR | --discs DIR | --bench DIR NAME... | --time NAME N [THREADS] | --once NAME"
+            );
             ExitCode::from(2)
         }
     }

@@ -6,8 +6,7 @@
 //! scatter along the contour.
 
 use super::assemble::SeenImage;
-use super::contour::{SeenCircle, Start};
-use super::edges;
+use super::edges::Feet;
 use super::model::{DiscObservation, ImageObservations, Model};
 use super::state::State;
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -64,24 +63,11 @@ pub fn residuals(model: &Model, state: &State, observations: &ImageObservations)
     Some(ImageResiduals { discs: discs? })
 }
 
-fn edge_residual(circle: &SeenCircle, start: &Start, seen: &DiscObservation) -> Option<EdgeResidual> {
-    let mut out = [vec![], vec![], vec![]];
-    if edges::allows(circle.camera) {
-        edges::distances(circle, seen, &mut out)?;
-    } else {
-        for i in 0..seen.edge.u_px.len() {
-            let foot = circle.foot(start, &Vector2::new(seen.edge.u_px[i], seen.edge.v_px[i]))?;
-            out.iter_mut().zip([foot.distance_px, foot.normal.x, foot.normal.y]).for_each(|(o, x)| o.push(x));
-        }
-    }
-    let [distance_px, normal_u, normal_v] = out;
-    Some(EdgeResidual { distance_px, normal_u, normal_v })
-}
-
 fn disc_residual(image: &SeenImage, seen: &DiscObservation, scale: f64) -> Option<DiscResidual> {
     let circle = image.circle(seen.disc);
     let start = circle.start()?;
-    let edges = edge_residual(&circle, &start, seen)?;
+    let Feet { distance_px, normal: [normal_u, normal_v], .. } = Feet::of(&circle, seen)?;
+    let edges = EdgeResidual { distance_px, normal_u, normal_v };
     let row = |i: usize| {
         let w = 1.0 / (seen.edge.sigma_px[i] * scale);
         [edges.normal_u[i] * w, edges.normal_v[i] * w, w, edges.distance_px[i] * w]

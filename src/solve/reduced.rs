@@ -8,6 +8,7 @@
 
 use super::factor::{Cholesky, backward, factorise, forward};
 use super::{Gradient, NormalEquations, Step};
+use crate::lanes::{self, GROUP, Kernel, Lanes};
 use nalgebra::{DMatrix, DVector};
 
 /// What is added to the diagonal of H.
@@ -57,8 +58,47 @@ fn damp(m: &mut [f64], n: usize, ridge: impl Fn(usize, f64) -> f64) {
     }
 }
 
-/// Number of global unknowns up to which the products of blocks are plain loops over the lower triangle.
+/// Number of global unknowns up to which products are formed in tiles of the lower triangle; beyond, blocked code is faster.
 const FEW: usize = 48;
+
+/// Distance of the columns of Y transposed: whole groups for the tiles.
+fn stride(global: usize) -> usize {
+    if global <= FEW { global.next_multiple_of(GROUP) } else { global }
+}
+
+/// Takes `Y^T Y` from the lower triangle of the n x n matrix `s`; `y` holds rows of Y, each filled up with zeros to whole groups. Every element is
+/// summed over the rows in their order, whatever the width.
+struct Take<'a> {
+    y: &'a [f64],
+    s: &'a mut [f64],
+    n: usize,
+}
+
+impl Kernel for Take<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let width = self.n.next_multiple_of(GROUP);
+        for j in (0..self.n).step_by(4) {
+            // Tiles from the group on that holds the diagonal.
+            for i in (j / L::N * L::N..self.n).step_by(L::N) {
+                let mut tile = [L::splat(0.0); 4];
+                for row in self.y.chunks_exact(width) {
+                    let (left, right) = (L::load(&row[i..]), &row[j..j + 4]);
+                    for b in 0..4 {
+                        tile[b] = tile[b] + left * L::splat(right[b]);
+                    }
+                }
+                for (b, tile) in tile.into_iter().enumerate().take(self.n - j) {
+                    let mut sums = [0.0; GROUP];
+                    tile.store(&mut sums);
+                    let (column, rows) = (j + b, i.max(j + b)..(i + L::N).min(self.n));
+                    rows.for_each(|r| self.s[column * self.n + r] -= sums[r - i]);
+                }
+            }
+        }
+    }
+}
 
 /// The blocks, eliminated; one after the other in each vector.
 pub(super) struct Eliminated {
@@ -66,7 +106,7 @@ pub(super) struct Eliminated {
     global: usize,
     /// L, d x d, by columns.
     factors: Vec<f64>,
-    /// Y transposed, n x d, by columns.
+    /// Y transposed, n x d, by columns that [`stride`] parts.
     coupled: Vec<f64>,
     /// y, d.
     own: Vec<f64>,
@@ -85,7 +125,7 @@ impl Eliminated {
         let mut at = [0; 3];
         self.sizes.iter().map(move |&d| {
             let [f, c, o] = at;
-            at = [f + d * d, c + d * self.global, o + d];
+            at = [f + d * d, c + d * stride(self.global), o + d];
             EliminatedBlock {
                 factor: &self.factors[f..at[0]],
                 coupled: &self.coupled[c..at[1]],
@@ -99,7 +139,7 @@ impl Eliminated {
 impl EliminatedBlock<'_> {
     /// Column k of Y transposed.
     fn column(&self, k: usize) -> &[f64] {
-        &self.coupled[k * self.global..(k + 1) * self.global]
+        &self.coupled[k * stride(self.global)..][..self.global]
     }
 
     /// `L^-T (y - Y global)`.
@@ -148,9 +188,9 @@ pub(super) fn eliminate(
     let mut s = damped(&equations.h_gg, |i, h| ridge.global(i, h));
     let mut rhs = equations.b_g.clone();
     let sizes: Vec<usize> = equations.blocks.iter().map(|b| b.b_v.len()).collect();
-    let total: usize = sizes.iter().sum();
+    let (total, width): (usize, usize) = (sizes.iter().sum(), stride(n));
     let mut factors = Vec::with_capacity(sizes.iter().map(|d| d * d).sum());
-    let mut coupled: Vec<f64> = Vec::with_capacity(total * n);
+    let mut coupled: Vec<f64> = Vec::with_capacity(total * width);
     let mut own: Vec<f64> = Vec::with_capacity(total);
     for (v, (block, &d)) in equations.blocks.iter().zip(&sizes).enumerate() {
         let (f, c, o) = (factors.len(), coupled.len(), own.len());
@@ -163,9 +203,10 @@ pub(super) fn eliminate(
         for k in 0..d {
             let at = coupled.len();
             coupled.extend(block.h_vg.row(k).iter());
+            coupled.resize(at + width, 0.0);
             let (before, column) = coupled.split_at_mut(at);
             for m in 0..k {
-                let (factor, other) = (l[m * d + k], &before[c + m * n..c + (m + 1) * n]);
+                let (factor, other) = (l[m * d + k], &before[c + m * width..c + (m + 1) * width]);
                 column.iter_mut().zip(other).for_each(|(x, y)| *x -= factor * y);
             }
             let inverse = 1.0 / l[k * d + k];
@@ -174,17 +215,13 @@ pub(super) fn eliminate(
         own.extend(block.b_v.iter());
         forward(l, &mut own[o..]);
         for k in 0..d {
-            let (column, y) = (&coupled[c + k * n..c + (k + 1) * n], own[o + k]);
+            let (column, y) = (&coupled[c + k * width..], own[o + k]);
             rhs.iter_mut().zip(column).for_each(|(r, x)| *r -= x * y);
-            if n <= FEW {
-                for (j, s) in s.as_mut_slice().chunks_exact_mut(n.max(1)).enumerate() {
-                    let factor = column[j];
-                    s[j..].iter_mut().zip(&column[j..]).for_each(|(s, x)| *s -= factor * x);
-                }
-            }
         }
     }
-    if n > FEW {
+    if n <= FEW {
+        lanes::run(Take { y: &coupled, s: s.as_mut_slice(), n });
+    } else {
         let all = nalgebra::DMatrixView::from_slice(&coupled, n, total);
         s.gemm(-1.0, &all, &all.transpose(), 1.0);
     }
@@ -249,5 +286,45 @@ impl<'a> Reduced<'a> {
             sum += weighted(&b.h_vv, d, &|i, h| self.ridge.block(v, i, h));
         }
         0.5 * (self.b_dot(step) + sum)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rows of Y with many zeros where they are filled up.
+    fn rows(n: usize) -> Vec<f64> {
+        let width = n.next_multiple_of(GROUP);
+        (0..7 * width).map(|i| if i % width < n { ((i * 31) as f64).sin() } else { 0.0 }).collect()
+    }
+
+    #[derive(Clone)]
+    struct Taken(usize);
+    impl Kernel for Taken {
+        type Output = Vec<f64>;
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> Vec<f64> {
+            let mut s = vec![1.0; self.0 * self.0];
+            Take { y: &rows(self.0), s: &mut s, n: self.0 }.run::<L>();
+            s
+        }
+    }
+
+    #[test]
+    fn tiles_take_the_product_from_the_lower_triangle_alone() {
+        for n in [0, 1, 3, 8, 11, 22, FEW] {
+            let (all, y) = (lanes::run_all(&Taken(n)), rows(n));
+            for s in &all {
+                assert_eq!(*s, all[0]);
+            }
+            let width = n.next_multiple_of(GROUP).max(1);
+            for (at, s) in all[0].iter().enumerate() {
+                let (i, j) = (at % n, at / n);
+                let product: f64 = y.chunks_exact(width).map(|row| row[i] * row[j]).sum();
+                let wanted = if i >= j { 1.0 - product } else { 1.0 };
+                assert!((s - wanted).abs() < 1e-14, "{n}: {i} {j}");
+            }
+        }
     }
 }

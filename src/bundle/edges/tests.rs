@@ -220,17 +220,17 @@ fn states_without_an_image_are_refused_as_by_the_plain_path() {
 }
 
 #[test]
-fn distances_are_those_of_the_plain_feet() {
+fn feet_are_the_plain_ones() {
     let scene = roughened(Scene::build(4, false, false, false).with_noise(4), Loss::None);
     let image = SeenImage::of(&scene.model, &scene.truth, &scene.model.images[1]).unwrap();
-    let (seen, mut out) = (&image.observations.discs[1], [vec![], vec![], vec![]]);
+    let seen = &image.observations.discs[1];
     let circle = image.circle(seen.disc);
-    distances(&circle, seen, &mut out).unwrap();
-    let start = circle.start().unwrap();
-    assert_eq!(out[0].len(), seen.edge.u_px.len());
-    for i in 0..out[0].len() {
-        let foot = circle.foot(&start, &nalgebra::Vector2::new(seen.edge.u_px[i], seen.edge.v_px[i])).unwrap();
-        assert!((foot.distance_px - out[0][i]).abs() < 1e-12);
-        assert!((foot.normal - nalgebra::Vector2::new(out[1][i], out[2][i])).norm() < 1e-9);
+    let (mut fast, mut plain) = (Feet::of(&circle, seen).unwrap(), Feet::plain(&circle, seen).unwrap());
+    for (k, (a, b)) in fast.all().into_iter().zip(plain.all()).enumerate() {
+        assert_eq!((a.len(), b.len()), (seen.edge.u_px.len(), seen.edge.u_px.len()));
+        for (a, b) in a.iter().zip(b) {
+            let rounding = if k == 0 { 1e-12 } else { 1e-8 };
+            assert!((*a - *b).abs() < rounding * (1.0 + b.abs()), "{k}: {a} {b}");
+        }
     }
 }
