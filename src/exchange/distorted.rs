@@ -89,12 +89,52 @@ impl OpenCvCamera {
 
 /// The camera of this library that sees given points at given pixels, from a start.
 ///
-/// Parameters: the pose of the effective pinhole, its (f, cx, cy), the aspect, the axis point and k1, k2. Without distortion the axis point
-/// moves nothing, so that what is weak stands alone; with (du, dv) = axis less effective point, dv over the aspect,
+/// Fitted twice, by parameters that are weak in different places; the second fit begins where the first ends and can only be better.
+pub(super) fn fit_scheimpflug(
+    start: &Camera,
+    pose: &Motion<Cam, Sheet>,
+    seen: &[super::refit::Seen],
+) -> Result<(Camera, Motion<Cam, Sheet>, Loss)> {
+    let (camera, pose, _) = along_lens_axis(start, pose, seen)?;
+    along_pinhole(&camera, &pose, seen)
+}
+
+fn degenerate() -> Insufficient {
+    Insufficient::Degenerate(
+        "no camera of this library sees the points as the file says; check the image size and the pixel pitch".into(),
+    )
+}
+
+/// [`fit_scheimpflug`] by pose, intrinsics and tilts: reaches a tilt from a start without distortion, and creeps where tilt, axis point and pose
+/// move together.
+fn along_lens_axis(
+    start: &Camera,
+    pose: &Motion<Cam, Sheet>,
+    seen: &[super::refit::Seen],
+) -> Result<(Camera, Motion<Cam, Sheet>, Loss)> {
+    let i = start.intrinsics();
+    let of = |p: &[f64]| {
+        let mut out = Intrinsics::pinhole(p[6] * i.f_px, p[7], p[8]);
+        (out.aspect, out.alpha_rad, out.beta_rad, out.k) = (p[9], p[10], p[11], [p[12], p[13], i.k[2]]);
+        Camera::new(out).ok()
+    };
+    let first =
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, i.cx_px, i.cy_px, i.aspect, i.alpha_rad, i.beta_rad, i.k[0], i.k[1]];
+    let far = pose.translation_mm.norm();
+    let [turn, shift] = [1e-6, 1e-6 * far];
+    let steps = [turn, turn, turn, shift, shift, shift, 1e-6, 0.01, 0.01, 1e-6, turn, turn, 1e-4, 1e-2];
+    let project = |p: &[f64], x: &Vector3<f64>| of(p)?.project_xyz(&moved(pose, p).apply(x)).ok();
+    let (p, loss) = refit(seen, &first, &steps, &project).ok_or_else(degenerate)?;
+    let camera = of(&p).ok_or_else(degenerate)?;
+    Ok((camera, moved(pose, &p), loss))
+}
+
+/// [`fit_scheimpflug`] by other parameters: the pose of the effective pinhole, its (f, cx, cy), the aspect, the axis point and k1, k2. What is weak, the axis
+/// point, stands alone, but moves nothing from a start without distortion; with (du, dv) = axis less effective point, dv over the aspect,
 /// ```text
 /// f = sqrt(f_e^2 + du^2 + dv^2),   beta = asin(du / f),   alpha = atan2(dv, f_e)
 /// ```
-pub(super) fn fit_scheimpflug(
+fn along_pinhole(
     start: &Camera,
     pose: &Motion<Cam, Sheet>,
     seen: &[super::refit::Seen],
@@ -121,12 +161,6 @@ pub(super) fn fit_scheimpflug(
     let project = |p: &[f64], x: &Vector3<f64>| {
         let camera = of(p)?;
         camera.project_xyz(&placed(&camera, p).apply(x)).ok()
-    };
-    let degenerate = || {
-        Insufficient::Degenerate(
-            "no camera of this library sees the points as the file says; check the image size and the pixel pitch"
-                .into(),
-        )
     };
     let (p, loss) = refit(seen, &first, &steps, &project).ok_or_else(degenerate)?;
     let camera = of(&p).ok_or_else(degenerate)?;
