@@ -89,14 +89,16 @@ impl OpenCvCamera {
 
 /// The camera of this library that sees given points at given pixels, from a start.
 ///
-/// Fitted twice, by parameters that are weak in different places; the second fit begins where the first ends and can only be better.
+/// Fitted by parameters that are weak in different places, from the start and from where the others end; the nearest is kept.
 pub(super) fn fit_scheimpflug(
     start: &Camera,
     pose: &Motion<Cam, Sheet>,
     seen: &[super::refit::Seen],
 ) -> Result<(Camera, Motion<Cam, Sheet>, Loss)> {
+    let direct = along_pinhole(start, pose, seen);
     let (camera, pose, _) = along_lens_axis(start, pose, seen)?;
-    along_pinhole(&camera, &pose, seen)
+    let settled = along_pinhole(&camera, &pose, seen)?;
+    Ok(direct.ok().filter(|d| d.2.rms_px < settled.2.rms_px).unwrap_or(settled))
 }
 
 fn degenerate() -> Insufficient {
@@ -129,8 +131,8 @@ fn along_lens_axis(
     Ok((camera, moved(pose, &p), loss))
 }
 
-/// [`fit_scheimpflug`] by other parameters: the pose of the effective pinhole, its (f, cx, cy), the aspect, the axis point and k1, k2. What is weak, the axis
-/// point, stands alone, but moves nothing from a start without distortion; with (du, dv) = axis less effective point, dv over the aspect,
+/// [`fit_scheimpflug`] by other parameters: the pose of the effective pinhole, its (f, cx, cy), the aspect, the axis point and k1, k2. What is
+/// weak, the axis point, stands alone, but moves nothing from a start without distortion; with (du, dv) = axis less effective point, dv over the aspect,
 /// ```text
 /// f = sqrt(f_e^2 + du^2 + dv^2),   beta = asin(du / f),   alpha = atan2(dv, f_e)
 /// ```
