@@ -14,7 +14,9 @@
 mod rig_scene;
 
 use rayon::prelude::*;
-use rig_scene::{Bound, Problem, QUANTITIES, Run, Summary, band};
+use rig_scene::{Bound, Problem, QUANTITIES, Run, Summary, TWO_SIDED_95, band};
+
+const DISPARITIES: [&str; 2] = ["disparity rms, px", "the same, plane refitted"];
 
 struct Arguments {
     problem: String,
@@ -54,11 +56,9 @@ fn show_bound(name: &str, bound: &Bound) {
     for (what, sigma) in QUANTITIES.iter().zip(&bound.sigmas) {
         println!("  {what:24} {}", sigma.map_or("not determined".into(), |s| format!("{s:.3e}")));
     }
-    println!(
-        "  {:24} {}",
-        "disparity rms, px",
-        bound.disparity_px.map_or("not determined".into(), |d| format!("{d:.5}"))
-    );
+    for (what, disparity) in DISPARITIES.iter().zip([bound.disparity_px, bound.refitted_px]) {
+        println!("  {what:24} {}", disparity.map_or("not determined".into(), |d| format!("{d:.5}")));
+    }
 }
 
 fn show(name: &str, bound: &Bound, runs: &[Run]) {
@@ -70,9 +70,12 @@ fn show(name: &str, bound: &Bound, runs: &[Run]) {
         let sigma = bound.sigmas[k].map_or("none".into(), |b| format!("{b:.3e}"));
         println!("  {what:24} {sigma:>11} {mean:9.3} {ratio:9.3}");
     }
-    let predicted = bound.disparity_px.unwrap_or(f64::NAN);
-    println!("  {:24} {predicted:11.5} {:>9} {:9.3}", "disparity rms, px", "", s.disparity_px / predicted);
-    let [low, high] = band(8.0 * s.runs as f64, 1.959964);
+    let sampled = [s.disparity_px, s.refitted_px];
+    for ((what, predicted), sampled) in DISPARITIES.iter().zip([bound.disparity_px, bound.refitted_px]).zip(sampled) {
+        let predicted = predicted.unwrap_or(f64::NAN);
+        println!("  {what:24} {predicted:11.5} {:>9} {:9.3}", "", sampled / predicted);
+    }
+    let [low, high] = band(8.0 * s.runs as f64, TWO_SIDED_95);
     println!(
         "  squared error / 8: at the truth {:.4}, at the estimate {:.4}; 95 % band {low:.4} to {high:.4}",
         s.nees_at_truth, s.nees_at_estimate

@@ -40,9 +40,11 @@ mod assemble;
 mod chart;
 mod conflict;
 mod contour;
+mod edges;
 mod extension;
 mod facts;
 mod focus;
+mod image_map;
 mod influence;
 mod layout;
 mod model;
@@ -55,11 +57,13 @@ mod state;
 mod tangent;
 
 pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, problem};
-pub use conflict::{PriorCheck, PriorOf, prior_checks};
+pub use conflict::{PriorCheck, prior_checks};
 pub use extension::{Extension, ExtensionTest, extension_tests};
-pub use facts::Fact;
+pub use facts::{Fact, PriorOf};
 pub use focus::Focus;
-pub use influence::{named_rows, natural_of, predicted_without_view, readjusted_without_view};
+pub use influence::{
+    named_rows, natural_of, predicted_with_all_views, predicted_without_view, readjusted_without_views,
+};
 pub use model::{
     CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, PairObservation,
     PlanePosition, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,

@@ -37,11 +37,13 @@
 
 mod convert;
 mod design;
+mod lanes;
 mod radial;
 mod window;
 
 pub use convert::{EffectivePinhole, HalconTilt, OpenCvTilted};
 pub use design::Drawing;
+pub(crate) use lanes::{LaneCamera, LaneImage};
 pub use window::{ApparentJet, LAYER_NAMES, LAYERS, WINDOW_STEP_NAMES, WINDOW_STEPS, WaterRay, Window, WindowJet};
 
 use crate::error::{Invalid, Result};

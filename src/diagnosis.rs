@@ -5,12 +5,13 @@
 //! | priors | does what was known beforehand agree with the images? how much of a number is its prior? | [`crate::bundle::prior_checks`] |
 //! | weak directions | which numbers move together? | principal directions of the covariance, in parts of 0.5 % and 5 mrad |
 //! | model tests | is a lens term lacking? is the plate bent, are its dots displaced? | [`crate::bundle::extension_tests`] |
-//! | views | what does each view contribute, does it agree with the others? | [`crate::bundle::predicted_without_view`], and an adjustment without it |
+//! | views | what does each view contribute, does it agree with the others, and which one does not? | [`crate::bundle::predicted_without_view`], and an adjustment without it |
 //! | mapping | what do errors of the calibration do to u, v, w and to dewarped images? | [`crate::sheet::SheetUncertainty`] |
 //!
 //! Every yes-or-no finding allows 1 % false alarms over all tests of its kind together (Bonferroni). A finding becomes a flag only where
 //! it touches a number that a user relies on.
 
+mod culprit;
 mod keys;
 mod mapping;
 mod model_tests;
@@ -19,10 +20,12 @@ mod priors;
 mod views;
 mod weak;
 
-use crate::bundle::{AdjustOptions, Adjustment, NamedCovariance};
+use crate::bundle::{AdjustOptions, Adjustment, Iteration, NamedCovariance};
+use crate::error::{Result, Unusable};
 use crate::record::{Diagnosis, KeyQuantity, MappingUncertainty, NearNull};
 use crate::target::DotId;
 use keys::Keys;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// False alarms allowed over all tests of a kind.
 const FALSE_ALARMS: f64 = 0.01;
@@ -59,18 +62,57 @@ pub struct Findings {
     pub flags: Vec<String>,
 }
 
-/// Diagnoses an adjustment that has reached its minimum.
-pub fn diagnose(s: &Subject<'_>) -> Findings {
-    let names: Vec<&str> = s.adjustment.model.cameras.iter().map(|c| c.name.as_str()).collect();
+/// Told of iterations from several threads; returns false to stop.
+pub type Observe<'a> = &'a (dyn Fn(&Iteration) -> bool + Sync);
+
+/// Asks whether to go on, and remembers a no.
+struct Watch<'a> {
+    observe: Observe<'a>,
+    at_minimum: Iteration,
+    stopped: AtomicBool,
+}
+
+impl Watch<'_> {
+    fn goes_on(&self, iteration: &Iteration) -> bool {
+        if self.stopped.load(Ordering::Relaxed) {
+            return false;
+        }
+        let on = (self.observe)(iteration);
+        if !on {
+            self.stopped.store(true, Ordering::Relaxed);
+        }
+        on
+    }
+
+    /// Between two pieces of work.
+    fn check(&self) -> Result<()> {
+        if self.goes_on(&self.at_minimum) { Ok(()) } else { Err(Unusable::Cancelled.into()) }
+    }
+}
+
+/// Diagnoses an adjustment that has reached its minimum. `observe` sees the iterations of the adjustments without single views, and
+/// is asked between the parts.
+///
+/// # Errors
+/// [`Unusable::Cancelled`] where `observe` stopped it.
+pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
+    let a = s.adjustment;
+    let at_minimum = Iteration { number: a.iterations, cost: a.cost, decrement: a.decrement };
+    let watch = Watch { observe, at_minimum, stopped: AtomicBool::new(false) };
+    let names: Vec<&str> = a.model.cameras.iter().map(|c| c.name.as_str()).collect();
+    watch.check()?;
     let keys = Keys::of(s.covariance, &names);
     let mut out = Findings { near_null: weak::near_null(s.covariance, &names, &keys), ..Findings::default() };
     out.diagnosis.key_quantities = quantities(s.covariance, &keys);
     out.diagnosis.priors = priors::priors(s, &mut out.flags);
+    watch.check()?;
     out.diagnosis.model_tests = model_tests::model_tests(s, &keys, &mut out.flags);
-    out.diagnosis.views = views::views(s, &keys, &mut out.flags);
+    watch.check()?;
+    out.diagnosis.views = views::views(s, &names, &keys, &watch, &mut out.flags)?;
     out.diagnosis.outliers = outliers::outliers(s);
+    watch.check()?;
     out.mapping = mapping::mapping_uncertainty(s, &names, &mut out.flags);
-    out
+    Ok(out)
 }
 
 fn quantities(covariance: &NamedCovariance, keys: &Keys) -> Vec<KeyQuantity> {

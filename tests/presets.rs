@@ -6,6 +6,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
 use spivcal::camera::{INTRINSIC_NAMES, Radial};
+use spivcal::error::{Error, Unusable};
 use spivcal::pipeline::{CalibrateOptions, calibrate};
 use spivcal::record::Record;
 use spivcal::rig_file::RigDescription;
@@ -104,4 +105,31 @@ fn camera_with_the_photogrammetric_polynomial() {
     );
     let record = end_to_end(&text);
     assert!(record.cameras.iter().all(|c| c.intrinsics().radial == Radial::DistortedToIdeal));
+}
+
+/// Whoever stops the work is obeyed to the end: the last that is told is of the diagnosis.
+#[test]
+fn the_work_is_stopped_up_to_its_last_word() {
+    let scene = changed(preset_text("printed").unwrap(), &SMALL);
+    let scene = changed(&scene, &[("axis_point_px = [523.0, 374.5]", ""), ("axis_point_px = [502.4, 390.7]", "")]);
+    let made = simulate(&Scene::parse(&scene, "scene.toml").unwrap()).unwrap();
+    let job = RigDescription::parse(&made.rig_toml, "rig.toml").unwrap();
+    let load = |view: usize, camera: usize| {
+        let name = job.views[view].images[camera].as_deref().unwrap();
+        Ok(made.images.iter().find(|(n, _)| n == name).unwrap().1.clone())
+    };
+    let options = CalibrateOptions { threads: 1, ..CalibrateOptions::default() };
+    let mut all = 0;
+    calibrate(&job, &load, &options, &mut |_| {
+        all += 1;
+        true
+    })
+    .unwrap();
+    let mut told = 0;
+    let stopped = calibrate(&job, &load, &options, &mut |_| {
+        told += 1;
+        told < all
+    });
+    assert!(matches!(stopped, Err(Error::Unusable(Unusable::Cancelled))), "after {all}");
+    assert_eq!(told, all, "nothing is told after the end was asked for");
 }

@@ -6,7 +6,7 @@
 
 mod rig_scene;
 
-use rig_scene::{Noise, Scene, tilted_camera};
+use rig_scene::{Noise, Scene, TWO_SIDED_995, band, tilted_camera};
 use spivcal::bundle::{AdjustOptions, PlanePosition, Termination, ViewPlace, adjust, named_covariance};
 
 const POSITIONS_MM: [f64; 3] = [-4.0, 0.0, 5.0];
@@ -68,11 +68,11 @@ fn mean_squares(truth: &Scene) -> Vec<(String, f64)> {
     sums
 }
 
-/// Chi-square of 40 runs over 40, 99.5 percent: 0.484 to 1.744.
 fn within_band(what: &str, means: &[(String, f64)]) {
+    let [low, high] = band(RUNS as f64, TWO_SIDED_995);
     for (name, mean) in means {
         println!("{what}: {name} mean z^2 {mean:.3}");
-        assert!((0.484..1.744).contains(mean), "{what}: {name} mean z^2 {mean}");
+        assert!((low..high).contains(mean), "{what}: {name} mean z^2 {mean}");
     }
 }
 

@@ -5,7 +5,7 @@
 //! z      = (estimate - truth) / predicted sigma          sum of z^2 over n runs: chi-square, n degrees of freedom
 //! nees   = e^T C^-1 e, e the errors of 8 camera numbers  sum over n runs: chi-square, 8 n degrees of freedom
 //! ```
-//! Bands hold 95 % for `nees`; the ten single quantities of a rig have to pass together, so theirs hold 99.5 % each.
+//! Bands hold 95 % for `nees` and 99.5 % for each of the ten single quantities of a rig; `rig_scene/scatter.rs` says what that means.
 //! Facts are drawn anew in each run: a prior that always states the truth would make every z too small.
 //!
 //! `SPIVCAL_MC=400` runs more.
@@ -15,17 +15,13 @@
 mod rig_scene;
 
 use nalgebra::{DVector, Vector3};
-use rig_scene::{Noise, Scene, band};
+use rig_scene::{Noise, Scene, TWO_SIDED_95, TWO_SIDED_995, band};
 use spivcal::bundle::{
     AdjustOptions, Adjustment, Fact, NamedCovariance, SolveOptions, State, Termination, adjust, adjust_tangents,
     named_covariance,
 };
 use spivcal::camera::Camera;
 use spivcal::sheet::joint_sheet;
-
-/// Standard normal quantiles of 0.975 and 0.9975.
-const TWO_SIDED_95: f64 = 1.959964;
-const TWO_SIDED_995: f64 = 2.807034;
 
 const NAMES: [&str; 2] = ["left", "right"];
 const QUANTITIES: [&str; 4] = ["f_px", "effective.cx_px", "effective.cy_px", "k1"];

@@ -17,32 +17,13 @@
 //! Source: Baarda, "A testing procedure for use in geodetic networks" (1968): a prior is one more observation.
 
 use super::adjust::Adjustment;
-use super::assemble::Slot;
-use super::facts::{self, Fact};
+use super::facts::{self, PriorOf};
+use super::image_map::Slot;
 use super::layout::Places;
 use crate::solve::{Posterior, posterior};
 
 /// Below this part of its variance the images move a prior too little for the residual to stand out from rounding.
 const TESTABLE: f64 = 1e-6;
-
-/// What a prior is about.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PriorOf {
-    /// A fact, by its index in the model; a focus relation has rows 0 and 1 (directions) and 2 (distance).
-    Fact {
-        /// Index in the model's facts.
-        index: usize,
-        /// Row of the fact.
-        row: usize,
-    },
-    /// The place or size of a disc: dx, dy, dz, dr.
-    Disc {
-        /// Disc of the target.
-        disc: usize,
-        /// 0 to 3.
-        part: usize,
-    },
-}
 
 /// One prior after the adjustment.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -74,19 +55,12 @@ pub fn prior_checks(adjustment: &Adjustment) -> Option<Vec<PriorCheck>> {
     let (model, state) = (&adjustment.model, &adjustment.state);
     let places = Places::of(model);
     let post = posterior(adjustment.equations.as_ref()?);
-    let mut of = vec![];
-    for (index, fact) in model.facts.iter().enumerate() {
-        let count = if let Fact::Focus(focus) = fact { focus.count() } else { 1 };
-        of.extend((0..count).map(|row| PriorOf::Fact { index, row }));
-    }
-    let rows = facts::rows(model, &places, state)?;
-    let discs = (0..model.target.disc_count()).flat_map(|disc| (0..4).map(move |part| PriorOf::Disc { disc, part }));
-    let check = |(of, row): (PriorOf, &facts::Row)| PriorCheck {
+    let check = |(of, row): (PriorOf, facts::Row)| PriorCheck {
         of,
         residual: row.residual,
-        share: variance(&post, row).clamp(0.0, 1.0),
+        share: variance(&post, &row).clamp(0.0, 1.0),
     };
-    Some(of.into_iter().chain(discs).zip(&rows).map(check).collect())
+    Some(facts::rows(model, &places, state)?.into_iter().map(check).collect())
 }
 
 /// `j C j^T`.

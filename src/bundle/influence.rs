@@ -15,7 +15,7 @@ use super::layout::Places;
 use super::model::Model;
 use super::posterior::{self, Natural};
 use super::state::State;
-use crate::solve::{Prediction, Problem, predict};
+use crate::solve::{Iteration, Prediction, Problem, predict};
 use nalgebra::DMatrix;
 
 /// Functions of named parameters (lists of name and coefficient) by the global unknowns; parts that belong to views are left out.
@@ -41,23 +41,33 @@ pub fn natural_of(model: &Model, state: &State) -> Option<Natural> {
     posterior::natural(model, state)
 }
 
-fn without(model: &Model, view: usize) -> Model {
+fn without(model: &Model, views: &[usize]) -> Model {
     let mut out = model.clone();
-    out.images.retain(|i| i.view != view);
+    out.images.retain(|i| !views.contains(&i.view));
     out
 }
 
 /// Change and covariance of `rows` (functions x global unknowns) without the images of a view; facts about it stay. `None` where
 /// nothing can be said.
 pub fn predicted_without_view(adjustment: &Adjustment, view: usize, rows: &DMatrix<f64>) -> Option<Prediction> {
-    let model = without(&adjustment.model, view);
+    let model = without(&adjustment.model, &[view]);
     let equations = problem(&model).linearise(&adjustment.state)?;
     predict(&equations, rows)
 }
 
-/// The adjustment without the images of a view, from its estimate, with its sigmas and outliers. The result has no meaning for that
-/// view itself.
-pub fn readjusted_without_view(adjustment: &Adjustment, view: usize, options: &AdjustOptions) -> Adjustment {
-    let model = without(&adjustment.model, view);
-    adjust(&model, adjustment.state.clone(), &AdjustOptions { rounds: 0, ..*options }, &mut |_| true)
+/// The adjustment without the images of some views, from its estimate, with its sigmas and outliers. The result has no meaning for
+/// those views themselves. `observe` sees each iteration and returns false to cancel.
+pub fn readjusted_without_views(
+    adjustment: &Adjustment,
+    views: &[usize],
+    options: &AdjustOptions,
+    observe: &mut dyn FnMut(&Iteration) -> bool,
+) -> Adjustment {
+    let model = without(&adjustment.model, views);
+    adjust(&model, adjustment.state.clone(), &AdjustOptions { rounds: 0, ..*options }, observe)
+}
+
+/// Covariance of `rows` (functions x global unknowns) at the minimum itself, as [`predicted_without_view`] gives it without a view.
+pub fn predicted_with_all_views(adjustment: &Adjustment, rows: &DMatrix<f64>) -> Option<Prediction> {
+    predict(adjustment.equations.as_ref()?, rows)
 }

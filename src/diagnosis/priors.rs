@@ -2,7 +2,9 @@
 
 use super::keys::intrinsic_unit;
 use super::{FALSE_ALARMS, Subject, digits, measured};
-use crate::bundle::{Fact, PriorCheck, PriorOf, TargetShape, intrinsic_words, layer_words, prior_checks};
+use crate::bundle::{
+    Fact, PlanePosition, PriorCheck, PriorOf, TargetShape, ViewPlace, intrinsic_words, layer_words, prior_checks,
+};
 use crate::record::Prior;
 use crate::stats::{chi_square_above, normal_beyond};
 
@@ -23,19 +25,16 @@ struct Known {
 
 pub(super) fn priors(s: &Subject<'_>, flags: &mut Vec<String>) -> Vec<Prior> {
     let Some(checks) = prior_checks(s.adjustment) else { return vec![] };
-    let facts: Vec<(&PriorCheck, usize, usize)> = checks
+    let own: Vec<(&PriorCheck, Known, bool)> = checks
         .iter()
-        .filter_map(|c| if let PriorOf::Fact { index, row } = c.of { Some((c, index, row)) } else { None })
-        .collect();
-    let tested = facts.iter().filter(|(c, ..)| c.z().is_some()).count().max(1) as f64;
-    let mut out: Vec<Prior> = facts
-        .iter()
-        .map(|(check, index, row)| {
-            let known = known(s, *index, *row);
-            let stated = !s.assumed.contains(index);
-            prior(&known, check, stated, tested)
+        .filter_map(|check| match check.of {
+            PriorOf::Fact { index, row } => Some((check, known(s, index, row), !s.assumed.contains(&index))),
+            PriorOf::Position { view } => Some((check, position(s, view)?, true)),
+            PriorOf::Disc { .. } => None,
         })
         .collect();
+    let tested = own.iter().filter(|(c, ..)| c.z().is_some()).count().max(1) as f64;
+    let mut out: Vec<Prior> = own.iter().map(|(check, known, stated)| prior(known, check, *stated, tested)).collect();
     out.extend(dots(s, &checks));
     flags.extend(out.iter().filter(|p| p.conflict).map(|p| p.words.clone()));
     out
@@ -164,6 +163,22 @@ fn known(s: &Subject<'_>, index: usize, row: usize) -> Known {
             Known { name: format!("{what}, camera {}", camera(focus.camera)), value: 0.0, sigma, factor, unit, advice }
         }
     }
+}
+
+/// Where a view stands on the traverse, as far as the rig file knows.
+fn position(s: &Subject<'_>, view: usize) -> Option<Known> {
+    let ViewPlace::InPlane { z_mm, known: PlanePosition::About { sigma_mm } } = s.adjustment.model.views[view].place
+    else {
+        return None;
+    };
+    Some(Known {
+        name: format!("position of view {view} along the traverse"),
+        value: z_mm,
+        sigma: sigma_mm,
+        factor: 1.0,
+        unit: "mm",
+        advice: "correct plane_z_mm of this view, or give it a larger sigma",
+    })
 }
 
 /// The places of all dots together: departures in prior sigmas are a chi-square with as many degrees of freedom as the images decide.

@@ -1,10 +1,13 @@
 //! Each view left out once: what is lost without it, and whether it agrees with the others.
 
+use super::culprit::{Culprit, culprits};
 use super::keys::Keys;
-use super::{FALSE_ALARMS, FELT_SIGMAS, Subject, digits, listed};
+use super::{FALSE_ALARMS, FELT_SIGMAS, Subject, Watch, digits, listed};
 use crate::bundle::{
-    AdjustOptions, Prediction, SolveOptions, named_rows, natural_of, predicted_without_view, readjusted_without_view,
+    AdjustOptions, Prediction, SolveOptions, Termination, named_rows, natural_of, predicted_without_view,
+    readjusted_without_views,
 };
+use crate::error::{Result, Unusable};
 use crate::record::ViewInfluence;
 use crate::stats::normal_beyond;
 use nalgebra::{DMatrix, DVector};
@@ -24,44 +27,96 @@ struct Left {
     adjusted: Option<DVector<f64>>,
 }
 
-pub(super) fn views(s: &Subject<'_>, keys: &Keys, flags: &mut Vec<String>) -> Vec<ViewInfluence> {
+pub(super) fn views(
+    s: &Subject<'_>,
+    names: &[&str],
+    keys: &Keys,
+    watch: &Watch<'_>,
+    flags: &mut Vec<String>,
+) -> Result<Vec<ViewInfluence>> {
     let model = &s.adjustment.model;
     if model.views.len() < 2 || keys.list.is_empty() {
-        return vec![];
+        return Ok(vec![]);
     }
-    let Some(rows) = named_rows(s.adjustment, &keys.rows) else { return vec![] };
+    let Some(rows) = named_rows(s.adjustment, &keys.rows) else { return Ok(vec![]) };
     let full = s.covariance.propagate(&keys.rows);
     let seen: Vec<usize> = (0..model.views.len()).filter(|v| model.images.iter().any(|i| i.view == *v)).collect();
-    let left: Vec<Option<Left>> = seen.par_iter().map(|v| left_out(s, keys, &rows, *v)).collect();
+    let left: Result<Vec<Option<Left>>> = seen.par_iter().map(|v| left_out(s, keys, &rows, *v, watch)).collect();
     let tests = (seen.len() * keys.list.len()) as f64;
-    let mut out = vec![];
-    for (view, left) in seen.into_iter().zip(left) {
-        let Some(left) = left else { continue };
-        let one = influence(keys, &full, view, &left, tests);
-        if one.contradicts && one.shift_sigmas > FELT_SIGMAS {
-            flags.push(one.words.clone());
-        }
-        out.push(one);
+    let mut out: Vec<ViewInfluence> =
+        seen.into_iter().zip(left?).filter_map(|(v, left)| Some(influence(keys, &full, v, &left?, tests))).collect();
+    if out.iter().any(|v| v.contradicts) {
+        name_the_wrong(&mut out, culprits(s, names, watch)?);
     }
-    out
+    flags.extend(out.iter().filter(|v| v.contradicts && change(v) > FELT_SIGMAS).map(|v| v.words.clone()));
+    Ok(out)
 }
 
-fn left_out(s: &Subject<'_>, keys: &Keys, rows: &DMatrix<f64>, view: usize) -> Option<Left> {
-    let prediction = predicted_without_view(s.adjustment, view, rows)?;
-    let adjusted = || {
-        // Where something is lost there is no minimum to go to.
-        let lost = prediction.determined.iter().zip(&keys.determined).any(|(now, before)| *before && !*now);
-        if lost || s.adjustment.model.views.len() > MOST_ADJUSTED {
-            return None;
-        }
-        let options =
-            AdjustOptions { solve: SolveOptions { decrement: 1e-3, iterations: 40 }, rounds: 0, ..*s.options };
-        let other = readjusted_without_view(s.adjustment, view, &options);
-        let natural = natural_of(&other.model, &other.state).filter(|_| other.decrement < 0.1)?;
-        let before = keys.values(&s.covariance.natural)?;
-        Some(keys.values(&natural)? - before)
+/// Where few views explain all contradictions, only they contradict. Otherwise all do that seem to.
+fn name_the_wrong(views: &mut [ViewInfluence], wrong: Option<Vec<Culprit>>) {
+    let Some(wrong) = wrong else { return };
+    let list = |w: &[usize]| listed(&w.iter().map(usize::to_string).collect::<Vec<_>>());
+    let all = list(&wrong.iter().map(|c| c.view).collect::<Vec<_>>());
+    let [without, there] = match wrong[..] {
+        [_] => [format!("view {all} is left out"), "that view".into()],
+        _ => [format!("views {all} are left out"), "one of those".into()],
     };
-    Some(Left { adjusted: adjusted(), prediction })
+    for v in views {
+        let rival_of = wrong.iter().find(|c| c.rivals.contains(&v.view));
+        if let Some(c) = wrong.iter().find(|c| c.view == v.view) {
+            v.contradicts = true;
+            v.words = contradiction(v);
+            if !c.rivals.is_empty() {
+                v.words += &format!(" (or view {} is wrong instead: the others agree without either)", list(&c.rivals));
+            }
+        } else if let Some(c) = rival_of {
+            v.contradicts = true;
+            v.words =
+                format!("{} (or view {} is wrong instead: the others agree without either)", contradiction(v), c.view);
+        } else if v.contradicts {
+            v.contradicts = false;
+            v.words = format!(
+                "view {} agrees with the others once {without}; while {there} takes part, it seems to contradict them",
+                v.view
+            );
+        }
+    }
+}
+
+/// Largest change without the view, as adjusted or else as predicted, in standard deviations.
+fn change(v: &ViewInfluence) -> f64 {
+    if v.shift_sigmas.is_finite() { v.shift_sigmas } else { v.predicted_shift_sigmas.abs() }
+}
+
+fn contradiction(v: &ViewInfluence) -> String {
+    format!(
+        "view {} contradicts the others: without it the {} changes by {} of its standard deviations ({} of those of the change); \
+         look at its images, and leave it out if the target moved, was bent, or is not the same",
+        v.view,
+        v.shift_of,
+        digits(change(v), 2),
+        digits(v.z.abs(), 2)
+    )
+}
+
+fn left_out(s: &Subject<'_>, keys: &Keys, rows: &DMatrix<f64>, view: usize, watch: &Watch<'_>) -> Result<Option<Left>> {
+    watch.check()?;
+    let Some(prediction) = predicted_without_view(s.adjustment, view, rows) else { return Ok(None) };
+    // Where something is lost there is no minimum to go to.
+    let lost = prediction.determined.iter().zip(&keys.determined).any(|(now, before)| *before && !*now);
+    if lost || s.adjustment.model.views.len() > MOST_ADJUSTED {
+        return Ok(Some(Left { adjusted: None, prediction }));
+    }
+    let options = AdjustOptions { solve: SolveOptions { decrement: 1e-3, iterations: 40 }, rounds: 0, ..*s.options };
+    let other = readjusted_without_views(s.adjustment, &[view], &options, &mut |i| watch.goes_on(i));
+    if other.termination == Termination::Cancelled {
+        return Err(Unusable::Cancelled.into());
+    }
+    let adjusted = || {
+        let natural = natural_of(&other.model, &other.state).filter(|_| other.decrement < 0.1)?;
+        Some(keys.values(&natural)? - keys.values(&s.covariance.natural)?)
+    };
+    Ok(Some(Left { adjusted: adjusted(), prediction }))
 }
 
 /// The largest of numbers that exist, with its place.
@@ -97,14 +152,6 @@ fn influence(keys: &Keys, full: &DMatrix<f64>, view: usize, left: &Left, tests: 
         format!("view {view} cannot be spared: it alone sets the scale")
     } else if !lost.is_empty() {
         format!("view {view} cannot be spared: without it nothing determines the {}", listed(&lost))
-    } else if contradicts {
-        format!(
-            "view {view} contradicts the others: without it the {} changes by {} of its standard deviations ({} of those of the change); \
-             look at its images, and leave it out if the target moved, was bent, or is not the same",
-            name(moved),
-            digits(size(moved).abs(), 2),
-            digits(size(z).abs(), 2)
-        )
     } else if size(growth) < 1.0 + LITTLE {
         format!(
             "view {view} adds little: without it no standard deviation grows by more than {} %",
@@ -117,7 +164,7 @@ fn influence(keys: &Keys, full: &DMatrix<f64>, view: usize, left: &Left, tests: 
             digits(size(growth), 3)
         )
     };
-    ViewInfluence {
+    let mut out = ViewInfluence {
         view,
         sigma_growth: if lost.is_empty() { size(growth) } else { f64::NAN },
         sigma_growth_of: name(growth),
@@ -129,5 +176,9 @@ fn influence(keys: &Keys, full: &DMatrix<f64>, view: usize, left: &Left, tests: 
         z_of: name(z),
         contradicts,
         words,
+    };
+    if contradicts {
+        out.words = contradiction(&out);
     }
+    out
 }

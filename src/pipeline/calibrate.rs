@@ -62,7 +62,7 @@ pub(super) struct Solved<'a> {
 ///
 /// # Errors
 /// Whatever is wrong with an image, the pattern, the views or the adjustment, each in its family;
-/// [`crate::error::Unusable::Cancelled`] where `progress` stopped it, except in the diagnosis of a finished adjustment, which is not interrupted.
+/// [`crate::error::Unusable::Cancelled`] where `progress` stopped it.
 pub fn calibrate(
     job: &RigDescription,
     source: &Source,
@@ -85,10 +85,11 @@ fn run(
     };
     let sizes: Vec<[f64; 2]> = (0..job.cameras.len()).map(size).collect();
     let mut built = build(job, &images, &sizes)?;
-    let mut observe = |i: &Iteration| {
+    let told = |i: &Iteration| {
         let told = Progress::Iteration { number: i.number, cost: i.cost, decrement: i.decrement };
         progress.lock().is_ok_and(|mut p| p(told))
     };
+    let mut observe = |i: &Iteration| told(i);
     let solution = calibrate_rig(&built.problem, &options.adjust, &mut observe)?;
     take_labels(&mut built, &mut images, &solution);
     let RigSolution { mut adjustment, undecided, .. } = solution;
@@ -105,14 +106,15 @@ fn run(
     }
     let covariance =
         named_covariance(&adjustment).ok_or_else(|| Error::Bug("the adjustment gave no covariance".into()))?;
-    let findings = diagnose(&Subject {
+    let subject = Subject {
         adjustment: &adjustment,
         covariance: &covariance,
         assumed: &built.assumed,
         labels: &built.labels,
         sizes_px: &sizes,
         options: &options.adjust,
-    });
+    };
+    let findings = diagnose(&subject, &told)?;
     let solved = Solved {
         job,
         images: &images,

@@ -24,8 +24,8 @@ pub const AXIS_POINT_SIGMA: f64 = 0.1;
 pub const LOSS_SIGMAS: f64 = 3.0;
 /// Standard deviation of every printed dot about its nominal place where the rig file gives none, part of the pitch.
 pub const POINT_SIGMA: f64 = 0.01;
-/// A metric fact without a sigma is taken as exact to this part.
-const EXACT: f64 = 1e-6;
+/// A metric fact without a sigma is taken as exact to this part: far below what many discs together tell of a length (2e-6 of a radius).
+const EXACT: f64 = 1e-8;
 
 /// The problem and the labels of its discs.
 pub(super) struct Built {

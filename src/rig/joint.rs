@@ -116,15 +116,18 @@ fn common_start(
 fn cheapest(starts: &[(RigProblem, Agreed, State)], undecided: &mut Vec<String>, observe: Observe<'_>) -> usize {
     let quick =
         AdjustOptions { solve: SolveOptions { decrement: 1e-1, iterations: 40 }, rounds: 0, outlier_sigmas: 6.0 };
-    let chi2: Vec<(f64, f64)> = starts
-        .iter()
-        .map(|(problem, _, state)| {
-            let model = thinned_model(&problem.model);
-            let counts = model.counts();
-            let state = State { offsets_mm: vec![], ..state.clone() };
-            (2.0 * adjust(&model, state, &quick, observe).cost, (counts.observations as f64).max(1.0))
-        })
-        .collect();
+    let mut chi2: Vec<(f64, f64)> = vec![];
+    for (problem, _, state) in starts {
+        let model = thinned_model(&problem.model);
+        let counts = model.counts();
+        let state = State { offsets_mm: vec![], ..state.clone() };
+        let trial = adjust(&model, state, &quick, observe);
+        chi2.push((2.0 * trial.cost, (counts.observations as f64).max(1.0)));
+        // Whoever stopped it stops the adjustment that follows as well.
+        if trial.termination == Termination::Cancelled {
+            return 0;
+        }
+    }
     let least = chi2.iter().map(|c| c.0).fold(f64::INFINITY, f64::min);
     // Too few observations never make a factor below one.
     let unit = chi2.iter().filter(|c| c.0 == least).map(|c| (least / c.1).max(1.0)).fold(1.0, f64::max);

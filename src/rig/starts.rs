@@ -18,7 +18,7 @@
 
 use super::RigProblem;
 use super::mono::lightened;
-use crate::bundle::{AdjustOptions, Adjustment, Iteration, Model, SolveOptions, State, adjust};
+use crate::bundle::{AdjustOptions, Adjustment, Iteration, Model, SolveOptions, State, Termination, adjust};
 use crate::camera::{Camera, Intrinsics};
 
 /// A start whose chi-square exceeds its degrees of freedom by more than this many standard deviations has rivals.
@@ -145,6 +145,10 @@ pub(super) fn best_start(
         let last = k > 0 && k + 1 == all.len();
         let start = if n == 0 || last { all[k].clone() } else { held(&light, all[k].clone(), observe) };
         let trial = adjust(&light, start, &quick(0.3, 40), observe);
+        // Whoever stopped it stops the adjustment that follows as well.
+        if trial.termination == Termination::Cancelled {
+            return given;
+        }
         let done = tried.is_empty() && is_explained(&light, &trial);
         if trial.cost.is_finite() {
             tried.push(trial);

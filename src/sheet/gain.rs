@@ -30,11 +30,11 @@
 
 use super::parameter::{Parameter, stepped_camera, stepped_motion, stepped_window};
 use super::{Placement, plane_geometry};
-use crate::bundle::NamedCovariance;
+use crate::bundle::{NamedCovariance, symmetric_eigen};
 use crate::camera::Camera;
 use crate::frames::{Cam, Rig, Sheet};
 use crate::rigid::Motion;
-use nalgebra::{DMatrix, Matrix3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 /// Numbers of a [`Response`]: disparity (2, px), place seen by the first and by the second camera (2 + 2, mm), M by rows (9).
 pub const RESPONSES: usize = 15;
@@ -174,15 +174,8 @@ impl StereoSheet {
 
     /// A change small enough to be straight and large enough to be felt.
     fn step_of(&self, parameter: Parameter) -> f64 {
-        let distance_mm = self.rig_from_sheet.translation_mm.norm();
-        let pose = |k: usize| if k < 3 { 1e-5 } else { 1e-5 * distance_mm };
-        match parameter {
-            Parameter::Intrinsic(c, 0 | 2 | 3) => 1e-5 * self.cameras[c].intrinsics().f_px,
-            Parameter::Intrinsic(_, 6..=8) => 1e-3,
-            Parameter::Window(_, 3 | 4) => 1e-5 * distance_mm,
-            Parameter::Intrinsic(..) | Parameter::Window(..) => 1e-5,
-            Parameter::Motion(k) | Parameter::Sheet(k) => pose(k),
-        }
+        let f_px = self.cameras.each_ref().map(|c| c.intrinsics().f_px);
+        parameter.step(f_px, self.rig_from_sheet.translation_mm.norm())
     }
 }
 
@@ -239,6 +232,50 @@ impl SheetUncertainty {
     }
 }
 
+impl SheetUncertainty {
+    /// Expected disparity (root mean square over points of the sheet, x and y in the sheet frame, mm) after the plane has been
+    /// found anew from particle images, px in the second camera: what no plane takes away.
+    ///
+    /// With D the derivatives of all disparities, P the projector onto what the six movements of the plane do to them (rank 3), the
+    /// rest is `(1 - P) D` times the error of the calibration. `None` where a point is not seen or nothing determines the rest.
+    pub fn disparity_after_refit_px(&self, points_mm: &[[f64; 2]]) -> Option<f64> {
+        let by = |parameter: Parameter| -> Option<DVector<f64>> {
+            let h = self.stereo.step_of(parameter);
+            let at = |h: f64| {
+                let stepped = self.stereo.stepped(parameter, h)?;
+                let one = |p: &[f64; 2]| Some(stepped.response(&self.stereo, *p)?.disparity_px);
+                let all: Option<Vec<Vector2<f64>>> = points_mm.iter().map(one).collect();
+                Some(DVector::from_iterator(2 * points_mm.len(), all?.iter().flat_map(|d| [d.x, d.y])))
+            };
+            Some((at(h)? - at(-h)?) / (2.0 * h))
+        };
+        let mut plane = DMatrix::zeros(2 * points_mm.len(), 6);
+        for k in 0..6 {
+            let parameter = Parameter::Sheet(k);
+            plane.set_column(k, &(by(parameter)? * self.stereo.step_of(parameter)));
+        }
+        let moved = symmetric_eigen(&(plane.tr_mul(&plane)))?;
+        let most = moved.values.amax();
+        let mut rest = DMatrix::zeros(2 * points_mm.len(), self.parameters.len());
+        let mut felt = rest.clone();
+        for (k, parameter) in self.parameters.iter().enumerate() {
+            let mut column = by(*parameter)?;
+            felt.set_column(k, &column.map(f64::abs).add_scalar(ROUNDING / STILL / self.stereo.step_of(*parameter)));
+            for (value, vector) in moved.values.iter().zip(moved.vectors.column_iter()) {
+                if *value > PLANE_RANK * most {
+                    let direction = &plane * vector;
+                    column -= &direction * (direction.dot(&column) / value);
+                }
+            }
+            rest.set_column(k, &column);
+        }
+        let (moved, terms) = (&rest * &self.null_directions, felt * self.null_directions.map(f64::abs));
+        let still = moved.iter().zip(terms.iter()).all(|(m, t)| m.abs() <= STILL * t);
+        let squares = (&rest * &self.covariance * rest.transpose()).trace();
+        still.then(|| (squares.max(0.0) / points_mm.len() as f64).sqrt())
+    }
+}
+
 /// Covariance of a [`Response`] about the true calibration, at one point of the sheet.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PointUncertainty {
@@ -253,6 +290,8 @@ pub struct PointUncertainty {
 /// A number that moves by less than this part of what moves it stands still along an undetermined direction: weak directions leave
 /// about 1e-5.
 const STILL: f64 = 1e-4;
+/// Part of the largest eigenvalue below which a movement of the plane is one within itself: turns of it are felt as 1 to 1e-4.
+const PLANE_RANK: f64 = 1e-8;
 /// Rounding of the numbers whose differences are taken: pixels of size 1e3 after some hundred operations.
 const ROUNDING: f64 = 1e-11;
 
@@ -383,6 +422,16 @@ mod tests {
         }
         assert!((got.relative_gain().unwrap() / gain.sqrt() - 1.0).abs() < 1e-3);
         assert!((got.disparity_px().unwrap() / disparity.sqrt() - 1.0).abs() < 1e-3);
+        // A plane that is found anew takes away what the sheet's own parameters did, not what the lens and the turn of the camera do.
+        let points = [[-20.0, -10.0], [-20.0, 10.0], [20.0, -10.0], [20.0, 10.0], [3.0, 2.0]];
+        let all = points.map(|p| u.at(p).unwrap().disparity_px().unwrap().powi(2)).iter().sum::<f64>() / 5.0;
+        let after = u.disparity_after_refit_px(&points).unwrap();
+        let sheet_only = SheetUncertainty {
+            covariance: DMatrix::from_fn(4, 4, |i, j| if i == j && i > 1 { sigmas[i] * sigmas[i] } else { 0.0 }),
+            ..u.clone()
+        };
+        assert!(after < all.sqrt() && after > 0.0, "{after} {all}");
+        assert!(sheet_only.disparity_after_refit_px(&points).unwrap() < 1e-4 * all.sqrt());
         // Nothing fixes the angle between the cameras: the gain is lost; a turn of the sheet in itself moves neither.
         let lost = SheetUncertainty { null_directions: DMatrix::from_column_slice(4, 1, &[0.0, 1.0, 0.0, 0.0]), ..u };
         assert_eq!(lost.at([3.0, 2.0]).unwrap().relative_gain(), None);

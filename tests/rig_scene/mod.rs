@@ -19,7 +19,10 @@ mod reference;
 mod scatter;
 
 pub(crate) use reference::{Draw, Problem};
-pub(crate) use scatter::{Bound, QUANTITIES, Run, Summary, band, given_sigmas, solved, true_stereo};
+pub(crate) use scatter::{
+    Bound, QUANTITIES, Run, Summary, TWO_SIDED_95, TWO_SIDED_995, band, disparities, given_sigmas, grid, moved, solved,
+    together, true_stereo,
+};
 
 const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
 
@@ -199,6 +202,11 @@ impl Parts {
         }
     }
 
+    /// Two discs of known spacing in views parallel to the sheet at these positions, mm.
+    pub(crate) fn at_positions(seed: u64, cameras: Vec<Camera>, position: &dyn Fn(usize) -> Option<f64>) -> Self {
+        Self::of(seed, cameras, None, false, false, position)
+    }
+
     /// The scene with exact contours.
     pub(crate) fn scene(&self) -> Scene {
         let model = Model {
@@ -237,7 +245,8 @@ impl Parts {
                     _ => self.cam_from_rig * view.rig_from_target,
                 };
                 let own = if self.target.per_view() { view.shape_mm } else { self.shape_mm };
-                scene.model.images.push(image(&self.target, camera, &cam_from_target, &own, &self.offsets_mm, v, c));
+                let shape = (&own, &self.offsets_mm[..]);
+                scene.model.images.push(image(&self.target, camera, &cam_from_target, shape, (v, c), EDGE_POINTS));
             }
         }
         scene
@@ -279,11 +288,20 @@ impl Scene {
 
     /// Two discs in views parallel to the sheet at the positions given, mm; `None`: anywhere.
     pub(crate) fn at_positions(seed: u64, cameras: Vec<Camera>, position: &dyn Fn(usize) -> Option<f64>) -> Self {
-        Parts::of(seed, cameras, None, false, false, position).scene()
+        Parts::at_positions(seed, cameras, position).scene()
     }
 
     /// The same scene with its discs moved by offsets (dx, dy, dz, dr), mm.
     pub(crate) fn with_offsets(&self, offsets: &[[f64; 4]]) -> Self {
+        self.seen_anew(offsets, EDGE_POINTS)
+    }
+
+    /// The same scene with so many edge points per disc, exact again.
+    pub(crate) fn with_edge_points(&self, points: i32) -> Self {
+        self.seen_anew(&self.truth.offsets_mm, points)
+    }
+
+    fn seen_anew(&self, offsets: &[[f64; 4]], points: i32) -> Self {
         let mut out = self.clone();
         out.truth.offsets_mm = offsets.to_vec();
         let e: Vec<Motion<Cam, Cam>> =
@@ -293,7 +311,7 @@ impl Scene {
             let view = &self.truth.views[v];
             let cam_from_target = e[c] * self.truth.camera_from_first[c] * view.first_from_target;
             let own = if self.model.target.per_view() { view.shape_mm } else { self.truth.shape_mm };
-            *seen = image(&self.model.target, &self.cameras[c], &cam_from_target, &own, offsets, v, c);
+            *seen = image(&self.model.target, &self.cameras[c], &cam_from_target, (&own, offsets), (v, c), points);
         }
         out
     }
@@ -370,10 +388,9 @@ fn image(
     target: &TargetModel,
     camera: &Camera,
     cam_from_target: &Motion<Cam, Target>,
-    shape: &[f64; 3],
-    offsets: &[[f64; 4]],
-    view: usize,
-    index: usize,
+    (shape, offsets): (&[f64; 3], &[[f64; 4]]),
+    (view, index): (usize, usize),
+    points: i32,
 ) -> ImageObservations {
     let disc = |j: usize| {
         let (mut center, mut radius) = target.nominal_disc(j, shape);
@@ -382,8 +399,8 @@ fn image(
             radius += o[3];
         }
         let mut edge = EdgePoints::default();
-        for k in 0..EDGE_POINTS {
-            let (s, c) = (std::f64::consts::TAU * f64::from(k) / f64::from(EDGE_POINTS)).sin_cos();
+        for k in 0..points {
+            let (s, c) = (std::f64::consts::TAU * f64::from(k) / f64::from(points)).sin_cos();
             let q: Vector2<f64> =
                 camera.project_xyz(&cam_from_target.apply(&(center + Vector3::new(c, s, 0.0) * radius))).unwrap();
             edge.u_px.push(q.x);

@@ -11,6 +11,10 @@
 //! | paper-table1, -3 | the presets | spacing of the pair |
 //! | two-discs, bubbles | `Scene::build` | spacing; baseline |
 //!
+//! B is promised with a disparity although its views are posed freely and none need lie in the sheet: it is that of the two cameras, on the
+//! sheet that the particle images of the measurement show ([`super::Bound::refitted_px`]). The one view in the sheet gives the plane where
+//! something is to be said of it beforehand.
+//!
 //! All at the paper's geometry: 50 mm lens, 500 mm, +-45 degrees, 6.25 um; f, both tilts, axis point and k1 free; axis points known to
 //! a tenth of the image's width, as the program assumes.
 
