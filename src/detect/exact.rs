@@ -15,13 +15,11 @@
 //!
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
-//! | - | `sides` | 2 | | polynomials of the light, inside and outside |
 //! | amp, l | `Field::amplitude`, `Field::length` | 1 | grey, semi-axes | prior of the smoke |
 //! | k | `Field::waves` | n | 1 | wave vectors |
 //! | J^T W J | `gram` | n x n | | products of all columns, the grey values last |
 
 mod field;
-
 pub(crate) use field::Field;
 
 use crate::conic::{Ellipse, Frame, from_regular, to_regular};
