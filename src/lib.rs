@@ -21,6 +21,7 @@ pub mod exchange;
 pub mod ffi;
 pub mod frames;
 pub mod image;
+pub(crate) mod lanes;
 pub mod pipeline;
 pub mod reconstruct;
 pub mod record;

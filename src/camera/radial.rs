@@ -30,6 +30,11 @@ fn growth(k: &[f64; 3], s: f64) -> f64 {
 const LARGEST_RADIUS: f64 = 1e3;
 
 impl RadialLimit {
+    /// The radius before the polynomial up to which it is valid, and the one behind it.
+    pub(super) fn bounds(&self) -> [f64; 2] {
+        [self.radius, self.image]
+    }
+
     /// First positive root of the growth polynomial, by bisection between its extrema.
     pub(super) fn of(k: &[f64; 3]) -> Self {
         // Extrema of p: 3 k1 + 10 k2 s + 21 k3 s^2 = 0, in the cancellation-free form.

@@ -1,0 +1,161 @@
+//! AVX2 and AVX-512.
+//!
+//! A value of these types is only ever made inside a function compiled for its instructions, which [`super::run`] enters after having
+//! asked the processor: that is what makes each `unsafe` below sound.
+
+use super::{Kernel, Lanes};
+use std::arch::x86_64::{
+    __m256d, __m512d, __mmask8, _CMP_LT_OQ, _mm256_add_pd, _mm256_and_pd, _mm256_blendv_pd, _mm256_cmp_pd,
+    _mm256_div_pd, _mm256_loadu_pd, _mm256_movemask_pd, _mm256_mul_pd, _mm256_set1_pd, _mm256_sqrt_pd,
+    _mm256_storeu_pd, _mm256_sub_pd, _mm256_xor_pd, _mm512_add_pd, _mm512_cmp_pd_mask, _mm512_div_pd, _mm512_loadu_pd,
+    _mm512_mask_blend_pd, _mm512_mul_pd, _mm512_set1_pd, _mm512_sqrt_pd, _mm512_storeu_pd, _mm512_sub_pd,
+};
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+/// Four numbers.
+#[derive(Clone, Copy)]
+pub(super) struct Four(__m256d);
+
+/// Eight numbers.
+#[derive(Clone, Copy)]
+pub(super) struct Eight(__m512d);
+
+/// Runs a kernel four numbers at a time.
+#[target_feature(enable = "avx2")]
+pub(super) fn in_avx2<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run::<Four>()
+}
+
+/// Runs a kernel eight numbers at a time.
+#[target_feature(enable = "avx512f")]
+pub(super) fn in_avx512<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run::<Eight>()
+}
+
+macro_rules! operator {
+    ($lanes:ident, $operator:ident, $name:ident, $instruction:ident) => {
+        impl $operator for $lanes {
+            type Output = Self;
+            #[inline(always)]
+            fn $name(self, other: Self) -> Self {
+                // SAFETY: see the head of the file.
+                Self(unsafe { $instruction(self.0, other.0) })
+            }
+        }
+    };
+}
+
+operator!(Four, Add, add, _mm256_add_pd);
+operator!(Four, Sub, sub, _mm256_sub_pd);
+operator!(Four, Mul, mul, _mm256_mul_pd);
+operator!(Four, Div, div, _mm256_div_pd);
+operator!(Eight, Add, add, _mm512_add_pd);
+operator!(Eight, Sub, sub, _mm512_sub_pd);
+operator!(Eight, Mul, mul, _mm512_mul_pd);
+operator!(Eight, Div, div, _mm512_div_pd);
+
+impl Neg for Four {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        // SAFETY: see the head of the file.
+        Self(unsafe { _mm256_xor_pd(self.0, _mm256_set1_pd(-0.0)) })
+    }
+}
+
+impl Neg for Eight {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        // -0 - x rounds like a change of sign: the xor of this width asks for further instructions.
+        Self::splat(-0.0) - self
+    }
+}
+
+impl Lanes for Four {
+    const N: usize = 4;
+    type Mask = __m256d;
+    #[inline(always)]
+    fn splat(x: f64) -> Self {
+        // SAFETY: see the head of the file.
+        Self(unsafe { _mm256_set1_pd(x) })
+    }
+    #[inline(always)]
+    fn load(x: &[f64]) -> Self {
+        // SAFETY: as above; the slice has four numbers.
+        Self(unsafe { _mm256_loadu_pd(x[..4].as_ptr()) })
+    }
+    #[inline(always)]
+    fn store(self, out: &mut [f64]) {
+        // SAFETY: as above; the slice has four places.
+        unsafe { _mm256_storeu_pd(out[..4].as_mut_ptr(), self.0) }
+    }
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        // SAFETY: see the head of the file.
+        Self(unsafe { _mm256_sqrt_pd(self.0) })
+    }
+    #[inline(always)]
+    fn below(self, other: Self) -> __m256d {
+        // SAFETY: see the head of the file.
+        unsafe { _mm256_cmp_pd::<_CMP_LT_OQ>(self.0, other.0) }
+    }
+    #[inline(always)]
+    fn select(mask: __m256d, a: Self, b: Self) -> Self {
+        // SAFETY: see the head of the file.
+        Self(unsafe { _mm256_blendv_pd(b.0, a.0, mask) })
+    }
+    #[inline(always)]
+    fn and(a: __m256d, b: __m256d) -> __m256d {
+        // SAFETY: see the head of the file.
+        unsafe { _mm256_and_pd(a, b) }
+    }
+    #[inline(always)]
+    fn all(mask: __m256d) -> bool {
+        // SAFETY: see the head of the file.
+        unsafe { _mm256_movemask_pd(mask) == 0b1111 }
+    }
+}
+
+impl Lanes for Eight {
+    const N: usize = 8;
+    type Mask = __mmask8;
+    #[inline(always)]
+    fn splat(x: f64) -> Self {
+        // SAFETY: see the head of the file.
+        Self(unsafe { _mm512_set1_pd(x) })
+    }
+    #[inline(always)]
+    fn load(x: &[f64]) -> Self {
+        // SAFETY: as above; the slice has eight numbers.
+        Self(unsafe { _mm512_loadu_pd(x[..8].as_ptr()) })
+    }
+    #[inline(always)]
+    fn store(self, out: &mut [f64]) {
+        // SAFETY: as above; the slice has eight places.
+        unsafe { _mm512_storeu_pd(out[..8].as_mut_ptr(), self.0) }
+    }
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        // SAFETY: see the head of the file.
+        Self(unsafe { _mm512_sqrt_pd(self.0) })
+    }
+    #[inline(always)]
+    fn below(self, other: Self) -> __mmask8 {
+        // SAFETY: see the head of the file.
+        unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(self.0, other.0) }
+    }
+    #[inline(always)]
+    fn select(mask: __mmask8, a: Self, b: Self) -> Self {
+        // SAFETY: see the head of the file.
+        Self(unsafe { _mm512_mask_blend_pd(mask, b.0, a.0) })
+    }
+    #[inline(always)]
+    fn and(a: __mmask8, b: __mmask8) -> __mmask8 {
+        a & b
+    }
+    #[inline(always)]
+    fn all(mask: __mmask8) -> bool {
+        mask == u8::MAX
+    }
+}
