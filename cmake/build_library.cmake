@@ -1,6 +1,7 @@
 # Builds the shared library for release:
 #   cmake -DROOT=<sources> -DTARGET=<cargo's folder> -P build_library.cmake
-# Leaves TARGET/release/libspivcal.so. No path of the machine that builds stays in the library, so that two machines with one compiler
+# Leaves TARGET/release/libspivcal.so; with -DTRIPLE=x86_64-pc-windows-gnu TARGET/x86_64-pc-windows-gnu/release/spivcal.dll.
+# -DRUSTC="..." is another command than `cargo rustc`. No path of the machine that builds stays in the library, so that two machines with one compiler
 # build the same bytes.
 foreach(name ROOT TARGET)
   if(NOT ${name})
@@ -41,4 +42,11 @@ list(JOIN flags "${separator}" flags)
 unset(ENV{RUSTFLAGS})
 set(ENV{CARGO_ENCODED_RUSTFLAGS} "${flags}")
 set(ENV{CARGO_TARGET_DIR} "${TARGET}")
-run(cargo rustc --quiet --lib --no-default-features --crate-type cdylib --release --locked)
+if(NOT RUSTC)
+  set(RUSTC cargo rustc)
+endif()
+if(TRIPLE)
+  set(platform --target ${TRIPLE})
+endif()
+separate_arguments(RUSTC)
+run(${RUSTC} ${platform} --quiet --lib --no-default-features --crate-type cdylib --release --locked)

@@ -439,6 +439,47 @@
 #define SPIVCAL_CAMERA_PIXEL_PITCH_MM 325
 
 /**
+ * Unit normal of its flat window in the camera frame, away from the camera, x. SPIVCAL_ERROR_NOT_AVAILABLE, as for all keys of the
+ * window, where it looks through none. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
+ */
+#define SPIVCAL_CAMERA_WINDOW_NORMAL_X 331
+
+/**
+ * The same, y. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
+ */
+#define SPIVCAL_CAMERA_WINDOW_NORMAL_Y 332
+
+/**
+ * The same, z. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
+ */
+#define SPIVCAL_CAMERA_WINDOW_NORMAL_Z 333
+
+/**
+ * From the projection centre to the glass along the normal, mm.
+ */
+#define SPIVCAL_CAMERA_WINDOW_DISTANCE_MM 334
+
+/**
+ * Thickness of the glass, mm.
+ */
+#define SPIVCAL_CAMERA_WINDOW_THICKNESS_MM 335
+
+/**
+ * Refractive index before the glass.
+ */
+#define SPIVCAL_CAMERA_WINDOW_N_AIR 336
+
+/**
+ * Refractive index of the glass.
+ */
+#define SPIVCAL_CAMERA_WINDOW_N_GLASS 337
+
+/**
+ * Refractive index behind the glass.
+ */
+#define SPIVCAL_CAMERA_WINDOW_N_WATER 338
+
+/**
  * Distance of the projection centres, mm.
  */
 #define SPIVCAL_BASELINE_MM 401
@@ -454,17 +495,17 @@
 #define SPIVCAL_SHEET_DISTANCE_MM 411
 
 /**
- * Unit normal of the sheet in the rig frame, away from the first camera, x. Sigma: see SPIVCAL_ARRAY_SHEET_NORMAL_SIGMA.
+ * Unit normal of the sheet in the rig frame, away from the first camera, x. Sigma: see SPIVCAL_ARRAY_SHEET_NORMAL_SIGMA_RAD.
  */
 #define SPIVCAL_SHEET_NORMAL_X 412
 
 /**
- * Unit normal of the sheet in the rig frame, away from the first camera, y. Sigma: see SPIVCAL_ARRAY_SHEET_NORMAL_SIGMA.
+ * Unit normal of the sheet in the rig frame, away from the first camera, y. Sigma: see SPIVCAL_ARRAY_SHEET_NORMAL_SIGMA_RAD.
  */
 #define SPIVCAL_SHEET_NORMAL_Y 413
 
 /**
- * Unit normal of the sheet in the rig frame, away from the first camera, z. Sigma: see SPIVCAL_ARRAY_SHEET_NORMAL_SIGMA.
+ * Unit normal of the sheet in the rig frame, away from the first camera, z. Sigma: see SPIVCAL_ARRAY_SHEET_NORMAL_SIGMA_RAD.
  */
 #define SPIVCAL_SHEET_NORMAL_Z 414
 
@@ -624,6 +665,11 @@
 #define SPIVCAL_ARRAY_CAM_FROM_RIG_SIGMA 502
 
 /**
+ * Index: camera. Sigmas of the normal of its window about the x, y and z axes of the camera frame, rad: 3 doubles.
+ */
+#define SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD 503
+
+/**
  * Pose of the sheet frame, as SPIVCAL_ARRAY_CAM_FROM_RIG: 16 doubles.
  */
 #define SPIVCAL_ARRAY_RIG_FROM_SHEET 511
@@ -779,6 +825,11 @@
 #define SPIVCAL_POINT_OFF_SHEET 5
 
 /**
+ * The camera looks through a window, and the point does not lie beyond it.
+ */
+#define SPIVCAL_POINT_BEFORE_WINDOW 6
+
+/**
  * Index: camera. Distance of neighbouring pixels, mm.
  */
 #define SPIVCAL_RIG_CAMERA_PIXEL_PITCH_MM 1
@@ -787,6 +838,12 @@
  * Index: camera. Nominal focal length of the lens, mm.
  */
 #define SPIVCAL_RIG_CAMERA_FOCAL_LENGTH_MM 2
+
+/**
+ * Index: camera. It looks through a flat window (see SPIVCAL_PARAMETER_WINDOW_DISTANCE_MM) that is parallel to the sheet with this
+ * standard deviation, degrees; default 1.
+ */
+#define SPIVCAL_RIG_CAMERA_WINDOW_TILT_SIGMA_DEG 3
 
 /**
  * Two discs: distance of the centres; grid: pitch; plate: pitch on one level, mm.
@@ -917,6 +974,32 @@
  * Exit over entrance pupil.
  */
 #define SPIVCAL_PARAMETER_PUPIL_RATIO 9
+
+/**
+ * The camera looks through a flat window between air and water: distance from the projection centre to the glass along its normal, mm.
+ * A camera with any parameter of a window needs this one.
+ */
+#define SPIVCAL_PARAMETER_WINDOW_DISTANCE_MM 20
+
+/**
+ * Thickness of the glass of that window, mm; 0 where it is not stated.
+ */
+#define SPIVCAL_PARAMETER_WINDOW_THICKNESS_MM 21
+
+/**
+ * Refractive index before the glass; 1 where it is not stated.
+ */
+#define SPIVCAL_PARAMETER_WINDOW_N_AIR 22
+
+/**
+ * Refractive index of the glass; 1.5 where it is not stated.
+ */
+#define SPIVCAL_PARAMETER_WINDOW_N_GLASS 23
+
+/**
+ * Refractive index behind the glass; 1.333 where it is not stated.
+ */
+#define SPIVCAL_PARAMETER_WINDOW_N_WATER 24
 
 /**
  * Distance of the projection centres, mm.
@@ -1410,7 +1493,8 @@ int32_t spivcal_calibration_project(uint64_t calibration,
  * Rays of pixels.
  *
  * `u_px`, `v_px`: `count` doubles each, px. `dx`, `dy`, `dz`: receive `count` doubles each: unit directions in the rig frame, away from
- * the camera. The rays begin at the projection centre: the translation of the inverse of SPIVCAL_ARRAY_CAM_FROM_RIG.
+ * the camera. The rays begin at the projection centre: the translation of the inverse of SPIVCAL_ARRAY_CAM_FROM_RIG. Of a camera
+ * behind a window they are the rays in the air, up to the glass: spivcal_calibration_sight_from_pixel says where they go on.
  * NaN, `point_status` and status as in spivcal_calibration_project.
  */
 int32_t spivcal_calibration_unproject(uint64_t calibration,
@@ -1422,6 +1506,26 @@ int32_t spivcal_calibration_unproject(uint64_t calibration,
                                       double *dy,
                                       double *dz,
                                       int32_t *point_status);
+
+/**
+ * Lines on which pixels see the scene, for every camera: of one behind a window those in the water.
+ *
+ * `u_px`, `v_px`: `count` doubles each, px. `x_mm`, `y_mm`, `z_mm`: receive `count` doubles each: a point of each line, mm, rig frame: the
+ * projection centre, or where the ray leaves the glass. `dx`, `dy`, `dz`: receive `count` doubles each: unit directions in the rig
+ * frame, away from the camera. NaN, `point_status` and status as in spivcal_calibration_project.
+ */
+int32_t spivcal_calibration_sight_from_pixel(uint64_t calibration,
+                                             uint64_t camera,
+                                             uint64_t count,
+                                             const double *u_px,
+                                             const double *v_px,
+                                             double *x_mm,
+                                             double *y_mm,
+                                             double *z_mm,
+                                             double *dx,
+                                             double *dy,
+                                             double *dz,
+                                             int32_t *point_status);
 
 /**
  * Where the rays of pixels meet the laser sheet.

@@ -215,6 +215,17 @@ public:
         return all(spivcal_calibration_unproject(handle(), camera, n, u_px.data(), v_px.data(), dx.data(), dy.data(),
                                                  dz.data(), data(point_status)));
     }
+    /* Lines of sight, behind a window those in the water: points (mm) and unit directions in the rig frame. */
+    bool sight_from_pixel(std::uint64_t camera, const std::vector<double> &u_px, const std::vector<double> &v_px,
+                          std::vector<double> &x_mm, std::vector<double> &y_mm, std::vector<double> &z_mm,
+                          std::vector<double> &dx, std::vector<double> &dy, std::vector<double> &dz,
+                          std::vector<std::int32_t> *point_status = nullptr) const {
+        const std::uint64_t n = detail::same_size(u_px.size(), v_px.size(), v_px.size());
+        resize(u_px.size(), {&x_mm, &y_mm, &z_mm, &dx, &dy, &dz}, point_status);
+        return all(spivcal_calibration_sight_from_pixel(handle(), camera, n, u_px.data(), v_px.data(), x_mm.data(),
+                                                        y_mm.data(), z_mm.data(), dx.data(), dy.data(), dz.data(),
+                                                        data(point_status)));
+    }
     bool sheet_from_pixel(std::uint64_t camera, const std::vector<double> &u_px, const std::vector<double> &v_px,
                           std::vector<double> &x_mm, std::vector<double> &y_mm,
                           std::vector<std::int32_t> *point_status = nullptr) const {

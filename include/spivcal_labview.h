@@ -69,6 +69,7 @@ int32 spivcal_calibration_text_copy(uInt64 calibration, int32 key, uInt64 index,
 int32 spivcal_calibration_destroy(uInt64 calibration);
 int32 spivcal_calibration_project(uInt64 calibration, uInt64 camera, uInt64 count, const float64 *x_mm, const float64 *y_mm, const float64 *z_mm, float64 *u_px, float64 *v_px, int32 *point_status);
 int32 spivcal_calibration_unproject(uInt64 calibration, uInt64 camera, uInt64 count, const float64 *u_px, const float64 *v_px, float64 *dx, float64 *dy, float64 *dz, int32 *point_status);
+int32 spivcal_calibration_sight_from_pixel(uInt64 calibration, uInt64 camera, uInt64 count, const float64 *u_px, const float64 *v_px, float64 *x_mm, float64 *y_mm, float64 *z_mm, float64 *dx, float64 *dy, float64 *dz, int32 *point_status);
 int32 spivcal_calibration_sheet_from_pixel(uInt64 calibration, uInt64 camera, uInt64 count, const float64 *u_px, const float64 *v_px, float64 *x_mm, float64 *y_mm, int32 *point_status);
 int32 spivcal_calibration_pixel_from_sheet(uInt64 calibration, uInt64 camera, uInt64 count, const float64 *x_mm, const float64 *y_mm, float64 *u_px, float64 *v_px, int32 *point_status);
 #ifdef __cplusplus

@@ -38,12 +38,14 @@
 mod bulk;
 mod convert;
 mod design;
+mod lanes;
 mod radial;
 mod window;
 
 pub(crate) use bulk::BulkCamera;
 pub use convert::{EffectivePinhole, HalconTilt, OpenCvTilted};
 pub use design::Drawing;
+pub(crate) use lanes::{LaneCamera, LaneImage};
 pub use window::{ApparentJet, LAYER_NAMES, LAYERS, WINDOW_STEP_NAMES, WINDOW_STEPS, WaterRay, Window, WindowJet};
 
 use crate::error::{Invalid, Result};

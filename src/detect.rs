@@ -4,13 +4,19 @@ mod band;
 mod candidate;
 mod contour;
 mod edge_model;
+mod exact;
 mod find;
 mod light;
 pub mod pattern;
 mod plane;
+mod profile;
+mod quick;
 mod refine;
+mod rim;
 mod sectors;
+mod surface;
 mod trace;
+mod wide;
 
 pub use find::find_discs;
 

@@ -24,17 +24,22 @@
 //!
 //! **Displacements.** The same correlation between two exposures of one camera gives planar displacements ([`planar_displacements`]).
 //!
-//! Sigmas of the plane are those of the scatter of the windows, which do not overlap; cameras are held. Sources: Wieneke, Exp.
+//! Sigmas of the plane hold the scatter of the windows, which do not overlap, and the calibration's covariance (`propagate.rs`).
+//! **What is left.** Windows scatter about the right sheet, too: few particles, anywhere in the light's thickness
+//! (`misalignment.rs`; the light along the normal: `profile.rs`). Sources: Wieneke, Exp.
 //! Fluids 39 (2005) 267; Wieneke, Meas. Sci. Technol. 29 (2018) 084002. Not valid for images without common particles (refused),
 //! and blind to errors of the cameras that a plane can mimic.
 
 mod acquire;
 mod check;
 mod correlate;
+mod misalignment;
 mod peak;
 mod planar;
 mod plane;
 mod prepare;
+mod profile;
+mod propagate;
 
 pub use check::{CheckOptions, CheckOutput, ParticlePair, check_sheet};
 pub use planar::{PlanarOptions, PlanarVectors, planar_displacements};

@@ -3,6 +3,7 @@
 //! Every format states cameras in a world whose plane z = 0 is the laser sheet (mm). Where a format holds the camera of
 //! this library exactly, the numbers are converted; where it does not, the nearest camera that it can hold is fitted
 //! over the whole image, on the sheet and [2 % of the distance](Conversion::notes) before and behind it, and the loss is stated in px.
+//! A flat window is held by `csv` and within the polynomials of `soloff` only; elsewhere the nearest camera without one is fitted (`behind.rs`).
 //!
 //! | format | written | read | conventions |
 //! |---|---|---|---|
@@ -16,6 +17,7 @@
 //!
 //! Covariances travel only in `csv`: no other format has a place for them, and a calibration read from one has none.
 
+mod behind;
 mod csv;
 mod davis;
 mod distorted;
@@ -24,6 +26,7 @@ mod marks;
 mod matlab;
 mod opencv;
 mod openptv;
+mod placed;
 mod refit;
 mod soloff;
 mod storage;
@@ -31,11 +34,13 @@ mod uvmat;
 mod xml;
 
 use crate::camera::Camera;
+use crate::dewarp::SoloffDegrees;
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::Record;
 use crate::rigid::Motion;
 
+pub use placed::placed;
 pub use refit::Loss;
 
 /// Formats that can be written.
@@ -122,15 +127,26 @@ impl<T> Conversion<T> {
 /// # Errors
 /// [`Invalid::Contradiction`] where the format needs what the record does not have, or cannot hold the cameras at all.
 pub fn export(record: &Record, format: ExportFormat) -> Result<Conversion<Vec<(String, Vec<u8>)>>> {
-    let rig = Cameras::of(record)?;
+    let mut rig = Cameras::of(record)?;
+    if !matches!(format, ExportFormat::Soloff | ExportFormat::Csv) {
+        rig.lose_windows()?;
+    }
     match format {
         ExportFormat::OpenCv => opencv::export(&rig, storage::Syntax::Yaml),
         ExportFormat::OpenCvXml => opencv::export(&rig, storage::Syntax::Xml),
         ExportFormat::OpenPtv => openptv::export(&rig),
         ExportFormat::Matlab => matlab::export(&rig),
-        ExportFormat::Soloff => soloff::export(&rig),
+        ExportFormat::Soloff => soloff::export(&rig, SoloffDegrees::default()),
         ExportFormat::Csv => Ok(csv::export(record)),
     }
+}
+
+/// As [`export`] to [`ExportFormat::Soloff`], with polynomials of these degrees.
+///
+/// # Errors
+/// As [`export`]; [`Invalid::Value`] for degrees other than 2 or 3 in x and y, 1 or 2 in z.
+pub fn export_soloff(record: &Record, degrees: SoloffDegrees) -> Result<Conversion<Vec<(String, Vec<u8>)>>> {
+    soloff::export(&Cameras::of(record)?, degrees)
 }
 
 /// Reads a calibration of another package.
@@ -162,6 +178,8 @@ struct WorldCamera {
     camera: Camera,
     cam_from_world: Motion<Cam, Sheet>,
     loss: Loss,
+    /// The measured volume as it is seen through a window that the camera here stands for; none without one.
+    points: Option<Vec<refit::Seen>>,
 }
 
 /// Cameras read from a file, and what was assumed.
@@ -186,14 +204,6 @@ impl Cameras {
                     .into(),
             )
         })?;
-        if let Some(c) = record.cameras.iter().find(|c| c.window.is_some()) {
-            let what = format!(
-                "camera \"{}\" looks through a flat window, which no other package's format can hold; use the calibration here, \
-                 or tabulate pixels and points of the sheet with spivcal dewarp",
-                c.name
-            );
-            return Err(Invalid::Contradiction(what).into());
-        }
         let rig_from_sheet: Motion<Rig, Sheet> = sheet.rig_from_sheet.motion();
         let cameras = record.cameras.iter().map(|c| {
             let cam_from_rig: Motion<Cam, Rig> = c.cam_from_rig.motion();
@@ -201,12 +211,36 @@ impl Cameras {
                 name: c.name.clone(),
                 image_size_px: c.image_size_px,
                 pixel_pitch_mm: c.pixel_pitch_mm,
-                camera: Camera::new(c.intrinsics())?,
+                camera: c.model()?,
                 cam_from_world: cam_from_rig * rig_from_sheet,
                 loss: Loss::NONE,
+                points: None,
             })
         });
         Ok(Self { cameras: cameras.collect::<Result<_>>()?, notes: Vec::new() })
+    }
+
+    /// Cameras without windows in the place of those behind one.
+    fn lose_windows(&mut self) -> Result<()> {
+        let behind: Vec<WorldCamera> = std::mem::take(&mut self.cameras);
+        for c in behind {
+            let Some(window) = c.camera.window().copied() else {
+                self.cameras.push(c);
+                continue;
+            };
+            let near = behind::without_window(c, &window)?;
+            self.notes.push(format!(
+                "{}: looks through a flat window, which this format cannot hold; the nearest camera without one is written, fitted over \
+                 the whole image within {:.1} mm of the sheet: {:.3} px rms and {:.3} px at most off, more beyond; to keep the window, \
+                 work with calibration.json, or write --to soloff",
+                near.name,
+                near.depth_mm(),
+                near.loss.rms_px,
+                near.loss.max_px
+            ));
+            self.cameras.push(near);
+        }
+        Ok(())
     }
 }
 

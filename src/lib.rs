@@ -6,6 +6,10 @@
 //!
 #![doc = include_str!("MAP.md")]
 
+/// Scenes of the integration tests name the library from outside; tests within use them too.
+#[cfg(test)]
+extern crate self as spivcal;
+
 pub mod bitangent;
 pub mod bundle;
 pub mod camera;

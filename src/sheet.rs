@@ -37,7 +37,7 @@ pub use homography::{
     triangulated_plane,
 };
 pub use joint::{joint_sheet, placed_joint_sheet};
-pub(crate) use parameter::{Parameter, stepped_camera, stepped_motion, stepped_window};
+pub(crate) use parameter::{Parameter, STEP_NAMES, stepped_camera, stepped_motion, stepped_window};
 
 use crate::frames::{Rig, Sheet};
 use crate::rigid::Motion;

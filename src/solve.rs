@@ -119,7 +119,7 @@ pub trait Problem {
     fn layout(&self) -> Layout;
     /// Cost, or `None` where the state has no meaning (a point behind a camera): the step is then rejected.
     fn cost(&self, state: &Self::State) -> Option<f64>;
-    /// Normal equations at the state, with the cost; `None` as for [`Problem::cost`].
+    /// Normal equations at the state, with the cost ([`Problem::cost`] up to rounding); `None` as for that.
     fn linearise(&self, state: &Self::State) -> Option<NormalEquations>;
     /// For each unknown the step up to which the problem is about linear (units of the unknown, positive).
     fn scales(&self, state: &Self::State) -> Step;
@@ -231,7 +231,7 @@ pub fn minimise<P: Problem>(
             equations: None,
         };
     };
-    let mut radius = Damping { mu: 1.0, growth: 4.0, bent: false };
+    let mut radius = Damping { mu: 1.0, growth: GROWTH, bent: false };
     let mut iterations = 1;
     let (mut decrement, termination) = loop {
         let decrement = decrement(&equations);
@@ -264,6 +264,8 @@ struct Damping {
     bent: bool,
 }
 
+/// By how much the damping grows after the first refused step; then twice that, and so on.
+const GROWTH: f64 = 4.0;
 /// Gain below which a step counts as bent.
 const STRAIGHT_GAIN: f64 = 0.9;
 /// Largest acceleration over velocity.
@@ -281,7 +283,8 @@ fn accepted_step<P: Problem>(
         if let Some(trial) = trial_step(problem, state, equations, damping, &scales) {
             // Nielsen's law, allowed to fall by 100 so that the weak valley is undamped after few good steps.
             let factor = (1.0 - (2.0 * trial.gain - 1.0).powi(3)).clamp(0.01, 2.0);
-            *damping = Damping { mu: (damping.mu * factor).max(MU_MIN), growth: 4.0, bent: trial.gain < STRAIGHT_GAIN };
+            *damping =
+                Damping { mu: (damping.mu * factor).max(MU_MIN), growth: GROWTH, bent: trial.gain < STRAIGHT_GAIN };
             return Some((trial.state, trial.equations));
         }
         damping.mu *= damping.growth;
@@ -326,7 +329,10 @@ fn trial_step<P: Problem>(
     }
     let predicted = reduced.predicted_decrease(&velocity);
     let next = problem.retract(state, &step)?;
-    let decrease = equations.cost - problem.cost(&next)?;
+    // Most first steps are accepted and want their equations anyway, which hold the cost; after a refusal the cost alone comes first.
+    let linearised = if damping.growth > GROWTH { None } else { Some(problem.linearise(&next)?) };
+    let decrease = equations.cost - linearised.as_ref().map_or_else(|| problem.cost(&next), |e| Some(e.cost))?;
+    let linearise = || linearised.or_else(|| problem.linearise(&next));
     // Pixels of size 1e3 and sigmas of 0.01 px leave 1e-11 in a whitened residual, hence at most 1e-11 sum |r| in the cost, and
     // sum |r| <= sqrt(2 n cost): by the cost itself where residuals are of one sigma, more where a good fit leaves less.
     let rounding = 1e-11 * (equations.cost + FEW_RESIDUALS.sqrt() * equations.cost.sqrt());
@@ -335,11 +341,11 @@ fn trial_step<P: Problem>(
         if !(gain > 1e-4) {
             return None;
         }
-        return problem.linearise(&next).map(|equations| Trial { state: next, equations, gain });
+        return linearise().map(|equations| Trial { state: next, equations, gain });
     }
     // Below rounding the cost cannot judge a step: the gradient has to. Where residuals bend more than the valley is steep,
     // an undamped step overshoots, and only this notices.
-    let next_equations = problem.linearise(&next)?;
+    let next_equations = linearise()?;
     let left = decrement(&next_equations) / decrement(equations);
     // Little may be gained only because the damping still holds the weak valley: it falls, and an overshoot raises it again.
     (left < 1.0).then_some(Trial { state: next, equations: next_equations, gain: 1.0 })

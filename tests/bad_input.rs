@@ -182,6 +182,25 @@ fn one_view_only() {
 }
 
 #[test]
+fn one_position_three_times() {
+    let job = Job::new();
+    let text = std::fs::read_to_string(job.path("rig.toml")).unwrap();
+    let fourth = text.match_indices("[[view]]").nth(3).unwrap().0;
+    std::fs::write(job.path("rig.toml"), &text[..fourth]).unwrap();
+    for (view, side) in [(2, "left"), (3, "left"), (2, "right"), (3, "right")] {
+        std::fs::copy(job.path(&format!("v01_{side}.png")), job.path(&format!("v0{view}_{side}.png"))).unwrap();
+    }
+    job.refused(3, &["view 0, camera \"left\" (v01_left.png) and view 1, camera \"left\"", "one picture", "own image"]);
+}
+
+#[test]
+fn one_picture_under_two_names() {
+    let job = Job::new();
+    std::fs::copy(job.path("v02_right.png"), job.path("v05_right.png")).unwrap();
+    job.refused(3, &["view 1, camera \"right\" (v02_right.png)", "view 4, camera \"right\" (v05_right.png)"]);
+}
+
+#[test]
 fn mirrored_camera() {
     let job = Job::new();
     for view in 1..=6 {

@@ -5,7 +5,9 @@
 mod program;
 mod real_sets;
 
+use nalgebra::Vector3;
 use program::{example, spivcal};
+use spivcal::frames::{Rig, Sheet, Target};
 use spivcal::record::Record;
 use std::path::Path;
 
@@ -48,6 +50,15 @@ fn a_calibration_goes_out_and_comes_back() {
     assert!(said.contains("the polynomials hold for x"), "{said}");
     let terms = std::fs::read_to_string(path("soloff/soloff_left.txt")).unwrap();
     assert!(terms.contains("\n2 1 0 ") && terms.contains("half_mm "), "{terms}");
+    let terms =
+        |file: &str| std::fs::read_to_string(path(file)).unwrap().lines().filter(|l| !l.starts_with('#')).count();
+    assert_eq!(terms("soloff/soloff_left.txt"), 3 + 19);
+    convert(&[&json, "--to", "soloff", "--soloff-degrees", "2,1", "-o", &path("low")], 1);
+    assert_eq!(terms("low/soloff_left.txt"), 3 + 9);
+    let said = convert(&[&json, "--to", "soloff", "--soloff-degrees", "5,1", "-o", &path("none")], 2);
+    assert!(said.contains("2 or 3 in x and y"), "{said}");
+    let said = convert(&[&json, "--to", "csv", "--soloff-degrees", "2,1", "-o", &path("none")], 2);
+    assert!(said.contains("--to soloff"), "{said}");
     // No tilt in MATLAB's camera: a fit, whose loss is told and flagged where it is large.
     let said = convert(&[&json, "--to", "matlab", "-o", &path("m")], 1);
     assert!(said.contains("px rms") && said.contains("warning: camera 2"), "{said}");
@@ -56,6 +67,64 @@ fn a_calibration_goes_out_and_comes_back() {
     convert(&["--from", "openptv", &path("missing.ori"), "-o", &path("none")], 2);
     convert(&[&json], 2);
     convert(&[&json, "--from", "davis", "--image-size", "12by3"], 2);
+}
+
+/// The sheet frame moved and turned in its plane: the same light and cameras, numbers along the new axes.
+#[test]
+fn the_sheet_frame_is_placed_and_placed_back() {
+    let scratch = tempfile::tempdir().unwrap();
+    let path = |name: &str| scratch.path().join(name).to_str().unwrap().to_string();
+    let rig = example("printed").join("rig.toml");
+    let out = spivcal(&["calibrate", rig.to_str().unwrap(), "-o", &path("c")]);
+    assert_eq!(out.status.code(), Some(0), "{}", String::from_utf8_lossy(&out.stderr));
+    let json = path("c/calibration.json");
+    convert(&[&json, "--to", "spivcal", "--origin-mm", "5,-2", "--turn-deg", "90", "-o", &path("a")], 0);
+    let (old, new) = (record(Path::new(&json)), record(Path::new(&path("a/calibration.json"))));
+    let (s, t) = (old.sheet.as_ref().unwrap(), new.sheet.as_ref().unwrap());
+    let (f, g) = (s.rig_from_sheet.motion::<Rig, Sheet>(), t.rig_from_sheet.motion::<Rig, Sheet>());
+    // The new (x, y) = (1, 2) is the old (5 - 2, -2 + 1).
+    let (p, q) = (g.apply(&Vector3::new(1.0, 2.0, 0.3)), f.apply(&Vector3::new(3.0, -1.0, 0.3)));
+    assert!((p - q).norm() < 1e-9, "{p} {q}");
+    assert!(
+        (s.distance_mm - t.distance_mm).abs() < 1e-9 && (t.angles_deg[2].abs() - 90.0).abs() < 5.0,
+        "{:?}",
+        t.angles_deg
+    );
+    // A quarter turn exchanges the axes, and with them their sigmas.
+    let (a, b) = (s.sigma.normal_rad, t.sigma.normal_rad);
+    assert!((a[0] / b[1] - 1.0).abs() < 1e-3 && (a[1] / b[0] - 1.0).abs() < 1e-3, "{a:?} {b:?}");
+    assert_eq!((s.sigma.distance_mm, old.covariance.names.len()), (t.sigma.distance_mm, new.covariance.names.len()));
+    convert(&[&path("a/calibration.json"), "--to", "spivcal", "--turn-deg", "-90", "-o", &path("b")], 0);
+    convert(&[&path("b/calibration.json"), "--to", "spivcal", "--origin-mm", "-5,2", "-o", &path("b2")], 0);
+    let back = record(Path::new(&path("b2/calibration.json")));
+    let t = back.sheet.as_ref().unwrap();
+    let h = t.rig_from_sheet.motion::<Rig, Sheet>();
+    assert!((h.translation_mm - f.translation_mm).norm() < 1e-9 && (h.rotation - f.rotation).norm() < 1e-12);
+    for k in 0..3 {
+        let (a, b) = (s.sigma.angles_deg[k], t.sigma.angles_deg[k]);
+        assert!((a - b).abs() < 1e-3 * a + 1e-9, "{:?} {:?}", s.sigma, t.sigma);
+    }
+    // On the target of a view: its origin has x = y = 0, its x axis y = 0.
+    let said = convert(&[&json, "--to", "spivcal", "--frame-of-view", "0", "-o", &path("v")], 0);
+    assert!(said.contains("calibration.json"), "{said}");
+    let v = record(Path::new(&path("v/calibration.json")));
+    let at = v.sheet.as_ref().unwrap().rig_from_sheet.motion::<Rig, Sheet>().inverse()
+        * v.views[0].rig_from_target.unwrap().motion::<Rig, Target>();
+    assert!(
+        at.translation_mm.xy().norm() < 1e-9 && at.rotation[(1, 0)].abs() < 1e-12 && at.rotation[(0, 0)] > 0.0,
+        "{at:?}"
+    );
+    for (options, words) in [
+        (vec!["--frame-of-view", "77"], "view 77"),
+        (vec!["--origin-mm", "5"], "two numbers"),
+        (vec!["--frame-of-view", "0", "--turn-deg", "3"], "cannot be used with"),
+        (vec!["--turn-deg", "inf"], "a number"),
+    ] {
+        let said = convert(&[&[json.as_str(), "--to", "spivcal", "-o", &path("none")][..], &options].concat(), 2);
+        assert!(said.contains(words), "{said}");
+    }
+    let said = convert(&[&json, "--to", "spivcal", "--turn-deg", "3", "-o", &path("c")], 2);
+    assert!(said.contains("would be overwritten"), "{said}");
 }
 
 /// Files of a real four-camera rig.

@@ -2,16 +2,21 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
-use nalgebra::Vector3;
+use nalgebra::{SVector, Vector3};
 use spivcal::disparity::{CheckOptions, CheckOutput, ParticlePair, check_sheet};
-use spivcal::frames::{Rig, Sheet};
-use spivcal::image::GrayImage;
-use spivcal::record::Record;
+use spivcal::frames::{Cam, Rig, Sheet};
+use spivcal::image::{GrayImage, Pixels};
+use spivcal::record::{Pose, Record};
+use spivcal::rigid::Motion;
 use spivcal::simulate::{Scene, simulate_particles};
 use std::process::Command;
 
 /// Two cameras, particles, and a sheet in its place.
 fn scene(seed: u64, offset_mm: f64, tilt_deg: [f64; 2], thickness_mm: f64, pairs: usize) -> Scene {
+    seeded(seed, offset_mm, tilt_deg, thickness_mm, pairs, 1.5)
+}
+
+fn seeded(seed: u64, offset_mm: f64, tilt_deg: [f64; 2], thickness_mm: f64, pairs: usize, per_mm2: f64) -> Scene {
     let camera = |name: &str, angle: f64| {
         format!(
             "[[camera]]\nname = \"{name}\"\nimage_size_px = [640, 512]\npixel_pitch_mm = 0.0125\nfocal_length_mm = 50.0\nscheimpflug = true\n\
@@ -21,7 +26,7 @@ fn scene(seed: u64, offset_mm: f64, tilt_deg: [f64; 2], thickness_mm: f64, pairs
     let text = format!(
         "seed = {seed}\n{}{}[sheet]\noffset_mm = {offset_mm:?}\ntilt_deg = {tilt_deg:?}\n[target]\nkind = \"two-discs\"\npolarity = \"bright\"\n\
          radii_mm = [8.0, 6.0]\nspacing_mm = 18.0\n[image]\nbits = 12\nblur_sigma_px = 0.9\nfull_well_e = 20000.0\nread_noise_e = 20.0\n\
-         [[view]]\n[particles]\npairs = {pairs}\nper_mm2 = 1.5\nthickness_mm = {thickness_mm:?}\n",
+         [[view]]\n[particles]\npairs = {pairs}\nper_mm2 = {per_mm2:?}\nthickness_mm = {thickness_mm:?}\n",
         camera("left", -42.0),
         camera("right", 35.0)
     );
@@ -144,6 +149,43 @@ fn images_without_common_particles_are_refused() {
     assert!(none.to_string().contains("no image pair"));
 }
 
+/// The same images with other grey levels.
+fn redrawn(images: &[(String, GrayImage)], level: impl Fn(f32) -> u16) -> Vec<(String, GrayImage)> {
+    let redraw = |image: &GrayImage| {
+        let (w, h, view) = (image.width(), image.height(), image.view());
+        let levels = (0..w * h).map(|i| level(view.get(i % w, i / w))).collect();
+        GrayImage::new(Pixels::U16(levels), w, h).unwrap()
+    };
+    images.iter().map(|(name, image)| (name.clone(), redraw(image))).collect()
+}
+
+#[test]
+fn saturated_and_flat_images_are_told_with_what_to_do() {
+    let images = simulate_particles(&scene(61, 0.2, [0.0; 2], 0.6, 1)).unwrap();
+    let record = truth(&scene(61, 0.0, [0.0; 2], 0.6, 1));
+    let check = |images: &[(String, GrayImage)]| check_sheet(&record, &pairs(images), &CheckOptions::default());
+    let refused = |images: &[(String, GrayImage)], words: &[&str]| {
+        let e = check(images).unwrap_err();
+        println!("{e}");
+        assert_eq!(e.exit_code(), 3);
+        words.iter().for_each(|w| assert!(e.to_string().contains(w), "{w}: {e}"));
+    };
+    refused(&redrawn(&images, |_| 37), &["p01_left.png", "flat", "check the exposure and that the laser fired"]);
+    refused(
+        &redrawn(&images, |g| if g > 60.0 { 4095 } else { g as u16 }),
+        &["saturated", "reduce laser power or aperture"],
+    );
+    // Particles cut off at a sixth of their height still tell the place.
+    let cut = redrawn(&images, |g| (6.0 * g).min(4095.0) as u16);
+    let found = check(&cut).unwrap().check;
+    println!("{:?}", found.flags);
+    assert!(
+        found.flags.iter().any(|f| f.contains("saturated") && f.contains("reduce the exposure")),
+        "{:?}",
+        found.flags
+    );
+}
+
 #[test]
 fn the_program_writes_report_check_and_calibration() {
     let scratch = tempfile::tempdir().unwrap();
@@ -177,4 +219,121 @@ fn the_program_writes_report_check_and_calibration() {
     std::fs::remove_file(at("p02_right.png")).unwrap();
     let (code, said) = run(&["check", &c, "--pairs", &l, &r, "-o", &o]);
     assert!(code == 2 && said.contains("every moment needs one image"), "{said}");
+}
+
+/// Few particles in thick light: windows scatter in the right sheet, too, by the depth of their particles over the root of their number.
+#[test]
+fn windows_with_few_particles_scatter_along_depth_and_the_sheet_is_right() {
+    let (thickness_mm, per_mm2) = (1.0, 0.6);
+    let start = truth(&seeded(31, 0.0, [0.0; 2], thickness_mm, 2, per_mm2));
+    let real = seeded(31, 0.5, [0.3, -0.2], thickness_mm, 2, per_mm2);
+    let images = simulate_particles(&real).unwrap();
+    let mut scatter = vec![];
+    for window_px in [32, 64] {
+        let options = CheckOptions { refine: true, window_px, ..CheckOptions::default() };
+        let c = check_sheet(&start, &pairs(&images), &options).unwrap().check;
+        let m = c.misalignment_after.unwrap();
+        let wanted = plane(&start, &truth(&real));
+        let z = (c.offset_mm - wanted.x) / c.offset_sigma_mm;
+        println!(
+            "window {window_px}: offset z {z:.2}, length {:.3} px, {m:.3?}",
+            c.after.as_ref().unwrap().median_px()
+        );
+        assert!(z.abs() < 3.5, "{z}");
+        assert!(m.smooth_px[0] < 3.0 * m.smooth_noise_px[0] && m.smooth_px[1] < 0.1, "{m:?}");
+        assert!((0..2).all(|a| m.median_px[a].abs() < 4.0 * m.median_sigma_px[a] + 0.02), "{m:?}");
+        assert!(m.scatter_px[1] < 0.3 * m.scatter_px[0], "{m:?}");
+        assert!(c.flags.is_empty(), "{:?}", c.flags);
+        let light = c.profile.unwrap();
+        assert!(light.top_mm.abs() < 0.2 && light.middle_mm.abs() < 0.2, "{} {}", light.top_mm, light.middle_mm);
+        scatter.push(m.scatter_px[0]);
+    }
+    // Four times the particles.
+    assert!((1.5..2.6).contains(&(scatter[0] / scatter[1])), "{scatter:?}");
+    assert!(scatter[0] > 0.5, "{scatter:?}");
+}
+
+/// A record with left steps of the second camera and the sheet, and another image distance of the second camera.
+fn stepped(record: &Record, f_px: f64, camera: [f64; 6], sheet: [f64; 6]) -> Record {
+    let mut out = record.clone();
+    let c = &mut out.cameras[1];
+    c.f_px += f_px;
+    let moved: Motion<Cam, Rig> = c.cam_from_rig.motion::<Cam, Rig>().retract(&SVector::from(camera));
+    c.cam_from_rig = Pose::from(&moved);
+    let s = out.sheet.as_mut().unwrap();
+    let moved: Motion<Rig, Sheet> = s.rig_from_sheet.motion::<Rig, Sheet>().retract(&SVector::from(sheet));
+    s.rig_from_sheet = Pose::from(&moved);
+    out
+}
+
+/// The same images checked with calibrations moved by one sigma along each column of a factor of the covariance: the plane, its place against
+/// the starting sheet, and what the new covariance says of it.
+#[test]
+fn sigmas_hold_the_covariance_of_the_calibration() {
+    let real = scene(51, 0.3, [0.1, -0.2], 0.6, 1);
+    let images = simulate_particles(&real).unwrap();
+    let mut start = truth(&scene(51, 0.0, [0.0; 2], 0.6, 1));
+    // Columns: image distance and place of the second camera together, its turn with the sheet, the sheet alone.
+    let (mut camera, mut sheet) = ([[0.0; 6]; 3], [[0.0; 6]; 3]);
+    let f_px = [3.0, 0.0, 0.0];
+    (camera[0][5], camera[0][1], camera[1][1], sheet[1][5]) = (-0.3, 2e-5, 6e-5, 0.04);
+    (sheet[2][5], sheet[2][0]) = (0.03, 1e-4);
+    let steps = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
+    let names = |prefix: &str| steps.map(|s| format!("{prefix}.{s}"));
+    start.covariance.names =
+        [vec!["right.f_px".to_string()], names("right.cam_from_rig").to_vec(), names("sheet.rig_from_sheet").to_vec()]
+            .concat();
+    let column = |k: usize| -> Vec<f64> { [vec![f_px[k]], camera[k].to_vec(), sheet[k].to_vec()].concat() };
+    let entry = |i: usize, j: usize| (0..3).map(|k| column(k)[i] * column(k)[j]).sum::<f64>();
+    start.covariance.matrix = (0..13).map(|i| (0..13).map(|j| entry(i, j)).collect()).collect();
+    let options = CheckOptions { refine: true, ..CheckOptions::default() };
+    let check = |record: &Record| check_sheet(record, &pairs(&images), &options).unwrap();
+    let found = check(&start);
+    let c = &found.check;
+    assert!(c.sigmas_hold_calibration);
+    let mut variance = [0.0; 3];
+    let (mut distance, mut with_f) = (0.0, 0.0);
+    for k in 0..3 {
+        let side = |sign: f64| {
+            let r = check(&stepped(&start, sign * f_px[k], camera[k].map(|x| sign * x), sheet[k].map(|x| sign * x)));
+            let e = [r.check.offset_mm, r.check.tilt_deg[0], r.check.tilt_deg[1]];
+            (e, r.record.unwrap().sheet.unwrap().distance_mm)
+        };
+        let (plus, minus) = (side(1.0), side(-1.0));
+        (0..3).for_each(|a| variance[a] += ((plus.0[a] - minus.0[a]) / 2.0).powi(2));
+        let moved = (plus.1 - minus.1) / 2.0;
+        distance += moved * moved;
+        with_f += moved * f_px[k];
+    }
+    let told = [
+        c.offset_sigma_mm.powi(2) - c.offset_sigma_windows_mm.powi(2),
+        c.tilt_sigma_deg[0].powi(2) - c.tilt_sigma_windows_deg[0].powi(2),
+        c.tilt_sigma_deg[1].powi(2) - c.tilt_sigma_windows_deg[1].powi(2),
+    ];
+    println!(
+        "variance by the calibration: told {told:?}, of moved calibrations {variance:?}; windows {:.2e} mm",
+        c.offset_sigma_windows_mm
+    );
+    for a in 0..3 {
+        // Windows at the limit of being used come and go between the moved calibrations: a fifth of the windows' sigma.
+        let floor = 0.04
+            * [
+                c.offset_sigma_windows_mm.powi(2),
+                c.tilt_sigma_windows_deg[0].powi(2),
+                c.tilt_sigma_windows_deg[1].powi(2),
+            ][a];
+        assert!((told[a] - variance[a]).abs() < 0.05 * variance[a] + floor, "{a}: {told:?} {variance:?}");
+    }
+    assert!(told[0] > 20.0 * c.offset_sigma_windows_mm.powi(2), "the calibration's share must show");
+    let record = found.record.unwrap();
+    record.check().unwrap();
+    let s = record.sheet.as_ref().unwrap();
+    assert!((s.sigma.distance_mm / distance.sqrt() - 1.0).abs() < 0.05, "{} {}", s.sigma.distance_mm, distance.sqrt());
+    // The new sheet's rows: their part along the normal with the image distance of the second camera.
+    let (cov, n) = (&record.covariance, s.normal_in_rig);
+    let f = cov.index("right.f_px").unwrap();
+    let across: f64 = (0..3)
+        .map(|k| n[k] * cov.matrix[cov.index(&format!("sheet.rig_from_sheet.{}", steps[3 + k])).unwrap()][f])
+        .sum();
+    assert!((across / with_f - 1.0).abs() < 0.05, "{across} {with_f}");
 }

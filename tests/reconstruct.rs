@@ -62,7 +62,7 @@ fn raw_field(c: usize, start: bool, sigma_px: f64, seed: u64, keep: impl Fn(usiz
 }
 
 /// In mm (or pixels) of dewarped images, both on one grid.
-fn dewarped_field(c: usize, grid: Option<&SheetGrid>, sigma_mm: f64, seed: u64) -> String {
+fn dewarped_field(c: usize, grid: Option<&SheetGrid>, sigma_px: f64, seed: u64) -> String {
     let (record, map) = (scene::record(), &maps()[c]);
     let mut random = Random(seed);
     let mut text = String::from(if grid.is_some() { "x_px,y_px,dx_px,dy_px\n" } else { "x_mm,y_mm,dx_mm,dy_mm\n" });
@@ -72,13 +72,14 @@ fn dewarped_field(c: usize, grid: Option<&SheetGrid>, sigma_mm: f64, seed: u64) 
             // Seen places of the two ends: mapped back to the sheet as a dewarped image is. The middle of the seen path is (x, y) but
             // for a part in a million.
             let d = flow(x, y);
+            // Noise is alike along both axes of the sensor, and stretched by dewarping.
             let ends = [-0.5, 0.5].map(|s| {
-                let q = image(&record, c, &(Vector3::new(x, y, 0.0) + d * s));
+                let mut q = image(&record, c, &(Vector3::new(x, y, 0.0) + d * s));
+                q = q.map(|a| a + sigma_px / std::f64::consts::SQRT_2 * random.normal());
                 let p = map.sheet_of_pixel(&[q[0]], &[q[1]], &[0.0]).unwrap();
                 [p.x_mm[0], p.y_mm[0]]
             });
-            let dx = ends[1][0] - ends[0][0] + sigma_mm * random.normal();
-            let dy = ends[1][1] - ends[0][1] + sigma_mm * random.normal();
+            let (dx, dy) = (ends[1][0] - ends[0][0], ends[1][1] - ends[0][1]);
             match grid {
                 None => text.push_str(&format!("{x},{y},{dx:.9},{dy:.9}\n")),
                 Some(g) => {
@@ -164,10 +165,10 @@ fn a_known_flow_is_found_without_bias_in_every_unit() {
 
 #[test]
 fn sigmas_are_those_of_the_scatter() {
-    for (unit, sigma_px) in [(FieldUnit::RawPixels, 0.08), (FieldUnit::Millimetres, 0.0)] {
+    for (unit, sigma_px) in [(FieldUnit::RawPixels, 0.08), (FieldUnit::Millimetres, 0.08)] {
         let texts = [0, 1].map(|c| match unit {
             FieldUnit::RawPixels => raw_field(c, false, sigma_px, 7 + c as u64, |_| true),
-            _ => dewarped_field(c, None, 0.003, 7 + c as u64),
+            _ => dewarped_field(c, None, sigma_px, 7 + c as u64),
         });
         let f = solved([&texts[0], &texts[1]], &options(unit));
         let mut sums = [0.0; 3];
@@ -179,8 +180,18 @@ fn sigmas_are_those_of_the_scatter() {
         }
         let ratio = sums.map(|s| (s / n).sqrt());
         println!("{unit:?}: scatter over sigma {ratio:.3?}, estimated sigma {:.4}", f.sigma);
-        let true_sigma = if unit == FieldUnit::RawPixels { sigma_px } else { 0.003 };
-        assert!((f.sigma / true_sigma - 1.0).abs() < 0.1, "{}", f.sigma);
+        // Geometric mean of the sides of a pixel in the middle of the sheet, both cameras.
+        let sides = [0, 1].map(|c| {
+            let q = image(&scene::record(), c, &Vector3::zeros());
+            let at = |du: f64, dv: f64| maps()[c].sheet_of_pixel(&[q[0] + du], &[q[1] + dv], &[0.0]).unwrap();
+            let (o, u, v) = (at(0.0, 0.0), at(1.0, 0.0), at(0.0, 1.0));
+            let by = |p: &spivcal::dewarp::SheetPoints| [p.x_mm[0] - o.x_mm[0], p.y_mm[0] - o.y_mm[0]];
+            let ([a, b], [c, d]) = (by(&u), by(&v));
+            (a * d - b * c).abs()
+        });
+        let scale = if unit == FieldUnit::RawPixels { 1.0 } else { (sides[0] * sides[1]).powf(0.25) };
+        assert!((f.sigma / (sigma_px * scale) - 1.0).abs() < 0.1, "{} {scale}", f.sigma);
+        assert!(f.sigma_by_gradient < 0.1, "white noise does not grow with the gradient: {}", f.sigma_by_gradient);
         // n vectors, neighbours correlated by the interpolation: about n / 4 independent ones.
         let z = ratio.map(|r| (r - 1.0) / (0.5 / (n / 4.0)).sqrt());
         assert!(z.iter().all(|z| z.abs() < 5.0) && ratio.iter().all(|r| (r - 1.0).abs() < 0.15), "{ratio:?} {z:?}");
@@ -291,7 +302,14 @@ fn the_program_reads_writes_and_refuses() {
     refused(&left, &none, &[], 3, "\"right\" has 0 of");
     refused(&left, &right[..right.len() / 2 - 3], &[], 2, "cut short");
     refused(&left.replace("x_px,y_px,dx_px,dy_px", "x,y,u,v"), &right, &[], 2, "--unit px");
-    refused(&left.replace("\n8,6,", "\n2008,6,"), &right, &[], 2, "");
+    // Wrong grids: of a larger image, of no regular positions, of one row, of the other camera's unit.
+    refused(&left.replace("\n8,6,", "\n2008,6,"), &right, &[], 2, "another");
+    refused(&left.replace("\n8,6,", "\n13,6,"), &right, &[], 2, "do not form a regular grid");
+    let row: String =
+        left.lines().filter(|l| l.contains(",6,") || l.starts_with('x')).map(|l| format!("{l}\n")).collect();
+    refused(&row, &right, &[], 2, "at least two rows and two columns");
+    refused(&left, &right.replace("x_px,y_px,dx_px,dy_px", "x_mm,y_mm,dx_mm,dy_mm"), &[], 2, "export both alike");
+    refused(&left.replace("\n8,6,", "\n8,six,"), &right, &[], 2, "\"six\" is not a number");
     refused(&left, &right, &["--unit", "mm"], 2, "check the unit");
     refused(&left, &right, &["--unit", "dewarped"], 2, "--dewarped dewarp.json");
     refused(&left, &right, &["--sigma", "-1"], 2, "a positive number");

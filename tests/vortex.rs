@@ -100,6 +100,8 @@ fn from_images_to_three_components() {
     let header: Vec<&str> = table.lines().next().unwrap().split(',').collect();
     let column = |name: &str| header.iter().position(|h| *h == name).unwrap();
     let (mut n, mut z2, mut error, mut mean, mut within) = (0.0, [0.0; 3], [0.0; 3], [0.0; 3], 0.0);
+    // By the planar vectors' noise alone: everywhere, and within a radius of the vortex.
+    let mut alone = [[0.0; 4]; 2];
     for row in table.lines().skip(1) {
         let cells: Vec<Option<f64>> = row.split(',').map(|c| c.parse().ok()).collect();
         let get = |name: &str| cells[column(name)];
@@ -109,12 +111,18 @@ fn from_images_to_three_components() {
         }
         let d = Vector3::new(get("u_mm").unwrap(), get("v_mm").unwrap(), w) - flow(particles, &light, x, y);
         n += 1.0;
+        let core = light.apply(&Vector3::new(x, y, 0.0)).xy() - nalgebra::Vector2::new(2.0, 1.0);
+        let places = [true, core.norm() < 8.0];
         for (a, name) in ["u", "v", "w"].iter().enumerate() {
             let own = get(&format!("sigma_{name}_mm")).unwrap();
             // At the rim of the field a moved calibration may not see the point.
             let calibration = get(&format!("calibration_sigma_{name}_mm")).unwrap_or(0.0);
             let sigma = own.hypot(calibration);
             z2[a] += (d[a] / sigma).powi(2);
+            for (sums, inside) in alone.iter_mut().zip(places) {
+                sums[a] += if inside { (d[a] / own).powi(2) } else { 0.0 };
+                sums[3] += if inside && a == 0 { 1.0 } else { 0.0 };
+            }
             error[a] += d[a] * d[a];
             mean[a] += d[a];
             within += if a == 2 && d[a].abs() < 2.0 * sigma { 1.0 } else { 0.0 };
@@ -128,9 +136,17 @@ fn from_images_to_three_components() {
         of(z2),
         within / n
     );
-    // Measured: 0.0041 mm, no bias, 1.24 sigmas, 0.90; windows of 3 mm average a vortex of 8 mm, which the sigmas do not hold.
+    // Measured: 0.0043 mm, no bias, 1.12 sigmas of w, 0.94; windows of 3 mm average a vortex of 8 mm, which the sigmas do not hold.
     assert!(n > 1350.0 && of(error)[2] < 0.006 && mean.iter().all(|m| m.abs() < 1e-3));
-    assert!(of(z2).iter().all(|z| *z < 1.5) && within / n > 0.85);
+    assert!(of(z2).iter().all(|z| *z < 1.4) && within / n > 0.88, "{:?}", of(z2));
+    // Measured: 1.4, 1.6, 1.3 everywhere, 1.2, 1.8, 1.4 in the vortex, where errors are five times those of still fluid. What both cameras
+    // get wrong alike is in u and v, and cannot be seen in their residuals.
+    let alone = alone.map(|s| [0, 1, 2].map(|a| (s[a] / s[3]).sqrt()));
+    println!(
+        "errors over the sigmas by the planar vectors: everywhere {:.2?}, in the vortex {:.2?}",
+        alone[0], alone[1]
+    );
+    assert!(alone.iter().all(|z| z[0] < 1.8 && z[1] < 2.2 && z[2] < 1.6 && z[2] > 0.8), "{alone:?}");
     let found = json(&scratch.path().join("s/check.json"));
     let number = |key: &str, sigma: &str, i: usize, true_value: f64| {
         let get = |k: &str| found[k].get(i).unwrap_or(&found[k]).as_f64().unwrap();

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod rig_scene;
+mod window_door;
 
 use nalgebra::{DVector, Vector2, Vector3};
 use rig_scene::{Noise, Scene, tilted_camera};

@@ -363,12 +363,19 @@ Answer Unknowns::answer(const Problem& problem) const {
 
 std::vector<double*> build(const Problem& problem, Unknowns& u, Wrong wrong, ceres::Problem& ceres) {
   add_images(problem, u, wrong, ceres);
+  return with_facts(problem, u, ceres, [] {
+    return new PoseManifold(ceres::QuaternionManifold(), ceres::EuclideanManifold<3>());
+  });
+}
+
+std::vector<double*> with_facts(const Problem& problem, Unknowns& u, ceres::Problem& ceres,
+                                const std::function<ceres::Manifold*()>& pose) {
   add_facts(problem, u, ceres);
   std::vector<double*> free;
   for (size_t c = 0; c < u.intrinsics.size(); ++c)
     if (hold(ceres, u.intrinsics[c], problem.free[c])) free.push_back(u.intrinsics[c].data());
   for (auto& m : u.motion) {
-    ceres.SetManifold(m.data(), new PoseManifold(ceres::QuaternionManifold(), ceres::EuclideanManifold<3>()));
+    ceres.SetManifold(m.data(), pose());
     free.push_back(m.data());
   }
   if (ceres.HasParameterBlock(u.plane.data())) free.push_back(u.plane.data());
@@ -377,7 +384,7 @@ std::vector<double*> build(const Problem& problem, Unknowns& u, Wrong wrong, cer
     if (problem.in_plane[v]) {
       free.push_back(u.planar[v].data());
     } else {
-      ceres.SetManifold(u.pose[v].data(), new PoseManifold(ceres::QuaternionManifold(), ceres::EuclideanManifold<3>()));
+      ceres.SetManifold(u.pose[v].data(), pose());
       free.push_back(u.pose[v].data());
     }
     if (hold(ceres, u.own_shape[v], problem.free_shape)) free.push_back(u.own_shape[v].data());

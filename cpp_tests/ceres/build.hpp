@@ -4,6 +4,7 @@
 
 #include <ceres/ceres.h>
 
+#include <functional>
 #include <memory>
 
 #include "camera.hpp"
@@ -55,3 +56,6 @@ Pose<T> planar_pose(const T* plane, const T* planar, double z, const Reference& 
 
 // Adds all residual blocks; `unknowns` must outlive the Ceres problem. Blocks that are adjusted come back in order.
 std::vector<double*> build(const Problem& problem, Unknowns& unknowns, Wrong wrong, ceres::Problem& ceres);
+// The same for residual blocks of images that are there already: facts, and what is held. `pose` makes the manifold of a pose.
+std::vector<double*> with_facts(const Problem& problem, Unknowns& unknowns, ceres::Problem& ceres,
+                                const std::function<ceres::Manifold*()>& pose);

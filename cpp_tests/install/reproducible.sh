@@ -1,9 +1,11 @@
 #!/usr/bin/env bash
 # Builds the library for release from two folders of different names and depths, and compares the bytes.
-#   cpp_tests/install/reproducible.sh [WORK]        minutes: each build begins from nothing
+#   cpp_tests/install/reproducible.sh [WORK]        run by ./check --reproducible; minutes, since each build begins from nothing
 set -euo pipefail
 root=$(cd "$(dirname "$0")/../.." && pwd)
 work=${1:-$(mktemp -d)}
+# What nobody named nobody will look for.
+if [ $# = 0 ]; then trap 'rm -rf "$work"' EXIT; fi
 sums=()
 for folder in one "another place/deeper"; do
     rm -rf "${work:?}/$folder"
@@ -19,3 +21,4 @@ if [ "${sums[0]}" != "${sums[1]}" ]; then
     cmp -l "$work/one/built/release/libspivcal.so" "$work/another place/deeper/built/release/libspivcal.so" | wc -l >&2
     exit 1
 fi
+echo "equal: $(stat -c %s "$work/one/built/release/libspivcal.so") bytes"

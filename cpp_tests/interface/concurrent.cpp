@@ -158,10 +158,12 @@ void setters() {
     }
     rig.set_known(0, SPIVCAL_PARAMETER_ALPHA_DEG, 0.0, 1.0);
     rig.set_known(1, SPIVCAL_PARAMETER_K3, 0.0, 0.0);
+    rig.set_known(1, SPIVCAL_PARAMETER_WINDOW_DISTANCE_MM, 300.0, 20.0);
+    rig.set_known(1, SPIVCAL_PARAMETER_WINDOW_N_GLASS, 1.49, 0.0);
+    rig.set(SPIVCAL_RIG_CAMERA_WINDOW_TILT_SIGMA_DEG, 0.5, 1);
     rig.set(SPIVCAL_RIG_TARGET_KIND, std::string("bubbles"));
     rig.set(SPIVCAL_RIG_TARGET_POLARITY, std::string("bright"));
     rig.set(SPIVCAL_RIG_SOLVE_ESTIMATE, std::string("k1 k2"));
-    rig.set(SPIVCAL_RIG_FOCUS_TILT_SIGMA_DEG, 0.3);
     rig.set_scale(SPIVCAL_SCALE_SPACING, 0, 0, 26.0, 0.1);
     for (std::uint64_t v = 0; v < 2; v++) {
         CHECK(rig.add_view() == v);
@@ -172,7 +174,19 @@ void setters() {
     rig.check();
     const std::string text = rig.text();
     CHECK(text.find("kind = \"bubbles\"") != std::string::npos && text.find("sheet = true") != std::string::npos);
+    CHECK(text.find("[camera.window]") != std::string::npos && text.find("n_glass = 1.49") != std::string::npos);
+    CHECK(text.find("tilt_sigma_deg = 0.5") != std::string::npos && text.find("sigma = 20") != std::string::npos);
     CHECK(context.parse_rig(text).text() == text);
+    // Behind a window the focus says nothing: together they are refused.
+    spivcal::Rig focused = context.parse_rig(text);
+    focused.set(SPIVCAL_RIG_FOCUS_TILT_SIGMA_DEG, 0.3);
+    bool refused = false;
+    try {
+        focused.check();
+    } catch (const spivcal::Error &e) {
+        refused = e.status() == SPIVCAL_ERROR_INVALID_INPUT && std::strstr(e.what(), "[focus]") != nullptr;
+    }
+    CHECK(refused);
     // A second scale takes the place of the first; a wrong word is refused with what was expected.
     rig.set_scale(SPIVCAL_SCALE_BASELINE, 0, 0, 700.0, 0.0);
     rig.check();

@@ -6,10 +6,18 @@ lint.py types HEADER                pycparser reads it; every type is one of the
 lint.py stub HEADER SOURCE          writes a library of empty functions with the header's types, for abidiff
 lint.py break HEADER OTHER          writes the header with one parameter's type changed: abidiff must see it
 lint.py paths LIBRARY PATH...       none of the paths is in the library
+lint.py bindings HEADER RUST        bindgen's translation has every function with its types, and every constant with its value
+lint.py matlab HEADER SCRIPT        calls of a MATLAB script: functions that there are, arguments in number and type, constants
+lint.py def HEADER FILE             writes the module definition of the Windows library
+lint.py exports HEADER LISTING      the listing of a DLL (objdump -p) exports the header's functions, no more and no less
 """
 import re
 import subprocess
 import sys
+
+# The sources stay as they are.
+sys.dont_write_bytecode = True
+import matlab  # noqa: E402
 
 TYPES = {"int32_t", "uint32_t", "uint64_t", "uint16_t", "uint8_t", "float", "double", "char"}
 
@@ -23,6 +31,17 @@ def declarations(header):
 
 def name_of(declaration):
     return re.search(r"(\w+)\(", declaration).group(1)
+
+
+def parameters(declaration):
+    """Types of the parameters as the header spells them, without const and names: ["uint64_t", "double *"]."""
+    inside = declaration[declaration.index("(") + 1:declaration.rindex(")")].replace("const ", "")
+    return [] if inside == "void" else [re.sub(r"\w+$", "", p.strip()).strip() for p in inside.split(",")]
+
+
+def constants(header):
+    with open(header, encoding="utf-8") as file:
+        return {n: int(v) for n, v in re.findall(r"^#define (SPIVCAL_\w+) (-?\d+)$", file.read(), flags=re.M)}
 
 
 def symbols(header, library):
@@ -98,5 +117,61 @@ def paths(library, *unwanted):
     print(f"none of {len(unwanted)} paths")
 
 
+RUST = {"int32_t": "i32", "uint32_t": "u32", "uint64_t": "u64", "uint16_t": "u16", "uint8_t": "u8", "float": "f32", "double": "f64",
+        "char": "::std::os::raw::c_char"}
+
+
+def bindings(header, rust):
+    with open(rust, encoding="utf-8") as file:
+        text = " ".join(file.read().split())
+    found = {}
+    for name, inside, result in re.findall(r"pub fn (spivcal_\w+)\((.*?)\) -> (\w+);", text):
+        found[name] = ([p.split(": ", 1)[1].strip() for p in inside.split(", ") if p], result)
+
+    def spelled(declaration):
+        out = []
+        for p in declaration[declaration.index("(") + 1:declaration.rindex(")")].split(","):
+            word = re.search(r"\b(" + "|".join(RUST) + r")\b", p)
+            pointer = ("*const " if "const " in p else "*mut ") if "*" in p else ""
+            out += [pointer + RUST[word.group(1)]] if word else []
+        return out, RUST[declaration.split()[0]]
+
+    wanted = {name_of(d): spelled(d) for d in declarations(header)}
+    assert len(wanted) > 30 and found == wanted, {n: (found.get(n), wanted.get(n)) for n in {*found, *wanted} if found.get(n) != wanted.get(n)}
+    values = {n: int(v) for n, v in re.findall(r"pub const (SPIVCAL_\w+): [iu]32 = (-?\d+);", text)}
+    assert values == constants(header), set(values.items()) ^ set(constants(header).items())
+    print(f"{len(wanted)} functions, {len(values)} constants")
+
+
+def matlab_script(header, script):
+    functions = {name_of(d): parameters(d) for d in declarations(header)}
+    with open(script, encoding="utf-8") as file:
+        text = file.read()
+    faults, calls, named = matlab.check(text, functions, constants(header))
+    assert not faults, "\n".join(faults)
+    # The check itself: what is wrong must be found.
+    for right, wrong in [("'spivcal_rig_load'", "'spivcal_rig_lode'"), ("uint64(0), uint64(3), u", "uint64(3), u"),
+                         ("int32(key), uint64(index)", "uint64(key), uint64(index)"), ("COUNT_CAMERAS = 211", "COUNT_CAMERAS = 212"),
+                         ("x = libpointer('doublePtr'", "x = libpointer('singlePtr'"), ("context, rig_file", "rig_file")]:
+        assert right in text and matlab.check(text.replace(right, wrong), functions, constants(header))[0], f"{wrong} passes"
+    print(f"{calls} calls, {named} constants")
+
+
+def definition(header, path):
+    with open(path, "w", encoding="utf-8") as file:
+        file.write("LIBRARY spivcal.dll\nEXPORTS\n" + "".join(f"    {name_of(d)}\n" for d in declarations(header)))
+
+
+def exports(header, listing):
+    with open(listing, encoding="utf-8") as file:
+        table = file.read().split("[Ordinal/Name Pointer] Table", 1)[1]
+    found = set(re.findall(r"^\s*\[\s*\d+\].*?\s(\w+)$", table.split("\n\n", 1)[0], flags=re.M))
+    wanted = {name_of(d) for d in declarations(header)}
+    assert found == wanted, f"only in the library: {sorted(found - wanted)}, only in the header: {sorted(wanted - found)}"
+    print(f"{len(found)} exports")
+
+
 if __name__ == "__main__":
-    {"symbols": symbols, "types": types, "stub": stub, "break": break_header, "paths": paths}[sys.argv[1]](*sys.argv[2:])
+    tasks = {"symbols": symbols, "types": types, "stub": stub, "break": break_header, "paths": paths, "bindings": bindings,
+             "matlab": matlab_script, "def": definition, "exports": exports}
+    tasks[sys.argv[1]](*sys.argv[2:])

@@ -67,6 +67,7 @@ static void all_with(uint64_t h, uint64_t other, int32_t wanted, const char *wha
     CHECK(spivcal_calibration_text_copy(h, SPIVCAL_TEXT_JSON, 0, text, 10, &n) == wanted);
     CHECK(spivcal_calibration_project(h, 0, 2, x, y, z, a, b, ps) == wanted);
     CHECK(spivcal_calibration_unproject(h, 0, 2, x, y, a, b, c, ps) == wanted);
+    CHECK(spivcal_calibration_sight_from_pixel(h, 0, 2, x, y, a, b, c, a, b, c, ps) == wanted);
     CHECK(spivcal_calibration_sheet_from_pixel(h, 0, 2, x, y, a, b, ps) == wanted);
     CHECK(spivcal_calibration_pixel_from_sheet(h, 0, 2, x, y, a, b, ps) == wanted);
     CHECK(out == 77 && state == 77 && value == 77 && sigma == 77);
@@ -165,6 +166,7 @@ static void null_pointers(uint64_t context, uint64_t calibration) {
     CHECK(spivcal_calibration_project(calibration, 0, 2, NULL, y, y, x, x, NULL) == null);
     CHECK(spivcal_calibration_project(calibration, 0, 2, y, y, y, NULL, x, NULL) == null);
     CHECK(spivcal_calibration_unproject(calibration, 0, 2, y, NULL, x, x, x, NULL) == null);
+    CHECK(spivcal_calibration_sight_from_pixel(calibration, 0, 2, x, y, x, x, x, x, NULL, x, NULL) == null);
     CHECK(spivcal_calibration_sheet_from_pixel(calibration, 0, 2, x, y, NULL, y, NULL) == null);
     CHECK(spivcal_calibration_pixel_from_sheet(calibration, 0, 2, x, y, y, NULL, NULL) == null);
     /* Nothing to do needs no memory. */
@@ -241,6 +243,7 @@ static void numbers_without_meaning(uint64_t context, uint64_t calibration) {
     }
     CHECK(spivcal_calibration_unproject(calibration, 1, N, bad, bad, x, y, z, status) == SPIVCAL_WARNING_POINTS);
     for (i = 0; i < N; i++) CHECK((status[i] == SPIVCAL_POINT_OK) == (isfinite(x[i]) && isfinite(z[i])));
+    CHECK(spivcal_calibration_sight_from_pixel(calibration, 1, N, bad, bad, x, y, z, x, y, z, status) == SPIVCAL_WARNING_POINTS);
     CHECK(spivcal_calibration_sheet_from_pixel(calibration, 1, N, bad, bad, x, y, status) == SPIVCAL_WARNING_POINTS);
     CHECK(spivcal_calibration_pixel_from_sheet(calibration, 1, N, bad, bad, x, y, NULL) == SPIVCAL_WARNING_POINTS);
     CHECK(spivcal_calibration_project(calibration, 2, 1, x, x, x, x, x, NULL) == SPIVCAL_ERROR_INDEX);
@@ -268,6 +271,8 @@ static void numbers_without_meaning(uint64_t context, uint64_t calibration) {
     CHECK(spivcal_rig_set_text(rig, SPIVCAL_RIG_TARGET_KIND, 0, "\xff\xfe") == SPIVCAL_ERROR_UTF8);
     CHECK(spivcal_rig_set_known(rig, 0, SPIVCAL_PARAMETER_F_PX, 1, NAN) == SPIVCAL_ERROR_ARGUMENT);
     CHECK(spivcal_rig_set_known(rig, 0, 99, 1, 1) == SPIVCAL_ERROR_ARGUMENT);
+    CHECK(spivcal_rig_set_known(rig, 0, SPIVCAL_PARAMETER_WINDOW_DISTANCE_MM, 300, 0) == SPIVCAL_ERROR_INDEX);
+    CHECK(spivcal_rig_set_number(rig, SPIVCAL_RIG_CAMERA_WINDOW_TILT_SIGMA_DEG, 0, 1) == SPIVCAL_ERROR_INDEX);
     CHECK(spivcal_rig_set_scale(rig, 99, 0, 0, 1, 0) == SPIVCAL_ERROR_ARGUMENT);
     CHECK(spivcal_rig_set_scale(rig, SPIVCAL_SCALE_SPACING, ~(uint64_t)0, 0, 1, -1) == SPIVCAL_ERROR_ARGUMENT);
     CHECK(spivcal_rig_check(rig) == SPIVCAL_ERROR_INVALID_INPUT);
@@ -283,6 +288,9 @@ static void numbers_without_meaning(uint64_t context, uint64_t calibration) {
     CHECK(spivcal_detection_array_copy(detection, SPIVCAL_CONTOUR_U_PX, 0, x, 1, &out) == SPIVCAL_ERROR_INDEX);
     CHECK(spivcal_calibration_number(calibration, -1, 0, x, y) == SPIVCAL_ERROR_ARGUMENT);
     CHECK(spivcal_calibration_number(calibration, SPIVCAL_VIEW_USED, 1000, x, y) == SPIVCAL_ERROR_INDEX);
+    CHECK(spivcal_calibration_number(calibration, SPIVCAL_CAMERA_WINDOW_N_WATER, 0, x, y) == SPIVCAL_ERROR_NOT_AVAILABLE);
+    CHECK(spivcal_calibration_array_copy(calibration, SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD, 0, x, N, &out) ==
+          SPIVCAL_ERROR_NOT_AVAILABLE);
     CHECK(spivcal_calibration_text_copy(calibration, SPIVCAL_TEXT_FLAG, ~(uint64_t)0, NULL, 0, &out) == SPIVCAL_ERROR_INDEX);
     CHECK(spivcal_calibration_text_copy(calibration, SPIVCAL_TEXT_RESIDUALS_CSV, 0, NULL, 0, &out) ==
           SPIVCAL_ERROR_NOT_AVAILABLE);
@@ -351,7 +359,15 @@ static void jobs(uint64_t context) {
     }
     CHECK(spivcal_image_destroy(image) == SPIVCAL_OK);
     CHECK(spivcal_rig_check(rig) == SPIVCAL_OK);
-    /* The same picture three times says nothing about a camera: an error, or a result with flags. */
+    /* The same picture three times says nothing about a camera. */
+    CHECK(spivcal_calibration_run(rig, &calibration) == SPIVCAL_ERROR_INSUFFICIENT && calibration == 5);
+    CHECK(spivcal_error_text(rig, text, sizeof text, &n) == SPIVCAL_OK && strstr(text, "one picture") != NULL);
+    /* Pictures that differ in a grey level, of a target that stands still: an error, or a result with flags. */
+    for (i = 0; i < 6; i++) {
+        pixels[i] ^= 1;
+        CHECK(spivcal_image_create_u8(context, pixels, 240, 160, 240, &image) == SPIVCAL_OK);
+        CHECK(spivcal_rig_set_image(rig, i / 2, i % 2, image) == SPIVCAL_OK && spivcal_image_destroy(image) == SPIVCAL_OK);
+    }
     status = spivcal_calibration_run(rig, &calibration);
     CHECK(status != SPIVCAL_OK && (status < 0) == (calibration == 5));
     if (status < 0) CHECK(spivcal_error_text(rig, text, sizeof text, &n) == SPIVCAL_OK && n > 20);

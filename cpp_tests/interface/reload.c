@@ -53,6 +53,7 @@ static void *use(void *library) {
     parse_t rig_parse;
     set_image_t set_image;
     uint64_t context = 0, image = 0, detection = 0, rig = 0, job = 0, v;
+    static uint8_t own[sizeof pixels];
     const int before = threads_now();
     get(library, "spivcal_context_create", &create);
     get(library, "spivcal_context_destroy", &destroy);
@@ -63,13 +64,19 @@ static void *use(void *library) {
     get(library, "spivcal_rig_set_image", &set_image);
     get(library, "spivcal_job_start", &job_start);
     if (check_failures) return NULL;
+    memcpy(own, pixels, sizeof own);
     CHECK(create(3, &context) == 0);
     CHECK(image_create(context, pixels, 240, 160, 240, &image) == 0);
     CHECK(detection_create(context, &detection) == 0);
     CHECK(detection_run(detection, image) == 0);
     CHECK(threads_now() == before);
     CHECK(rig_parse(context, RIG, "", &rig) == 0);
-    for (v = 0; v < 4; v++) CHECK(set_image(rig, v / 2, v % 2, image) == 0);
+    for (v = 0; v < 4; v++) {
+        /* A picture that came before would be refused. */
+        own[v] ^= 1;
+        CHECK(image_create(context, own, 240, 160, 240, &image) == 0);
+        CHECK(set_image(rig, v / 2, v % 2, image) == 0);
+    }
     /* The job is under way when its context goes. */
     CHECK(job_start(rig, &job) == 0);
     CHECK(destroy(context) == 0);

@@ -4,8 +4,9 @@
 //! ```text
 //! cargo run --example export_problem -- DIR            DIR/NAME.problem for every problem, DIR/projection.txt
 //! cargo run --example export_problem -- --check DIR    Newton decrement of DIR/NAME.solution in the library's own equations
-//! cargo run --example export_problem -- --bench DIR    the problems of the benchmark
-//! cargo run --example export_problem -- --time NAME N  median seconds of N adjustments of one of them
+//! cargo run --example export_problem -- --bench DIR NAME...      problems of the benchmark
+//! cargo run --example export_problem -- --time NAME N [THREADS]  mean seconds of N adjustments of one of them
+//! cargo run --example export_problem -- --once NAME    a single call, to count its instructions
 //! cargo run --example export_problem -- --discs DIR    rendered discs with truth, Cramer-Rao bound and what the library finds
 //! ```
 //! The formats are described in `text.rs`, `projection.rs` and `discs.rs`; `cpp_tests` reads them.
@@ -14,6 +15,7 @@
 
 mod check;
 mod discs;
+mod once;
 mod problems;
 mod projection;
 #[path = "../../tests/render/mod.rs"]
@@ -32,12 +34,18 @@ fn main() -> ExitCode {
     match words[..] {
         ["--check", dir] => check::check(Path::new(dir)),
         ["--discs", dir] => discs::write(Path::new(dir)),
-        ["--bench", dir] => {
+        ["--bench", dir, ref names @ ..] => {
             std::fs::create_dir_all(dir).expect("folder for the problems");
-            problems::timed().iter().for_each(|p| text::write(p, Path::new(dir)));
+            let named = |n: &&str| problems::timed(n).unwrap_or_else(|| panic!("no problem {n} in the benchmark"));
+            names.iter().for_each(|n| text::write_start(&named(n), Path::new(dir)));
             ExitCode::SUCCESS
         }
-        ["--time", name, rounds] => timing::run(name, rounds.parse().expect("a number of rounds")),
+        ["--once", name] => once::run(name),
+        ["--time", name, rounds] => timing::run(name, rounds.parse().expect("a number of rounds"), 1),
+        ["--time", name, rounds, threads] => {
+            let number = |x: &str| x.parse().expect("a number");
+            timing::run(name, number(rounds), number(threads))
+        }
         [dir] if !dir.starts_with('-') => {
             std::fs::create_dir_all(dir).expect("folder for the problems");
             problems::all().iter().for_each(|p| text::write(p, Path::new(dir)));
@@ -45,7 +53,9 @@ fn main() -> ExitCode {
             ExitCode::SUCCESS
         }
         _ => {
-            eprintln!("export_problem DIR | --check DIR | --discs DIR | --bench DIR | --time NAME N");
+            eprintln!(
+                "export_problem DIR | --check DIR | --discs DIR | --bench DIR NAME... | --time NAME N [THREADS] | --once NAME"
+            );
             ExitCode::from(2)
         }
     }

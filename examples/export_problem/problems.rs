@@ -1,6 +1,6 @@
 //! The problems: each a model with noisy observations and a start some way off.
 
-use crate::rig_scene::{Noise, Parts, Scene, tilted_camera, with_tangents};
+use crate::rig_scene::{Grid, Noise, Parts, Scene, tilted_camera, with_tangents};
 use nalgebra::Vector3;
 use spivcal::bitangent::ExternalUse;
 use spivcal::bundle::{Fact, Focus, Loss, Model, PlanePosition, State, TargetShape, ViewPlace, pair_features};
@@ -157,14 +157,22 @@ fn through_the_lens() -> Case {
     case
 }
 
-/// Two cameras, `views` views of two discs, all poses free.
-fn many_views(views: usize) -> Scene {
-    let mut out = noisy(false, false, false);
+/// Two cameras, `views` views of two discs (of a grid of dots), all poses free, so many edge points per disc.
+fn many_views(views: usize, grid: Option<Grid>, edge_points: i32) -> Scene {
+    let cameras = || vec![tilted_camera(-0.1107, 0.01), tilted_camera(0.1107, -0.02)];
+    let some = |seed: u64| {
+        let scene = match grid {
+            Some(grid) => Scene::with_grid(seed, cameras(), grid, false),
+            None => Scene::build(seed, false, false, false),
+        };
+        scene.with_edge_points(edge_points).with_noise(seed)
+    };
+    let mut out = some(SEED);
     for seed in SEED + 1.. {
         if out.truth.views.len() >= views {
             break;
         }
-        let more = Scene::build(seed, false, false, false).with_noise(seed);
+        let more = some(seed);
         let first = out.truth.views.len();
         out.truth.views.extend(more.truth.views);
         out.model.views.extend(more.model.views);
@@ -179,18 +187,24 @@ fn many_views(views: usize) -> Scene {
     out
 }
 
-/// The problems of the benchmark: 5 and 30 views; 14 tangent features or 2 x 40 edge points per image.
-pub fn timed() -> Vec<Case> {
-    let tangents = |name: &'static str, views: usize| {
-        let case = case(name, many_views(views));
-        Case { model: with_tangents(case.model, ExternalUse::Never), ..case }
-    };
-    vec![
-        tangents("tangents_2x5", 5),
-        tangents("tangents_2x30", 30),
-        case("contours_2x5", many_views(5)),
-        case("contours_2x30", many_views(30)),
-    ]
+/// 25 dots of 5 mm, perfect.
+const DOTS: Grid = Grid { columns: 5, rows: 5, pitch_mm: 8.0, radius_mm: 2.5, print_error_mm: 0.0, turn: 1.0 };
+
+/// A problem of the benchmark; their names are `KIND_2xVIEWS` with KIND `tangents` (14 features of two discs per image), `contours`
+/// (two discs of 50 edge points), `grid` (25 dots of 40 edge points).
+pub fn timed(name: &str) -> Option<Case> {
+    let (kind, views) = name.split_once("_2x")?;
+    let views = views.parse().ok()?;
+    let name = Box::leak(name.to_string().into_boxed_str());
+    match kind {
+        "tangents" => {
+            let case = case(name, many_views(views, None, 40));
+            Some(Case { model: with_tangents(case.model, ExternalUse::Never), ..case })
+        }
+        "contours" => Some(case(name, many_views(views, None, 50))),
+        "grid" => Some(case(name, many_views(views, Some(DOTS), 40))),
+        _ => None,
+    }
 }
 
 pub fn all() -> Vec<Case> {

@@ -100,7 +100,17 @@ impl Words {
     }
 }
 
+/// The problem with the library's answer and its covariance.
 pub fn write(case: &Case, dir: &Path) {
+    written(case, dir, true);
+}
+
+/// The same with an empty covariance: that of hundreds of poses would outgrow the problem.
+pub fn write_start(case: &Case, dir: &Path) {
+    written(case, dir, false);
+}
+
+fn written(case: &Case, dir: &Path, with_covariance: bool) {
     let solution = solved(case);
     let mut out = Words::default();
     head(&mut out, case);
@@ -109,7 +119,10 @@ pub fn write(case: &Case, dir: &Path) {
     out.word("images").word(case.model.images.len()).line();
     case.model.images.iter().for_each(|i| image(&mut out, i));
     out.word("optimum").numbers(&[solution.cost, solution.decrement]).word(solution.iterations).line();
-    covariance(&mut out, &named_covariance(&solution).expect("a covariance"));
+    match with_covariance {
+        true => covariance(&mut out, &named_covariance(&solution).expect("a covariance")),
+        false => out.word("covariance 0").line(),
+    }
     std::fs::write(dir.join(format!("{}.problem", case.name)), out.0).expect("problem file");
     println!(
         "{:22} cost {:.6} decrement {:.1e} iterations {}",

@@ -1,28 +1,55 @@
 //! Time of one adjustment, for the benchmark against other solvers.
 
 use crate::problems::timed;
-use spivcal::bundle::{AdjustOptions, Termination, adjust};
+use rayon::ThreadPoolBuilder;
+use spivcal::bundle::{AdjustOptions, Adjustment, Termination, adjust, named_covariance};
+use spivcal::solve::posterior;
+use std::hint::black_box;
 use std::process::ExitCode;
 use std::time::Instant;
 
-/// Prints the median seconds of `rounds` adjustments, the decrement and the number of linearisations.
-pub fn run(name: &str, rounds: usize) -> ExitCode {
-    let Some(case) = timed().into_iter().find(|c| c.name == name) else {
+/// Processor time of this thread in seconds, which other programs on the machine do not lengthen; `None` where the system does not tell.
+fn processor_seconds() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    Some(text.split(' ').next()?.parse::<f64>().ok()? * 1e-9)
+}
+
+/// Mean seconds of at least `rounds` calls and a quarter of a second, and what the last one gave: processor time of the one thread, or what
+/// the clock on the wall says of several.
+fn timed_calls<T>(rounds: usize, threads: usize, mut call: impl FnMut() -> T) -> (f64, T) {
+    let begin = Instant::now();
+    let now = || match processor_seconds() {
+        Some(seconds) if threads == 1 => seconds,
+        _ => begin.elapsed().as_secs_f64(),
+    };
+    let mut last = call();
+    let (start, mut calls) = (now(), 0);
+    while calls < rounds || now() - start < 0.25 {
+        last = black_box(call());
+        calls += 1;
+    }
+    ((now() - start) / calls as f64, last)
+}
+
+/// Prints observations, seconds of an adjustment, cost, decrement, number of linearisations; seconds of the covariance
+/// of all unknowns of the solver, and of the natural parameters with names.
+pub fn run(name: &str, rounds: usize, threads: usize) -> ExitCode {
+    let Some(case) = timed(name) else {
         eprintln!("no problem {name} in the benchmark");
         return ExitCode::from(2);
     };
     let options = AdjustOptions { rounds: 0, ..AdjustOptions::default() };
-    let mut seconds = vec![];
-    let mut last = (0.0, 0);
-    for _ in 0..rounds.max(1) {
-        let start = case.start.clone();
-        let begin = Instant::now();
-        let out = adjust(&case.model, start, &options, &mut |_| true);
-        seconds.push(begin.elapsed().as_secs_f64());
+    let pool = ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+    let solve = || -> Adjustment { adjust(&case.model, case.start.clone(), &options, &mut |_| true) };
+    pool.install(|| {
+        let (seconds, out) = timed_calls(rounds, threads, solve);
         assert_eq!(out.termination, Termination::Converged, "{name}");
-        last = (out.decrement, out.iterations);
-    }
-    seconds.sort_by(f64::total_cmp);
-    println!("{:e} {:e} {}", seconds[seconds.len() / 2], last.0, last.1);
+        let equations = out.equations.as_ref().expect("equations");
+        let (covariance, _) = timed_calls(rounds, threads, || posterior(equations));
+        let named = || timed_calls(rounds, threads, || named_covariance(&out)).0;
+        let named = if case.model.views.len() > 50 { 0.0 } else { named() };
+        let (n, observed) = (out.iterations, case.model.counts().observations);
+        println!("{observed} {seconds:e} {:e} {:e} {n} {covariance:e} {named:e}", out.cost, out.decrement);
+    });
     ExitCode::SUCCESS
 }

@@ -10,8 +10,10 @@
 //! Behind a window eight more follow, its turn and its layers in the camera frame; the turn is `B dchart + E dturn`, since the
 //! window stands in the solver frame.
 
-use super::chart::{self, SolverCamera};
+use super::chart::SolverCamera;
 use super::contour::{self, EDGE, EDGE_BEHIND, SeenCircle};
+use super::edges::{self, Columns};
+use super::image_map::{self, MapColumn, MappedNormal, add_mapped, image_map, mapped};
 use super::layout::Places;
 use super::model::{ImageObservations, Model};
 use super::state::State;
@@ -20,7 +22,7 @@ use crate::camera::{INTRINSICS, WINDOW_STEPS};
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
 use crate::solve::{Gradient, NormalEquations};
-use nalgebra::{DMatrix, DVector, Dyn, Matrix4, OMatrix, SMatrix, SVector, U4, Vector3, Vector4};
+use nalgebra::{DVector, Matrix4, SMatrix, SVector, Vector3, Vector4};
 use rayon::prelude::*;
 
 /// Size of an image's camera space without shape, and with it.
@@ -45,21 +47,19 @@ pub(super) struct ImageNormal<const L: usize> {
     pub(super) cost: f64,
 }
 
-/// Normal equations of one image in the unknowns that it touches.
-struct MappedNormal {
-    slots: Vec<Slot>,
-    h: DMatrix<f64>,
-    b: DVector<f64>,
-    offsets: Vec<MappedOffset>,
-    cost: f64,
+impl<const L: usize> ImageNormal<L> {
+    pub(super) fn zeros() -> Self {
+        Self { h: SMatrix::zeros(), b: SVector::zeros(), offsets: vec![], cost: 0.0 }
+    }
 }
 
-/// Coupling of one estimated disc with those unknowns.
-struct MappedOffset {
-    disc: usize,
-    own: Matrix4<f64>,
-    cross: DMatrix<f64>,
-    b: Vector4<f64>,
+/// Memory that is used again from image to image.
+#[derive(Default)]
+struct Scratch {
+    edges: edges::Scratch,
+    tangent: tangent::Scratch,
+    map: Vec<MapColumn>,
+    normal: MappedNormal,
 }
 
 /// One image with everything that its residuals need.
@@ -74,13 +74,18 @@ pub(super) struct SeenImage<'a> {
 
 impl<'a> SeenImage<'a> {
     pub(super) fn of(model: &'a Model, state: &'a State, observations: &'a ImageObservations) -> Option<Self> {
+        let camera = SolverCamera::seen(model, state, observations.camera)?;
+        Some(Self::through(model, state, observations, camera))
+    }
+
+    /// With its camera at hand: that is found once for all images.
+    fn through(model: &'a Model, state: &'a State, observations: &'a ImageObservations, camera: SolverCamera) -> Self {
         let (c, v) = (observations.camera, observations.view);
-        let camera = SolverCamera::seen(model, state, c)?;
         let view = &state.views[v];
         let turn: Motion<Cam, Cam> = Motion::new(camera.cam_from_solver, Vector3::zeros());
         let cam_from_target = turn * state.camera_from_first[c] * view.first_from_target;
         let shape_mm = if model.target.per_view() { view.shape_mm } else { state.shape_mm };
-        Some(Self { model, observations, camera, cam_from_target, shape_mm, offsets_mm: &state.offsets_mm })
+        Self { model, observations, camera, cam_from_target, shape_mm, offsets_mm: &state.offsets_mm }
     }
 
     /// Centre and radius of disc `j`, offsets included, mm.
@@ -98,21 +103,31 @@ impl<'a> SeenImage<'a> {
         SeenCircle { camera: &self.camera.camera, cam_from_target: &self.cam_from_target, center, radius }
     }
 
-    fn cost(&self) -> Option<f64> {
-        let (scale, loss) = (self.observations.sigma_scale, self.model.loss);
-        let mut sum = 0.0;
-        for seen in &self.observations.discs {
-            sum += contour::cost(&self.circle(seen.disc), seen, scale, loss)?;
-        }
+    fn cost(&self, scratch: &mut Scratch) -> Option<f64> {
+        let mut sum = match edges::allows(&self.camera.camera) {
+            true => edges::cost(self, &mut scratch.edges)?,
+            false => self.plain_cost()?,
+        };
         for pair in &self.observations.pairs {
-            sum += tangent::cost(self, pair)?;
+            sum += tangent::cost(self, pair, &mut scratch.tangent)?;
         }
         Some(sum)
     }
 
-    fn linearise<const E: usize, const L: usize>(&self) -> Option<ImageNormal<L>> {
+    /// Cost of the contours, point by point.
+    pub(super) fn plain_cost(&self) -> Option<f64> {
         let (scale, loss) = (self.observations.sigma_scale, self.model.loss);
-        let mut out = ImageNormal { h: SMatrix::zeros(), b: SVector::zeros(), offsets: vec![], cost: 0.0 };
+        let discs = self.observations.discs.iter();
+        discs.map(|seen| contour::cost(&self.circle(seen.disc), seen, scale, loss)).sum()
+    }
+
+    /// Adds the contours, point by point; with the discs' own equations where each is `estimated`.
+    pub(super) fn plain_contours<const E: usize, const L: usize>(
+        &self,
+        estimated: bool,
+        out: &mut ImageNormal<L>,
+    ) -> Option<()> {
+        let (scale, loss) = (self.observations.sigma_scale, self.model.loss);
         for seen in &self.observations.discs {
             let n = contour::linearise::<E>(&self.circle(seen.disc), seen, scale, loss)?;
             let map = self.disc_map::<E, L>(seen.disc);
@@ -120,7 +135,7 @@ impl<'a> SeenImage<'a> {
             out.h += map.tr_mul(&hm);
             out.b += map.tr_mul(&n.b);
             out.cost += n.cost;
-            if !self.offsets_mm.is_empty() {
+            if estimated {
                 let o = self.offset_map::<E>();
                 out.offsets.push(OffsetNormal {
                     disc: seen.disc,
@@ -130,10 +145,7 @@ impl<'a> SeenImage<'a> {
                 });
             }
         }
-        for pair in &self.observations.pairs {
-            tangent::linearise(self, pair, &mut out)?;
-        }
-        Some(out)
+        Some(())
     }
 
     /// Edge unknowns (intrinsics, turn, shift, radius) of disc `j` by the image's camera space.
@@ -159,121 +171,76 @@ impl<'a> SeenImage<'a> {
     }
 }
 
+/// The cameras of a state, as far as images need them.
+fn cameras(model: &Model, state: &State) -> Option<Vec<SolverCamera>> {
+    (0..model.cameras.len()).map(|c| SolverCamera::seen(model, state, c)).collect()
+}
+
+/// Columns of the camera space that the unknowns of camera `c` move (where it stands behind no window).
+pub(super) fn columns(model: &Model, places: &Places, c: usize) -> Columns {
+    let wanted = |k: usize| match k {
+        k if k < INTRINSICS => model.cameras[c].free[k],
+        k if k < SPACE => true,
+        k => model.target.free[k - SPACE],
+    };
+    Columns::of(wanted, places.offsets.is_some())
+}
+
+/// Edge points (a pair of discs counts for as many as take its time) from which threads are worth waking: they
+/// cost some ten microseconds.
+const THREADED: usize = 4000;
+const PAIR: usize = 60;
+
+fn threaded(images: &[&ImageObservations]) -> bool {
+    let points = |i: &&ImageObservations| -> usize {
+        i.pairs.len() * PAIR + i.discs.iter().map(|d| d.edge.u_px.len()).sum::<usize>()
+    };
+    images.iter().map(points).sum::<usize>() >= THREADED
+}
+
 /// Cost of all images; `None` where one of them has no meaning. Summed in the order of the images.
 pub(super) fn cost(model: &Model, state: &State) -> Option<f64> {
-    let each: Option<Vec<f64>> = model.images.par_iter().map(|o| SeenImage::of(model, state, o)?.cost()).collect();
+    let cameras = cameras(model, state)?;
+    let images: Vec<&ImageObservations> = model.images.iter().collect();
+    let of = |scratch: &mut Scratch, o: &&ImageObservations| {
+        SeenImage::through(model, state, o, cameras[o.camera]).cost(scratch)
+    };
+    let each: Option<Vec<f64>> = if threaded(&images) {
+        images.par_iter().map_init(Scratch::default, of).collect()
+    } else {
+        let mut scratch = Scratch::default();
+        images.iter().map(|o| of(&mut scratch, o)).collect()
+    };
     each.map(|c| c.iter().sum())
 }
 
-/// Where an unknown of an image stands.
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Slot {
-    Global(usize),
-    Block(usize),
-}
-
-/// Unknowns that an image touches, with the derivative of its camera space by each.
-fn image_map<const L: usize>(
-    model: &Model,
-    places: &Places,
-    state: &State,
-    image: &SeenImage,
-) -> (Vec<Slot>, DMatrix<f64>) {
-    let (c, v) = (image.observations.camera, image.observations.view);
-    let mut slots = vec![];
-    let mut columns: Vec<SVector<f64, L>> = vec![];
-    let a = chart::derivative(&model.cameras[c], &image.camera.camera);
-    for (k, at) in places.charts[c].iter().enumerate() {
-        if let Some(at) = at {
-            let mut z = SVector::<f64, L>::zeros();
-            z.fixed_rows_mut::<13>(0).copy_from(&a.column(k));
-            if L > LOCAL {
-                // The frame turns against the window as it does against the scene.
-                z.fixed_rows_mut::<3>(LOCAL).copy_from(&a.fixed_view::<3, 1>(INTRINSICS, k));
-            }
-            slots.push(Slot::Global(*at));
-            columns.push(z);
-        }
-    }
-    if let (true, Some(window)) = (L > LOCAL, state.window(c)) {
-        let tangents = window.tangents().map(|t| image.camera.cam_from_solver * t);
-        for (k, at) in places.windows[c].iter().enumerate() {
-            let Some(at) = *at else { continue };
-            let mut z = SVector::<f64, L>::zeros();
-            match tangents.get(k) {
-                Some(t) => z.fixed_rows_mut::<3>(LOCAL).copy_from(t),
-                None => z[LOCAL + 3 + k - tangents.len()] = 1.0,
-            }
-            slots.push(Slot::Global(at));
-            columns.push(z);
-        }
-    }
-    let turn: Motion<Cam, Cam> = Motion::new(image.camera.cam_from_solver, Vector3::zeros());
-    let mut motion_columns = |first: Slot, m: &SMatrix<f64, 6, 6>, pick: &[usize]| {
-        for (n, &k) in pick.iter().enumerate() {
-            let mut z = SVector::<f64, L>::zeros();
-            z.fixed_rows_mut::<6>(INTRINSICS).copy_from(&m.column(k));
-            slots.push(match first {
-                Slot::Global(i) => Slot::Global(i + n),
-                Slot::Block(i) => Slot::Block(i + n),
-            });
-            columns.push(z);
-        }
-    };
-    if let Some(at) = places.motions[c] {
-        motion_columns(Slot::Global(at), &turn.adjoint(), &[0, 1, 2, 3, 4, 5]);
-    }
-    let cam_from_first = turn * state.camera_from_first[c];
-    match (&state.first_from_plane, &state.views[v].plane_from_target, places.plane) {
-        (Some(plane), Some(_), Some(at)) => {
-            let ad = (cam_from_first * *plane).adjoint();
-            motion_columns(Slot::Global(at), &ad, &[0, 1, 5]);
-            motion_columns(Slot::Block(0), &ad, model.views[v].place.planar_steps());
-        }
-        _ => motion_columns(Slot::Block(0), &cam_from_first.adjoint(), &[0, 1, 2, 3, 4, 5]),
-    }
-    let own_shape = places.view_shape.iter().map(|at| at.map(|at| Slot::Block(places.pose_sizes[v] + at)));
-    let shared_shape = places.shape.iter().map(|at| at.map(Slot::Global));
-    let shape: Vec<_> = if model.target.per_view() { own_shape.collect() } else { shared_shape.collect() };
-    for (k, slot) in shape.into_iter().enumerate() {
-        if let Some(slot) = slot {
-            let mut z = SVector::<f64, L>::zeros();
-            z[SPACE + k] = 1.0;
-            slots.push(slot);
-            columns.push(z);
-        }
-    }
-    let map = DMatrix::from_fn(L, columns.len(), |i, j| columns[j][i]);
-    (slots, map)
-}
-
 /// Normal equations of one image in the unknowns that it touches.
-fn mapped(model: &Model, places: &Places, state: &State, o: &ImageObservations) -> Option<MappedNormal> {
-    let image = SeenImage::of(model, state, o)?;
-    match image.camera.camera.window() {
-        None => mapped_in::<EDGE, LOCAL>(model, places, state, &image),
-        Some(_) => mapped_in::<EDGE_BEHIND, LOCAL_BEHIND>(model, places, state, &image),
+fn linearised(model: &Model, places: &Places, state: &State, image: &SeenImage, scratch: &mut Scratch) -> Option<()> {
+    image_map(model, places, state, image, &mut scratch.map);
+    let camera = &image.camera.camera;
+    let estimated = places.offsets.is_some();
+    if camera.window().is_some() {
+        let mut normal = ImageNormal::<LOCAL_BEHIND>::zeros();
+        image.plain_contours::<EDGE_BEHIND, LOCAL_BEHIND>(estimated, &mut normal)?;
+        // Tangents are refused there.
+        for pair in &image.observations.pairs {
+            tangent::cost(image, pair, &mut scratch.tangent)?;
+        }
+        mapped(&normal, &scratch.map, &mut scratch.normal);
+        return Some(());
     }
-}
-
-fn mapped_in<const E: usize, const L: usize>(
-    model: &Model,
-    places: &Places,
-    state: &State,
-    image: &SeenImage,
-) -> Option<MappedNormal> {
-    let (slots, map) = image_map::<L>(model, places, state, image);
-    let normal = image.linearise::<E, L>()?;
-    let hm = normal.h * &map;
-    let offset =
-        |o: OffsetNormal<L>| MappedOffset { disc: o.disc, own: o.own, cross: dense(&(o.with_local * &map)), b: o.b };
-    let (h, b) = (map.tr_mul(&hm), map.tr_mul(&normal.b));
-    let offsets = if places.offsets.is_some() { normal.offsets.into_iter().map(offset).collect() } else { vec![] };
-    Some(MappedNormal { slots, h, b, offsets, cost: normal.cost })
-}
-
-fn dense(m: &OMatrix<f64, U4, Dyn>) -> DMatrix<f64> {
-    DMatrix::from_column_slice(4, m.ncols(), m.as_slice())
+    let mut normal = ImageNormal::<LOCAL>::zeros();
+    let columns = columns(model, places, image.observations.camera);
+    if edges::allows(camera) {
+        edges::linearise(image, &columns, &mut scratch.edges, &mut normal)?;
+    } else {
+        image.plain_contours::<EDGE, LOCAL>(estimated, &mut normal)?;
+    }
+    for pair in &image.observations.pairs {
+        tangent::linearise(image, pair, &columns, &mut scratch.tangent, &mut normal)?;
+    }
+    mapped(&normal, &scratch.map, &mut scratch.normal);
+    Some(())
 }
 
 /// Normal equations of all images, or of those of one camera, without facts. Summed in the order of the images.
@@ -285,15 +252,25 @@ pub(super) fn linearise(
 ) -> Option<NormalEquations> {
     let wanted: Vec<&ImageObservations> =
         model.images.iter().filter(|i| camera.is_none_or(|c| i.camera == c)).collect();
-    let each: Option<Vec<MappedNormal>> = wanted.par_iter().map(|o| mapped(model, places, state, o)).collect();
+    let cameras = cameras(model, state)?;
+    let of = |scratch: &mut Scratch, o: &ImageObservations| {
+        linearised(model, places, state, &SeenImage::through(model, state, o, cameras[o.camera]), scratch)
+    };
     let mut equations = NormalEquations::zeros(&places.layout());
-    for (o, normal) in wanted.iter().zip(each?) {
-        equations.cost += normal.cost;
-        add(&mut equations, o.view, &normal.slots, &normal.h, &normal.b);
-        if let Some(first) = places.offsets {
-            for offset in &normal.offsets {
-                add_offset(&mut equations, o.view, &normal.slots, first + 4 * offset.disc, offset);
-            }
+    if threaded(&wanted) {
+        let each: Option<Vec<MappedNormal>> = wanted
+            .par_iter()
+            .map_init(Scratch::default, |scratch, o| {
+                of(scratch, o)?;
+                Some(std::mem::take(&mut scratch.normal))
+            })
+            .collect();
+        wanted.iter().zip(each?).for_each(|(o, n)| add_mapped(&mut equations, o.view, &n, places.offsets));
+    } else {
+        let mut scratch = Scratch::default();
+        for o in wanted {
+            of(&mut scratch, o)?;
+            add_mapped(&mut equations, o.view, &scratch.normal, places.offsets);
         }
     }
     Some(equations)
@@ -302,17 +279,23 @@ pub(super) fn linearise(
 /// Right-hand side of the geodesic acceleration from the states a part `h` of the step before and behind; of the contours
 /// only (facts and tangent features bend little).
 pub(super) fn bend(model: &Model, places: &Places, states: [&State; 3], h: f64) -> Option<Gradient> {
-    let each: Option<Vec<Bend>> = model.images.par_iter().map(|o| bend_of(model, places, states, o, h)).collect();
+    let all = [cameras(model, states[0])?, cameras(model, states[1])?, cameras(model, states[2])?];
+    let of = |scratch: &mut Scratch, o: &ImageObservations| {
+        let seen = [0, 1, 2].map(|k| SeenImage::through(model, states[k], o, all[k][o.camera]));
+        bend_of(model, places, states[1], &seen, (h, scratch))
+    };
+    let images: Vec<&ImageObservations> = model.images.iter().collect();
+    let each: Option<Vec<Bend>> = if threaded(&images) {
+        images.par_iter().map_init(Scratch::default, |scratch, o| of(scratch, o)).collect()
+    } else {
+        let mut scratch = Scratch::default();
+        images.iter().map(|o| of(&mut scratch, o)).collect()
+    };
     let layout = places.layout();
     let blocks = layout.blocks.iter().map(|d| DVector::zeros(*d)).collect();
     let mut out = Gradient { global: DVector::zeros(layout.global), blocks };
-    for (o, (slots, b, offsets)) in model.images.iter().zip(each?) {
-        for (slot, x) in slots.iter().zip(b.iter()) {
-            match *slot {
-                Slot::Global(g) => out.global[g] += x,
-                Slot::Block(v) => out.blocks[o.view][v] += x,
-            }
-        }
+    for (o, (map, local, offsets)) in model.images.iter().zip(each?) {
+        image_map::add_gradient(&mut out, o.view, &map, &local);
         if let Some(first) = places.offsets {
             for (disc, x) in offsets {
                 (0..4).for_each(|k| out.global[first + 4 * disc + k] += x[k]);
@@ -322,72 +305,49 @@ pub(super) fn bend(model: &Model, places: &Places, states: [&State; 3], h: f64) 
     Some(out)
 }
 
-/// Unknowns of an image, their part of the bend, and that of its discs.
-type Bend = (Vec<Slot>, DVector<f64>, Vec<(usize, Vector4<f64>)>);
+/// Unknowns of an image, the bend in its camera space (windows behind), and that of its discs.
+type Bend = (Vec<MapColumn>, SVector<f64, LOCAL_BEHIND>, Vec<(usize, Vector4<f64>)>);
 
-fn bend_of(model: &Model, places: &Places, states: [&State; 3], o: &ImageObservations, h: f64) -> Option<Bend> {
-    let seen =
-        [SeenImage::of(model, states[0], o)?, SeenImage::of(model, states[1], o)?, SeenImage::of(model, states[2], o)?];
-    match seen[1].camera.camera.window() {
-        None => bend_in::<EDGE, LOCAL>(model, places, states[1], &seen, h),
-        Some(_) => bend_in::<EDGE_BEHIND, LOCAL_BEHIND>(model, places, states[1], &seen, h),
-    }
-}
-
-fn bend_in<const E: usize, const L: usize>(
+fn bend_of(
     model: &Model,
     places: &Places,
     state: &State,
     seen: &[SeenImage; 3],
-    h: f64,
+    (h, scratch): (f64, &mut Scratch),
 ) -> Option<Bend> {
-    let o = seen[1].observations;
-    let (slots, map) = image_map::<L>(model, places, state, &seen[1]);
-    let (mut local, mut offsets) = (SVector::<f64, L>::zeros(), vec![]);
+    let here = &seen[1];
+    let mut map = vec![];
+    image_map(model, places, state, here, &mut map);
+    let (mut local, mut offsets) = (SVector::<f64, LOCAL_BEHIND>::zeros(), vec![]);
+    let camera = &here.camera.camera;
+    if camera.window().is_some() {
+        plain_bend::<EDGE_BEHIND, LOCAL_BEHIND>(seen, h, &mut local, &mut offsets)?;
+    } else {
+        let mut in_air = SVector::<f64, LOCAL>::zeros();
+        if edges::allows(camera) {
+            let columns = columns(model, places, here.observations.camera);
+            edges::bend(seen, &columns, h, &mut scratch.edges, (&mut in_air, &mut offsets))?;
+        } else {
+            plain_bend::<EDGE, LOCAL>(seen, h, &mut in_air, &mut offsets)?;
+        }
+        local.fixed_rows_mut::<LOCAL>(0).copy_from(&in_air);
+    }
+    Some((map, local, offsets))
+}
+
+/// The bend of an image's contours, point by point.
+pub(super) fn plain_bend<const E: usize, const L: usize>(
+    seen: &[SeenImage; 3],
+    h: f64,
+    local: &mut SVector<f64, L>,
+    offsets: &mut Vec<(usize, Vector4<f64>)>,
+) -> Option<()> {
+    let (o, loss) = (seen[1].observations, seen[1].model.loss);
     for d in &o.discs {
         let circles = [seen[0].circle(d.disc), seen[1].circle(d.disc), seen[2].circle(d.disc)];
-        let b = contour::bend::<E>([&circles[0], &circles[1], &circles[2]], d, o.sigma_scale, model.loss, h)?;
-        local += seen[1].disc_map::<E, L>(d.disc).tr_mul(&b);
-        if places.offsets.is_some() {
-            offsets.push((d.disc, seen[1].offset_map::<E>().tr_mul(&b)));
-        }
+        let b = contour::bend::<E>([&circles[0], &circles[1], &circles[2]], d, o.sigma_scale, loss, h)?;
+        *local += seen[1].disc_map::<E, L>(d.disc).tr_mul(&b);
+        offsets.push((d.disc, seen[1].offset_map::<E>().tr_mul(&b)));
     }
-    Some((slots, map.tr_mul(&local), offsets))
-}
-
-/// Adds a dense symmetric piece to the block-arrow equations.
-pub(super) fn add(e: &mut NormalEquations, view: usize, slots: &[Slot], h: &DMatrix<f64>, b: &DVector<f64>) {
-    for (i, si) in slots.iter().enumerate() {
-        match *si {
-            Slot::Global(g) => e.b_g[g] += b[i],
-            Slot::Block(v) => e.blocks[view].b_v[v] += b[i],
-        }
-        for (j, sj) in slots.iter().enumerate() {
-            match (*si, *sj) {
-                (Slot::Global(p), Slot::Global(q)) => e.h_gg[(p, q)] += h[(i, j)],
-                (Slot::Block(p), Slot::Block(q)) => e.blocks[view].h_vv[(p, q)] += h[(i, j)],
-                (Slot::Block(p), Slot::Global(q)) => e.blocks[view].h_vg[(p, q)] += h[(i, j)],
-                (Slot::Global(_), Slot::Block(_)) => {}
-            }
-        }
-    }
-}
-
-fn add_offset(e: &mut NormalEquations, view: usize, slots: &[Slot], at: usize, offset: &MappedOffset) {
-    let cross = &offset.cross;
-    for k in 0..4 {
-        e.b_g[at + k] += offset.b[k];
-        for m in 0..4 {
-            e.h_gg[(at + k, at + m)] += offset.own[(k, m)];
-        }
-        for (j, slot) in slots.iter().enumerate() {
-            match *slot {
-                Slot::Global(g) => {
-                    e.h_gg[(at + k, g)] += cross[(k, j)];
-                    e.h_gg[(g, at + k)] += cross[(k, j)];
-                }
-                Slot::Block(v) => e.blocks[view].h_vg[(v, at + k)] += cross[(k, j)],
-            }
-        }
-    }
+    Some(())
 }

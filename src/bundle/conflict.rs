@@ -17,8 +17,8 @@
 //! Source: Baarda, "A testing procedure for use in geodetic networks" (1968): a prior is one more observation.
 
 use super::adjust::Adjustment;
-use super::assemble::Slot;
 use super::facts::{self, PriorOf};
+use super::image_map::Slot;
 use super::layout::Places;
 use crate::solve::{Posterior, posterior};
 

@@ -55,6 +55,11 @@ impl Start {
     pub(super) fn center_px(&self) -> Vector2<f64> {
         self.center_px
     }
+
+    /// Affine map from the image to the target's plane, mm per px.
+    pub(super) fn plane_from_image(&self) -> &Matrix2<f64> {
+        &self.plane_from_image
+    }
 }
 
 impl SeenCircle<'_> {

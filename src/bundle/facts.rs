@@ -11,15 +11,15 @@
 //! | a window parallel to the common plane | m_x, m_y of `m = R^T n`, R camera from plane | `R^T (w x n)` by its turn, the opposite by the motion, `-w x m` by the plane |
 //! | focus | the sheet lies in the plane of focus | see [`super::focus`] |
 
-use super::assemble::{Slot, add};
-use super::chart::{self, SolverCamera};
+use super::chart::{self, ChartDerivative, SolverCamera};
 use super::focus::Focus;
+use super::image_map::{Slot, add_row};
 use super::layout::Places;
 use super::model::{Model, PlanePosition, ViewPlace};
 use super::state::State;
 use crate::camera::INTRINSICS;
 use crate::solve::NormalEquations;
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::Vector3;
 
 /// Something known before the images are looked at.
 #[derive(Debug, Clone, PartialEq)]
@@ -111,13 +111,14 @@ pub(super) struct Row {
 /// The rows of all facts in their order, then those of positions along a traverse and of the discs' offsets, each with what it is about.
 pub(super) fn rows(model: &Model, places: &Places, state: &State) -> Option<Vec<(PriorOf, Row)>> {
     let mut out = vec![];
+    let mut charts = vec![None; model.cameras.len()];
     for (index, fact) in model.facts.iter().enumerate() {
         match fact {
             Fact::Focus(focus) => {
                 let own = focus.rows(model, places, state)?;
                 out.extend(own.into_iter().enumerate().map(|(row, r)| (PriorOf::Fact { index, row }, r)));
             }
-            other => out.push((PriorOf::Fact { index, row: 0 }, row(model, places, state, other)?)),
+            other => out.push((PriorOf::Fact { index, row: 0 }, row(model, places, state, other, &mut charts)?)),
         }
     }
     for (v, z_mm, sigma_mm) in positions(model) {
@@ -137,12 +138,22 @@ pub(super) fn rows(model: &Model, places: &Places, state: &State) -> Option<Vec<
     Some(out)
 }
 
-fn row(model: &Model, places: &Places, state: &State, fact: &Fact) -> Option<Row> {
+/// `charts`: derivatives of the cameras' charts, each found when it is first asked for.
+fn row(
+    model: &Model,
+    places: &Places,
+    state: &State,
+    fact: &Fact,
+    charts: &mut [Option<ChartDerivative>],
+) -> Option<Row> {
     match *fact {
         Fact::Intrinsic { camera, parameter, value, sigma } => {
             let now = state.cameras[camera].to_array()[parameter];
-            let seen = SolverCamera::of(&model.cameras[camera], &state.cameras[camera])?;
-            let d = chart::derivative(&model.cameras[camera], &seen.camera);
+            if charts[camera].is_none() {
+                let seen = SolverCamera::of(&model.cameras[camera], &state.cameras[camera])?;
+                charts[camera] = Some(chart::derivative(&model.cameras[camera], &seen.camera));
+            }
+            let d = charts[camera].as_ref()?;
             let slot = |k: usize| places.charts[camera][k].map(|at| (Slot::Global(at), d[(parameter, k)] / sigma));
             Some(Row { view: 0, residual: (now - value) / sigma, slots: (0..INTRINSICS).filter_map(slot).collect() })
         }
@@ -212,10 +223,7 @@ pub(super) fn cost(model: &Model, places: &Places, state: &State) -> Option<f64>
 /// Adds all facts to the normal equations.
 pub(super) fn linearise(model: &Model, places: &Places, state: &State, e: &mut NormalEquations) -> Option<()> {
     for (_, row) in rows(model, places, state)? {
-        let slots: Vec<Slot> = row.slots.iter().map(|s| s.0).collect();
-        let j = DVector::from_iterator(slots.len(), row.slots.iter().map(|s| s.1));
-        let h: DMatrix<f64> = &j * j.transpose();
-        add(e, row.view, &slots, &h, &(&j * -row.residual));
+        add_row(e, row.view, &row.slots, row.residual);
         e.cost += 0.5 * row.residual * row.residual;
     }
     Some(())

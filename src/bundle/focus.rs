@@ -29,9 +29,9 @@
 //!
 //! Source: method section 6, there for m = 1. Not valid for a sheet along the lens axis.
 
-use super::assemble::Slot;
 use super::chart::{self, SolverCamera};
 use super::facts::Row;
+use super::image_map::Slot;
 use super::layout::Places;
 use super::model::Model;
 use super::state::State;

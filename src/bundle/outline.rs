@@ -18,6 +18,7 @@
 
 use super::assemble::SeenImage;
 use super::contour::SeenCircle;
+use super::edges::Feet;
 use super::model::{DiscObservation, Model};
 use super::state::State;
 use nalgebra::{Matrix2, Vector2};
@@ -32,6 +33,16 @@ pub struct OutlineNoise {
 }
 
 impl OutlineNoise {
+    /// U column by column, continued by zeros up to `len` rows, and by how much each column is shrunk.
+    pub(super) fn split(&self, columns: &mut [Vec<f64>; 2], len: usize) -> [f64; 2] {
+        for (k, column) in columns.iter_mut().enumerate() {
+            column.clear();
+            column.extend(self.basis.iter().map(|u| u[k]));
+            column.resize(len, 0.0);
+        }
+        [self.shrink.x, self.shrink.y]
+    }
+
     /// T times a matrix given by its rows, one per edge point.
     pub(super) fn apply<const N: usize>(&self, rows: &mut [[f64; N]]) {
         let mut sums = [[0.0; N]; 2];
@@ -62,19 +73,14 @@ struct Harmonic {
 
 impl Harmonic {
     fn of(circle: &SeenCircle, seen: &DiscObservation) -> Option<Self> {
-        let start = circle.start()?;
-        let edge = &seen.edge;
-        let plane = circle.cam_from_target.rotation;
+        let (edge, feet) = (&seen.edge, Feet::of(circle, seen)?);
         let (mut rows, mut information, mut b, mut chi2) =
             (Vec::with_capacity(edge.u_px.len()), Matrix2::zeros(), Vector2::zeros(), 0.0);
         for i in 0..edge.u_px.len() {
-            let foot = circle.foot(&start, &Vector2::new(edge.u_px[i], edge.v_px[i]))?;
-            let (_, dq_dp) = circle.camera.image_of_point(&foot.p_in_cam).ok()?;
-            let px_per_mm = foot.normal.dot(&(dq_dp * foot.radial));
-            let (cos, sin) = (plane.column(0).dot(&foot.radial), plane.column(1).dot(&foot.radial));
+            let (cos, sin) = (feet.direction[0][i], feet.direction[1][i]);
             let iw = 1.0 / edge.sigma_px[i];
-            let row = Vector2::new(cos * cos - sin * sin, 2.0 * sin * cos) * (px_per_mm * iw);
-            let r = foot.distance_px * iw;
+            let row = Vector2::new(cos * cos - sin * sin, 2.0 * sin * cos) * (feet.px_per_mm[i] * iw);
+            let r = feet.distance_px[i] * iw;
             information += row * row.transpose();
             b += row * r;
             chi2 += r * r;

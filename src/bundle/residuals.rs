@@ -6,7 +6,8 @@
 //! scatter along the contour.
 
 use super::assemble::SeenImage;
-use super::model::{ImageObservations, Model};
+use super::edges::Feet;
+use super::model::{DiscObservation, ImageObservations, Model};
 use super::state::State;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
@@ -62,19 +63,16 @@ pub fn residuals(model: &Model, state: &State, observations: &ImageObservations)
     Some(ImageResiduals { discs: discs? })
 }
 
-fn disc_residual(image: &SeenImage, seen: &super::DiscObservation, scale: f64) -> Option<DiscResidual> {
+fn disc_residual(image: &SeenImage, seen: &DiscObservation, scale: f64) -> Option<DiscResidual> {
     let circle = image.circle(seen.disc);
     let start = circle.start()?;
-    let mut edges = EdgeResidual::default();
-    let mut rows = Vec::with_capacity(seen.edge.u_px.len());
-    for i in 0..seen.edge.u_px.len() {
-        let foot = circle.foot(&start, &Vector2::new(seen.edge.u_px[i], seen.edge.v_px[i]))?;
+    let Feet { distance_px, normal: [normal_u, normal_v], .. } = Feet::of(&circle, seen)?;
+    let edges = EdgeResidual { distance_px, normal_u, normal_v };
+    let row = |i: usize| {
         let w = 1.0 / (seen.edge.sigma_px[i] * scale);
-        rows.push([foot.normal.x * w, foot.normal.y * w, w, foot.distance_px * w]);
-        edges.distance_px.push(foot.distance_px);
-        edges.normal_u.push(foot.normal.x);
-        edges.normal_v.push(foot.normal.y);
-    }
+        [edges.normal_u[i] * w, edges.normal_v[i] * w, w, edges.distance_px[i] * w]
+    };
+    let mut rows: Vec<_> = (0..seen.edge.u_px.len()).map(row).collect();
     if let Some(outline) = &seen.outline {
         outline.apply(&mut rows);
     }

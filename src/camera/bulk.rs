@@ -43,7 +43,7 @@ impl<L: Lanes> BulkCamera<L> {
         }
         let (i, t) = (&camera.intrinsics, &camera.tilt);
         let m = i.pupil_ratio;
-        let [radius, image] = camera.limit.bounds().map(|x| x.min(f64::MAX));
+        let [radius, image] = [camera.limit.radius(), camera.limit.image()].map(|x| x.min(f64::MAX));
         let f = [i.f_px, i.aspect * i.f_px];
         Some(Self {
             outward: i.radial == Radial::IdealToDistorted,

@@ -30,9 +30,14 @@ fn growth(k: &[f64; 3], s: f64) -> f64 {
 const LARGEST_RADIUS: f64 = 1e3;
 
 impl RadialLimit {
-    /// The radius before the polynomial up to which it is valid, and the one behind it.
-    pub(super) fn bounds(&self) -> [f64; 2] {
-        [self.radius, self.image]
+    /// The radius before the polynomial up to which it is valid.
+    pub(super) fn radius(&self) -> f64 {
+        self.radius
+    }
+
+    /// What becomes of that radius.
+    pub(super) fn image(&self) -> f64 {
+        self.image
     }
 
     /// First positive root of the growth polynomial, by bisection between its extrema.
@@ -67,6 +72,17 @@ impl RadialLimit {
 
 /// Root of the growth polynomial in (low, high], positive at low and not at high.
 fn bisect(k: &[f64; 3], mut low: f64, mut high: f64) -> f64 {
+    // Newton's steps first: once they agree, a narrow interval about them leaves little to halve.
+    let mut s = 0.5 * (low + high);
+    for _ in 0..8 {
+        let slope = 3.0 * k[0] + s * (10.0 * k[1] + s * 21.0 * k[2]);
+        s -= growth(k, s) / slope;
+    }
+    for near in [s * (1.0 - 1e-14), s * (1.0 + 1e-14)] {
+        if near > low && near < high {
+            if growth(k, near) > 0.0 { low = near } else { high = near }
+        }
+    }
     loop {
         let mid = 0.5 * (low + high);
         if mid <= low || mid >= high {

@@ -310,10 +310,38 @@ pub(super) struct Convert {
     /// Size of a pixel in mm, where the files do not say it
     #[arg(long, value_name = "MM", value_parser = pitch)]
     pub(super) pixel_pitch_mm: Option<f64>,
+    /// Place the sheet frame on the target of a view: its origin and x axis, laid into the sheet (with --to)
+    #[arg(long, value_name = "N", conflicts_with_all = ["origin_mm", "turn_deg", "from"])]
+    pub(super) frame_of_view: Option<usize>,
+    /// Place the origin of the sheet frame at this point of the present one (with --to)
+    #[arg(long, value_name = "X,Y", value_parser = two_numbers, allow_hyphen_values = true, conflicts_with = "from")]
+    pub(super) origin_mm: Option<[f64; 2]>,
+    /// Turn the axes of the sheet frame, counter-clockwise as the first camera sees them (with --to)
+    #[arg(long, value_name = "DEGREES", allow_hyphen_values = true, conflicts_with = "from")]
+    pub(super) turn_deg: Option<f64>,
+    /// Degrees of Soloff's polynomials in x and y (2 or 3) and in z (1 or 2) [default: 3,2]
+    #[arg(long, value_name = "XY,Z", value_parser = two_degrees, conflicts_with = "from")]
+    pub(super) soloff_degrees: Option<[usize; 2]>,
+}
+
+/// Two numbers with a comma between.
+fn two_numbers(text: &str) -> Result<[f64; 2], String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|n| n.trim().parse::<f64>()).collect();
+    let two = numbers.ok().and_then(|n| <[f64; 2]>::try_from(n).ok()).filter(|n| n.iter().all(|x| x.is_finite()));
+    two.ok_or_else(|| "expected two numbers in mm with a comma between, such as 12.5,-3".into())
+}
+
+/// Two whole numbers with a comma between.
+fn two_degrees(text: &str) -> Result<[usize; 2], String> {
+    let numbers: Result<Vec<usize>, _> = text.split(',').map(|n| n.trim().parse::<usize>()).collect();
+    let two = numbers.ok().and_then(|n| <[usize; 2]>::try_from(n).ok());
+    two.ok_or_else(|| "expected the degree in x and y and that in z, such as 3,2".into())
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(super) enum ToFormat {
+    /// A calibration.json of this program, its sheet frame placed anew
+    Spivcal,
     /// OpenCV file storage (YAML), 14 coefficients
     Opencv,
     /// The same as XML

@@ -75,6 +75,9 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         "output": command.output.display().to_string(), "files": out.names(), "offset_mm": value["offset_mm"], "tilt_deg": value["tilt_deg"],
         "offset_sigma_mm": value["offset_sigma_mm"], "tilt_sigma_deg": value["tilt_sigma_deg"], "thickness_mm": value["thickness_mm"],
         "median_before_px": found.check.before.median_px(), "median_after_px": found.check.after.as_ref().map(|a| a.median_px()),
+        "offset_sigma_windows_mm": value["offset_sigma_windows_mm"], "tilt_sigma_windows_deg": value["tilt_sigma_windows_deg"],
+        "sigmas_hold_calibration": found.check.sigmas_hold_calibration, "misalignment_before": value["misalignment_before"],
+        "misalignment_after": value["misalignment_after"],
         "converged": found.check.converged, "history": value["history"], "flags": found.check.flags,
     });
     out.commit(&command.output)?;
@@ -98,11 +101,38 @@ fn words(c: &SheetCheck, to: &Path, files: &[&str]) -> String {
         c.before.median_px()
     );
     if let Some(after) = &c.after {
-        text.push_str(&format!(", after the correction {:.4} px ({} rounds)", after.median_px(), c.history.len()));
+        text.push_str(&format!(", after the correction {:.3} px ({} rounds)", after.median_px(), c.history.len()));
     }
-    text.push_str(&format!("; across the direction of depth {:.3} px\n", c.across_rms_px));
+    text.push('\n');
+    let m = c.misalignment_after.as_ref().unwrap_or(&c.misalignment_before);
+    text.push_str(&format!(
+        "of that, smooth over the field: {:.3} px along the direction of depth (the sheet; scatter alone gives {:.3}), {:.3} px across it (the \
+         cameras; {:.3});\nwith their signs: median {:+.3} ± {:.3} px along x, {:+.3} ± {:.3} px along y; single windows scatter by {:.2} and {:.2} px\n",
+        m.smooth_px[0],
+        m.smooth_noise_px[0],
+        m.smooth_px[1],
+        m.smooth_noise_px[1],
+        m.median_px[0],
+        m.median_sigma_px[0],
+        m.median_px[1],
+        m.median_sigma_px[1],
+        m.scatter_px[0],
+        m.scatter_px[1]
+    ));
     if c.thickness_mm.is_finite() {
-        text.push_str(&format!("thickness of the light: {:.2} mm (full width at 1/e^2)\n", c.thickness_mm));
+        text.push_str(&format!("thickness of the light: {:.2} mm (full width at 1/e^2)", c.thickness_mm));
+        if let Some(p) = &c.profile {
+            text.push_str(&format!(
+                "; brightest {:+.3} mm, centre of gravity {:+.3} mm from the plane found",
+                p.top_mm, p.middle_mm
+            ));
+        }
+        text.push('\n');
+    }
+    if !c.sigmas_hold_calibration {
+        text.push_str(
+            "the sigmas are those of the windows alone: the calibration states no covariance for what they need\n",
+        );
     }
     text.push_str(&format!("Written to {}: {}\n", to.display(), files.join(", ")));
     text

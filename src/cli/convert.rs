@@ -3,8 +3,11 @@
 use super::Done;
 use super::arguments::{Convert, FromFormat, ToFormat};
 use super::files::{Output, fault, read_text};
+use crate::dewarp::{Placement, SoloffDegrees};
 use crate::error::{Invalid, Result};
-use crate::exchange::{Conversion, ExportFormat, ImportFormat, ImportOptions, Loss, NamedText, export, import};
+use crate::exchange::{
+    Conversion, ExportFormat, ImportFormat, ImportOptions, Loss, NamedText, export, export_soloff, import, placed,
+};
 use crate::record::Record;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -20,7 +23,17 @@ pub(super) fn run(command: &Convert) -> Result<Done> {
                 );
             };
             let record = Record::from_json(&read_text(file, "a calibration.json")?, &file.display().to_string())?;
-            let done = export(&record, export_format(to))?;
+            let placement = placement(command, &record)?;
+            let record = placement.map_or(Ok(record.clone()), |p| placed(&record, &p))?;
+            if command.soloff_degrees.is_some() && to != ToFormat::Soloff {
+                let what = "--soloff-degrees are those of --to soloff; leave them out for another format";
+                return Err(Invalid::Contradiction(what.into()).into());
+            }
+            let done = match (export_format(to), command.soloff_degrees) {
+                (None, _) => own(command, file, &record)?,
+                (Some(_), Some([xy, z])) => export_soloff(&record, SoloffDegrees { xy, z })?,
+                (Some(format), None) => export(&record, format)?,
+            };
             let told = told(&done);
             done.result.into_iter().for_each(|(name, bytes)| output.add(name, bytes));
             told
@@ -50,14 +63,41 @@ fn told<T>(done: &Conversion<T>) -> (Vec<String>, Vec<Loss>, Vec<String>) {
     (done.notes.clone(), done.losses.clone(), done.flags())
 }
 
-fn export_format(word: ToFormat) -> ExportFormat {
+/// Where the sheet frame is to stand; none where it stays.
+fn placement(command: &Convert, record: &Record) -> Result<Option<Placement>> {
+    if let Some(view) = command.frame_of_view {
+        return Placement::at_view(record, view).map(Some);
+    }
+    let turn_deg = command.turn_deg.unwrap_or(0.0);
+    if !turn_deg.is_finite() {
+        return Err(Invalid::value("turn of the sheet frame (degrees)", turn_deg, "a number").into());
+    }
+    let wanted = command.origin_mm.is_some() || command.turn_deg.is_some();
+    let origin_mm = command.origin_mm.unwrap_or([0.0; 2]);
+    Ok(wanted.then_some(Placement { origin_mm, angle_rad: turn_deg.to_radians(), turned_round: false }))
+}
+
+/// The calibration itself, beside the one that was read.
+fn own(command: &Convert, file: &Path, record: &Record) -> Result<Conversion<Vec<(String, Vec<u8>)>>> {
+    let folder = command.output.as_deref().unwrap_or(Path::new("."));
+    let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+    if same(file, &folder.join("calibration.json")) {
+        return Err(fault(file, "this file would be overwritten; name another folder with -o"));
+    }
+    let result = vec![("calibration.json".to_string(), record.to_json()?.into_bytes())];
+    Ok(Conversion { result, losses: vec![Loss::NONE; record.cameras.len()], notes: vec![] })
+}
+
+/// None for this program's own.
+fn export_format(word: ToFormat) -> Option<ExportFormat> {
     match word {
-        ToFormat::Opencv => ExportFormat::OpenCv,
-        ToFormat::OpencvXml => ExportFormat::OpenCvXml,
-        ToFormat::Openptv => ExportFormat::OpenPtv,
-        ToFormat::Matlab => ExportFormat::Matlab,
-        ToFormat::Soloff => ExportFormat::Soloff,
-        ToFormat::Csv => ExportFormat::Csv,
+        ToFormat::Spivcal => None,
+        ToFormat::Opencv => Some(ExportFormat::OpenCv),
+        ToFormat::OpencvXml => Some(ExportFormat::OpenCvXml),
+        ToFormat::Openptv => Some(ExportFormat::OpenPtv),
+        ToFormat::Matlab => Some(ExportFormat::Matlab),
+        ToFormat::Soloff => Some(ExportFormat::Soloff),
+        ToFormat::Csv => Some(ExportFormat::Csv),
     }
 }
 

@@ -147,7 +147,14 @@ fn summary(
     let [su, sv, sw] = found.sigma_mm.each_ref().map(|s| median(s));
     let [cu, cv, cw] = found.calibration_sigma_mm.each_ref().map(|s| median(s));
     let residual = median(&found.residual_px);
-    let how = if found.sigma_estimated { "estimated from the residuals" } else { "given" };
+    let how = match found.sigma_estimated {
+        true if found.sigma_by_gradient > 0.0 => &format!(
+            "estimated from the residuals; {:.3} of the change from vector to vector adds to it",
+            found.sigma_by_gradient
+        ),
+        true => "estimated from the residuals",
+        false => "given",
+    };
     let mut text = format!(
         "{} and {}: {filled} of {all} vectors, {:.4} mm apart; w is positive towards camera \"{first}\"\n\
          sigma of a planar component: {:.4} {} ({how}); median residual {residual:.4} px\n\
@@ -169,7 +176,7 @@ fn summary(
     let number = |x: f64| if x.is_finite() { json!(x) } else { serde_json::Value::Null };
     let json = json!({
         "output": to.display().to_string(), "picture": picture.display().to_string(), "vectors": filled, "points": all, "grid": found.grid, "sigma": number(found.sigma),
-        "sigma_estimated": found.sigma_estimated, "median_residual_px": number(residual),
+        "sigma_estimated": found.sigma_estimated, "sigma_by_gradient": number(found.sigma_by_gradient), "median_residual_px": number(residual),
         "median_sigma_mm": [number(su), number(sv), number(sw)],
         "median_calibration_sigma_mm": [number(cu), number(cv), number(cw)],
     });

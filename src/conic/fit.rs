@@ -134,7 +134,13 @@ pub(crate) fn fit_geometric_from(start: &Ellipse, u_px: &[f64], v_px: &[f64], si
         }
     }
     let regular = normal.cholesky().ok_or_else(|| degenerate("the points do not fix an ellipse"))?.inverse();
-    let squares: f64 = u_px.iter().zip(v_px).map(|(u, v)| ellipse.distance_px(Pixel::new(*u, *v)).powi(2)).sum();
+    let frame = Frame::new(&ellipse);
+    let distance = |(u, v): (&f64, &f64)| {
+        let p = Pixel::new(*u, *v);
+        // Near the contour Newton steps are enough.
+        if ellipse.implicit(p).abs() < 0.5 { frame.foot(*u, *v, None).distance } else { ellipse.distance_px(p) }
+    };
+    let squares: f64 = u_px.iter().zip(v_px).map(|p| distance(p).powi(2)).sum();
     Ok(EllipseFit {
         ellipse,
         covariance: covariance_from_regular(&q, &regular),

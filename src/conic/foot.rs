@@ -13,8 +13,8 @@ pub(crate) struct Frame {
     pub(crate) b: f64,
     pub(crate) cos: f64,
     pub(crate) sin: f64,
-    cos2: f64,
-    sin2: f64,
+    pub(crate) cos2: f64,
+    pub(crate) sin2: f64,
 }
 
 /// Foot point of a pixel on the ellipse.
@@ -148,7 +148,7 @@ impl Frame {
 
     /// Foot points of `N` pixels at once, given in the frame of the axes (origin in the centre, x along the major axis, px): the same
     /// Newton steps as [`Frame::foot`], without branches.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn feet<const N: usize>(&self, x: &[f64; N], y: &[f64; N]) -> Feet<N> {
         let (a, b) = (self.a, self.b);
         let e2 = a * a - b * b;
@@ -161,7 +161,7 @@ impl Frame {
             s[i] = if at_centre { 1.0 } else { q / norm };
         }
         for _ in 0..6 {
-            let mut largest = 0.0_f64;
+            let mut turned = [0.0; N];
             for i in 0..N {
                 let (ax, by) = (x[i] * a, y[i] * b);
                 let f = e2 * c[i] * s[i] - ax * s[i] + by * c[i];
@@ -170,9 +170,10 @@ impl Frame {
                 let t = t.clamp(-0.5, 0.5);
                 let inverse = 1.0 / (1.0 + t * t).sqrt();
                 (c[i], s[i]) = ((c[i] - t * s[i]) * inverse, (s[i] + t * c[i]) * inverse);
-                largest = largest.max(t.abs());
+                turned[i] = t.abs();
             }
-            if largest < 1e-3 {
+            // Not a maximum: the compiler cannot turn one into vectors.
+            if !turned.iter().fold(false, |any, t| any | (*t >= 1e-3)) {
                 break;
             }
         }

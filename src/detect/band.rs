@@ -17,8 +17,12 @@ pub(crate) struct Band {
     pub(crate) curvature: Vec<f64>,
     /// Sector of the foot point.
     pub(crate) sector: Vec<u32>,
-    x: Vec<f64>,
-    y: Vec<f64>,
+    /// Eccentric angle of the foot point: cosine and sine.
+    pub(crate) cos: Vec<f64>,
+    pub(crate) sin: Vec<f64>,
+    /// Place in the frame of the axes, px.
+    pub(crate) x: Vec<f64>,
+    pub(crate) y: Vec<f64>,
 }
 
 /// How far the band reaches from the ellipse, px.
@@ -89,6 +93,35 @@ impl Band {
         self.y.extend((from..to).map(|u| y0 - frame.sin * u as f64));
     }
 
+    /// Leaves only pixels within the reach and in sectors that are kept; returns how many. The padding to whole lanes repeats the first.
+    pub(crate) fn compact(&mut self, keep: &[bool]) -> usize {
+        let mut n = 0;
+        for i in 0..self.len() {
+            if self.distance[i].is_nan() || !keep[self.sector[i] as usize] {
+                continue;
+            }
+            for list in self.lists() {
+                list[n] = list[i];
+            }
+            self.sector[n] = self.sector[i];
+            n += 1;
+        }
+        let padded = n.div_ceil(LANES) * LANES;
+        self.sector.truncate(padded);
+        self.sector[n..].fill(0);
+        for list in self.lists() {
+            list.truncate(padded);
+            let first = list.first().copied().unwrap_or(0.0);
+            list[n..].fill(first);
+        }
+        n
+    }
+
+    fn lists(&mut self) -> [&mut Vec<f64>; 7] {
+        let Self { grey, distance, curvature, cos, sin, x, y, .. } = self;
+        [grey, distance, curvature, cos, sin, x, y]
+    }
+
     /// Distances, curvatures and sectors of all pixels.
     fn measure(&mut self, frame: &Frame, contour: &Contour, reach: Reach) {
         let seen = self.grey.len();
@@ -96,7 +129,7 @@ impl Band {
         self.grey.resize(n, 0.0);
         self.x.resize(n, frame.a);
         self.y.resize(n, 0.0);
-        for list in [&mut self.distance, &mut self.curvature] {
+        for list in [&mut self.distance, &mut self.curvature, &mut self.cos, &mut self.sin] {
             list.clear();
             list.resize(n, 0.0);
         }
@@ -118,6 +151,8 @@ impl Band {
                 self.sector.push(sector as u32);
             }
             self.curvature[at..at + LANES].copy_from_slice(&feet.curvature);
+            self.cos[at..at + LANES].copy_from_slice(&feet.cos);
+            self.sin[at..at + LANES].copy_from_slice(&feet.sin);
         }
     }
 }

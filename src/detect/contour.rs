@@ -9,7 +9,7 @@ use std::f64::consts::TAU;
 /// Length of contour per sector, px.
 const SECTOR_PX: f64 = 1.75;
 /// Share of the gap to a neighbour that a sector may look into.
-const NEIGHBOUR: f64 = 0.6;
+pub(crate) const NEIGHBOUR: f64 = 0.6;
 /// Gap that is always granted, px.
 const LEAST_GAP_PX: f64 = 2.0;
 /// Entries of the table from eccentric angle to arc length.

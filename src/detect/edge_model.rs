@@ -35,7 +35,7 @@ use crate::detect::sectors::Sectors;
 use nalgebra::{Matrix4, SMatrix, SVector, Vector4};
 
 /// Standard deviation of the prior of the blur, px.
-const PRIOR_BLUR_PX: f64 = 0.3;
+pub(crate) const PRIOR_BLUR_PX: f64 = 0.3;
 /// Half the standard deviation of the area of a pixel, px.
 const LEAST_BLUR_PX: f64 = 0.15;
 /// Blur and geometry.
@@ -295,17 +295,21 @@ fn place_between(k: usize, count: usize, nodes: usize) -> (usize, usize, f64) {
 }
 
 /// Dense normal equations, blur and geometry last.
-#[derive(Debug, Default)]
-struct Dense {
-    matrix: Vec<f64>,
-    right: Vec<f64>,
+#[derive(Debug, Default, Clone)]
+pub(crate) struct Dense {
+    /// Lower triangle, row by row; the Cholesky factor once solved.
+    pub(crate) matrix: Vec<f64>,
+    /// Right side; the unknowns once solved.
+    pub(crate) right: Vec<f64>,
     /// Normal matrix of the geometry alone, before anything was eliminated.
-    alone: SMatrix<f64, 5, 5>,
-    widen: f64,
+    pub(crate) alone: SMatrix<f64, 5, 5>,
+    /// Covariance of the geometry.
+    pub(crate) covariance: SMatrix<f64, 5, 5>,
+    pub(crate) widen: f64,
 }
 
 impl Dense {
-    fn clear(&mut self, n: usize) {
+    pub(crate) fn clear(&mut self, n: usize) {
         self.matrix.clear();
         self.matrix.resize(n * n, 0.0);
         self.right.clear();
@@ -325,7 +329,7 @@ impl Dense {
     }
 
     /// Solves in place (lower triangle); false where the matrix is not positive definite.
-    fn solve(&mut self, n: usize) -> bool {
+    pub(crate) fn solve(&mut self, n: usize) -> bool {
         let a = &mut self.matrix;
         for j in 0..n {
             let before = a[j * n + j];
@@ -359,6 +363,7 @@ impl Dense {
         let (Some(root), Some(alone)) = (lower.try_inverse(), self.alone.try_inverse()) else { return false };
         let ratio: f64 = (0..5).map(|k| root.column(k).norm_squared() / alone[(k, k)]).sum();
         self.widen = (ratio / 5.0).max(1.0).sqrt();
+        self.covariance = root.transpose() * root;
         self.widen.is_finite()
     }
 }

@@ -6,9 +6,10 @@
 
 use crate::conic::{Ellipse, Frame};
 use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd};
-use crate::detect::plane::Plane;
+use crate::detect::plane::{self, Source, Steep, check_finite, smooth_and_field};
 use crate::detect::refine::{Scratch, Start, refine};
 use crate::detect::trace::{Line, Tracer};
+use crate::detect::wide::wide;
 use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason, Shape};
 use crate::error::{Invalid, Result};
 use crate::frames::Pixel;
@@ -54,9 +55,10 @@ impl Seen {
 /// [`Invalid::Value`] where a floating-point sample is not finite or an option is out of its range.
 pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection> {
     check_options(options)?;
-    let image = Plane::from_view(view)?;
-    let mut seen = look(&image, options);
-    drop_texture(&mut seen, f64::from(image.noise()), options);
+    check_finite(view)?;
+    let noise = plane::noise(view);
+    let mut seen = look(view, noise, options);
+    drop_texture(&mut seen, f64::from(noise), options);
     drop_repeats(&mut seen);
     let mut detection = Detection::default();
     for (candidate, refined) in refine_all(view, &seen.candidates, options) {
@@ -139,26 +141,28 @@ fn rejection(c: &Candidate, reason: RejectionReason) -> Rejection {
 }
 
 /// Follows and judges the zero lines of every pyramid level.
-fn look(image: &Plane, options: &DetectOptions) -> Seen {
+fn look(view: &GrayView, noise: f32, options: &DetectOptions) -> Seen {
     let mut seen = Seen::default();
     let mut line = Line::default();
     let quantum = 0.3;
-    let mut noise = image.noise().max(quantum * image.range().min(1.0));
-    let range = image.range();
+    let range = plane::range(view);
+    let mut noise = noise.max(quantum * range.min(1.0));
     let mut halved;
-    let mut current = image;
+    let mut current = Source::View(view);
     for level in 0..LEVELS {
-        if current.width < 12 || current.height < 12 {
+        if current.width() < 12 || current.height() < 12 {
             break;
         }
-        let smooth = current.smoothed();
-        let field = smooth.minus_local_mean();
+        let (smooth, field) = smooth_and_field(current);
         // Central difference over 1.5 px of the smoothed image: its noise is about 0.18 of a pixel's.
         let gradient = (5.0 * 0.18 * noise).max(0.008 * range);
         let mut tracer = Tracer::new(&field);
+        let mut steep = Vec::new();
         for v in 0..field.height - 1 {
-            for u in 0..field.width - 1 {
-                if tracer.fresh_crossing(u, v) && (smooth.at(u + 1, v) - smooth.at(u, v)).abs() > gradient {
+            // Gradients are rare, zeros of the field are everywhere: the noise crosses zero all the time.
+            wide(Steep { row: smooth.row(v), gradient, found: &mut steep });
+            for &u in &steep {
+                if tracer.fresh_crossing(u, v) {
                     tracer.follow(u, v, &mut line);
                     let strength = Strength { gradient: f64::from(gradient) };
                     seen.take(judge(&line, &smooth, strength, level, options));
@@ -166,7 +170,7 @@ fn look(image: &Plane, options: &DetectOptions) -> Seen {
             }
         }
         halved = smooth.halved();
-        current = &halved;
+        current = Source::Plane(&halved);
         noise *= 0.273;
     }
     seen

@@ -3,6 +3,7 @@
 //! The difference `s - m` (s: binomial blur, sigma 1 px; m: mean of `s` over 9 x 9 px) changes sign at every edge, however uneven
 //! the light: its zero line is the first guess of a contour.
 
+use crate::detect::wide::{Work, wide};
 use crate::error::{Invalid, Result};
 use crate::image::{GrayView, Samples};
 
@@ -21,29 +22,6 @@ pub(crate) struct Plane {
 }
 
 impl Plane {
-    /// The grey levels of a view.
-    ///
-    /// # Errors
-    /// [`Invalid::Value`] where a sample is not finite.
-    pub(crate) fn from_view(view: &GrayView) -> Result<Self> {
-        let (width, height) = (view.width(), view.height());
-        let mut data = Vec::with_capacity(width * height);
-        for v in 0..height {
-            let row = v * view.stride()..v * view.stride() + width;
-            match view.samples() {
-                Samples::U8(s) => data.extend(s[row].iter().map(|x| f32::from(*x))),
-                Samples::U16(s) => data.extend(s[row].iter().map(|x| f32::from(*x))),
-                Samples::F32(s) => {
-                    if let Some(bad) = s[row.clone()].iter().find(|x| !x.is_finite()) {
-                        return Err(Invalid::value("grey level", f64::from(*bad), "a finite number").into());
-                    }
-                    data.extend_from_slice(&s[row]);
-                }
-            }
-        }
-        Ok(Self { data, width, height })
-    }
-
     /// Row `v`.
     pub(crate) fn row(&self, v: usize) -> &[f32] {
         &self.data[v * self.width..(v + 1) * self.width]
@@ -55,60 +33,6 @@ impl Plane {
         self.data[v * self.width + u]
     }
 
-    /// Blurred by the binomial (1 4 6 4 1)/16 in both directions; the border is repeated.
-    pub(crate) fn smoothed(&self) -> Self {
-        let mut out = vec![0.0_f32; self.data.len()];
-        let mut column = vec![0.0_f32; self.width + 4];
-        let last = self.height - 1;
-        for v in 0..self.height {
-            let r = [v.saturating_sub(2), v.saturating_sub(1), v, (v + 1).min(last), (v + 2).min(last)]
-                .map(|k| self.row(k));
-            for (i, c) in column[2..self.width + 2].iter_mut().enumerate() {
-                *c = (r[0][i] + r[4][i]) + 4.0 * (r[1][i] + r[3][i]) + 6.0 * r[2][i];
-            }
-            repeat_ends(&mut column, 2);
-            let target = &mut out[v * self.width..(v + 1) * self.width];
-            let n = target.len();
-            let (a, b, c, d, e) =
-                (&column[..n], &column[1..=n], &column[2..n + 2], &column[3..n + 3], &column[4..n + 4]);
-            for i in 0..n {
-                target[i] = ((a[i] + e[i]) + 4.0 * (b[i] + d[i]) + 6.0 * c[i]) * (1.0 / 256.0);
-            }
-        }
-        Self { data: out, width: self.width, height: self.height }
-    }
-
-    /// Minus the mean over the window around each pixel.
-    pub(crate) fn minus_local_mean(&self) -> Self {
-        const R: usize = MEAN_RADIUS;
-        let mut out = vec![0.0_f32; self.data.len()];
-        let mut column = vec![0.0_f32; self.width + 2 * R];
-        let last = self.height - 1;
-        let norm = 1.0 / ((2 * R + 1) * (2 * R + 1)) as f32;
-        for v in 0..self.height {
-            column.fill(0.0);
-            let sums = &mut column[R..R + self.width];
-            for k in 0..=2 * R {
-                let row = self.row((v + k).saturating_sub(R).min(last));
-                for (s, x) in sums.iter_mut().zip(row) {
-                    *s += x;
-                }
-            }
-            repeat_ends(&mut column, R);
-            let target = &mut out[v * self.width..(v + 1) * self.width];
-            let n = target.len();
-            for k in 0..=2 * R {
-                for (t, c) in target.iter_mut().zip(&column[k..k + n]) {
-                    *t += c;
-                }
-            }
-            for (t, s) in target.iter_mut().zip(self.row(v)) {
-                *t = s - *t * norm;
-            }
-        }
-        Self { data: out, width: self.width, height: self.height }
-    }
-
     /// Every second pixel of every second row; pixel (u, v) becomes (2 u, 2 v) of the finer level.
     pub(crate) fn halved(&self) -> Self {
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
@@ -118,41 +42,244 @@ impl Plane {
         }
         Self { data, width, height }
     }
+}
 
-    /// Standard deviation of the pixel noise, grey levels, from second differences that planes and edges leave at zero.
-    pub(crate) fn noise(&self) -> f32 {
-        if self.width < 3 || self.height < 3 {
-            return 0.0;
+/// Where rows of grey levels come from.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Source<'a> {
+    View(&'a GrayView<'a>),
+    Plane(&'a Plane),
+}
+
+impl Source<'_> {
+    pub(crate) fn width(&self) -> usize {
+        match self {
+            Self::View(view) => view.width(),
+            Self::Plane(plane) => plane.width,
         }
-        // A few ten thousand pixels fix the median to a per cent.
-        let step = ((self.width * self.height / 40_000) as f64).sqrt().floor().max(1.0) as usize;
-        let mut seen = Vec::with_capacity(60_000);
-        for v in (1..self.height - 1).step_by(step) {
-            let (a, b, c) = (self.row(v - 1), self.row(v), self.row(v + 1));
-            for u in (1..self.width - 1).step_by(step) {
-                let d = (a[u - 1] + a[u + 1] + c[u - 1] + c[u + 1]) - 2.0 * (a[u] + c[u] + b[u - 1] + b[u + 1])
-                    + 4.0 * b[u];
-                seen.push(d.abs());
-            }
-        }
-        let middle = seen.len() / 2;
-        let (_, median, _) = seen.select_nth_unstable_by(middle, f32::total_cmp);
-        *median / (0.6745 * 6.0)
     }
 
-    /// Span of the grey levels without the darkest and brightest thousandth.
-    pub(crate) fn range(&self) -> f32 {
-        let step = (self.data.len() / 100_000).max(1) | 1;
-        let mut seen: Vec<f32> = self.data.iter().step_by(step).copied().collect();
-        let cut = seen.len() / 1000;
-        let last = seen.len() - 1;
-        let high = *seen.select_nth_unstable_by(last - cut, f32::total_cmp).1;
-        let low = *seen.select_nth_unstable_by(cut, f32::total_cmp).1;
-        high - low
+    pub(crate) fn height(&self) -> usize {
+        match self {
+            Self::View(view) => view.height(),
+            Self::Plane(plane) => plane.height,
+        }
+    }
+
+    #[inline(always)]
+    fn row(&self, v: usize, out: &mut [f32]) {
+        match self {
+            Self::View(view) => {
+                let at = v * view.stride()..v * view.stride() + view.width();
+                match view.samples() {
+                    Samples::U8(s) => out.iter_mut().zip(&s[at]).for_each(|(o, x)| *o = f32::from(*x)),
+                    Samples::U16(s) => out.iter_mut().zip(&s[at]).for_each(|(o, x)| *o = f32::from(*x)),
+                    Samples::F32(s) => out.copy_from_slice(&s[at]),
+                }
+            }
+            Self::Plane(plane) => out.copy_from_slice(plane.row(v)),
+        }
+    }
+}
+
+/// Checks that all samples of a view are finite.
+///
+/// # Errors
+/// [`Invalid::Value`] where a sample is not.
+pub(crate) fn check_finite(view: &GrayView) -> Result<()> {
+    if let Samples::F32(s) = view.samples() {
+        for v in 0..view.height() {
+            let row = &s[v * view.stride()..v * view.stride() + view.width()];
+            if let Some(bad) = row.iter().find(|x| !x.is_finite()) {
+                return Err(Invalid::value("grey level", f64::from(*bad), "a finite number").into());
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Standard deviation of the pixel noise, grey levels, from second differences that planes and edges leave at zero.
+pub(crate) fn noise(view: &GrayView) -> f32 {
+    let (width, height) = (view.width(), view.height());
+    if width < 3 || height < 3 {
+        return 0.0;
+    }
+    // A few ten thousand pixels fix the median to a per cent.
+    let step = ((width * height / 40_000) as f64).sqrt().floor().max(1.0) as usize;
+    let mut seen = Vec::with_capacity(60_000);
+    for v in (1..height - 1).step_by(step) {
+        for u in (1..width - 1).step_by(step) {
+            let at = |du: usize, dv: usize| view.get(u + du - 1, v + dv - 1);
+            let corners = at(0, 0) + at(2, 0) + at(0, 2) + at(2, 2);
+            let d = corners - 2.0 * (at(1, 0) + at(1, 2) + at(0, 1) + at(2, 1)) + 4.0 * at(1, 1);
+            seen.push(d.abs());
+        }
+    }
+    let middle = seen.len() / 2;
+    let (_, median, _) = seen.select_nth_unstable_by(middle, f32::total_cmp);
+    *median / (0.6745 * 6.0)
+}
+
+/// Span of the grey levels without the darkest and brightest thousandth.
+pub(crate) fn range(view: &GrayView) -> f32 {
+    let (width, count) = (view.width(), view.width() * view.height());
+    let step = (count / 100_000).max(1) | 1;
+    let mut seen: Vec<f32> = (0..count).step_by(step).map(|i| view.get(i % width, i / width)).collect();
+    let cut = seen.len() / 1000;
+    let last = seen.len() - 1;
+    let high = *seen.select_nth_unstable_by(last - cut, f32::total_cmp).1;
+    let low = *seen.select_nth_unstable_by(cut, f32::total_cmp).1;
+    high - low
+}
+
+/// An image blurred by the binomial (1 4 6 4 1)/16 in both directions, and the same minus its mean over the window around each pixel;
+/// borders are repeated. One pass: each row is finished while those that it needs are at hand.
+pub(crate) fn smooth_and_field(source: Source) -> (Plane, Plane) {
+    wide(SmoothAndField(source))
+}
+
+struct SmoothAndField<'a>(Source<'a>);
+
+impl Work for SmoothAndField<'_> {
+    type Out = (Plane, Plane);
+    #[inline(always)]
+    fn run(self) -> (Plane, Plane) {
+        let source = self.0;
+        let (width, height) = (source.width(), source.height());
+        let (mut smooth, mut field) = (Vec::with_capacity(width * height), Vec::with_capacity(width * height));
+        let mut five = Five::new(width);
+        let mut box_mean = BoxMean::new(width);
+        for v in 0..height + MEAN_RADIUS {
+            if v < height {
+                five.push(&source, v, height, &mut smooth);
+            }
+            box_mean.push(&smooth, v, height, &mut field);
+        }
+        (Plane { data: smooth, width, height }, Plane { data: field, width, height })
+    }
+}
+
+/// The binomial, with the rows of the source in a ring.
+struct Five {
+    rows: [Vec<f32>; 5],
+    /// The row of the source that comes next.
+    next: usize,
+    column: Vec<f32>,
+}
+
+impl Five {
+    fn new(width: usize) -> Self {
+        Self { rows: std::array::from_fn(|_| vec![0.0; width]), next: 0, column: vec![0.0; width + 4] }
+    }
+
+    /// Appends the row `v` of the blurred image.
+    #[inline(always)]
+    fn push(&mut self, source: &Source, v: usize, height: usize, out: &mut Vec<f32>) {
+        let last = height - 1;
+        while self.next <= (v + 2).min(last) {
+            source.row(self.next, &mut self.rows[self.next % 5]);
+            self.next += 1;
+        }
+        let n = self.column.len() - 4;
+        let r = [v.saturating_sub(2), v.saturating_sub(1), v, (v + 1).min(last), (v + 2).min(last)]
+            .map(|k| &self.rows[k % 5][..n]);
+        for (i, c) in self.column[2..n + 2].iter_mut().enumerate() {
+            *c = (r[0][i] + r[4][i]) + 4.0 * (r[1][i] + r[3][i]) + 6.0 * r[2][i];
+        }
+        repeat_ends(&mut self.column, 2);
+        let c = &self.column;
+        let (a, b, c, d, e) = (&c[..n], &c[1..=n], &c[2..n + 2], &c[3..n + 3], &c[4..n + 4]);
+        let row = (0..n).map(|i| ((a[i] + e[i]) + 4.0 * (b[i] + d[i]) + 6.0 * c[i]) * (1.0 / 256.0));
+        out.extend(row);
+    }
+}
+
+/// The mean over nine rows and columns as three times three, with sums of three rows in a ring.
+struct BoxMean {
+    threes: [Vec<f32>; 8],
+    column: Vec<f32>,
+    across: Vec<f32>,
+}
+
+impl BoxMean {
+    fn new(width: usize) -> Self {
+        const R: usize = MEAN_RADIUS;
+        Self {
+            threes: std::array::from_fn(|_| vec![0.0; width]),
+            column: vec![0.0; width + 2 * R],
+            across: vec![0.0; width + 2 * R - 2],
+        }
+    }
+
+    /// Takes note of row `v` of the blurred image, which is there (or beyond its end); appends the row of the field that it completes.
+    #[inline(always)]
+    fn push(&mut self, smooth: &[f32], v: usize, height: usize, field: &mut Vec<f32>) {
+        const R: usize = MEAN_RADIUS;
+        let n = self.column.len() - 2 * R;
+        let row = |k: isize| {
+            let k = k.clamp(0, height as isize - 1) as usize;
+            &smooth[k * n..(k + 1) * n]
+        };
+        // Sums of three rows exist from three above the image to three below.
+        let first = if v == 0 { -3 } else { v as isize - 1 };
+        for middle in first..v as isize {
+            if v == 0 && middle + 1 > 0 {
+                break;
+            }
+            let (a, b, c) = (row(middle - 1), row(middle), row(middle + 1));
+            let out = &mut self.threes[middle.rem_euclid(8) as usize][..n];
+            for i in 0..n {
+                out[i] = a[i] + b[i] + c[i];
+            }
+        }
+        let Some(v) = v.checked_sub(R) else { return };
+        let three = |k: isize| &self.threes[(v as isize + k).rem_euclid(8) as usize][..n];
+        let (a, b, c) = (three(-3), three(0), three(3));
+        for (i, s) in self.column[R..R + n].iter_mut().enumerate() {
+            *s = a[i] + b[i] + c[i];
+        }
+        repeat_ends(&mut self.column, R);
+        let m = self.across.len();
+        let (a, b, c) = (&self.column[..m], &self.column[1..=m], &self.column[2..m + 2]);
+        for (i, s) in self.across.iter_mut().enumerate() {
+            *s = a[i] + b[i] + c[i];
+        }
+        let (a, b, c) = (&self.across[..n], &self.across[3..n + 3], &self.across[6..n + 6]);
+        let norm = 1.0 / ((2 * R + 1) * (2 * R + 1)) as f32;
+        let own = &smooth[v * n..(v + 1) * n];
+        field.extend((0..n).map(|i| own[i] - (a[i] + b[i] + c[i]) * norm));
+    }
+}
+
+/// Finds the places of a row where the grey level changes by more than `gradient` to the next.
+pub(crate) struct Steep<'a> {
+    pub(crate) row: &'a [f32],
+    pub(crate) gradient: f32,
+    pub(crate) found: &'a mut Vec<usize>,
+}
+
+impl Work for Steep<'_> {
+    type Out = ();
+    #[inline(always)]
+    fn run(self) {
+        const STRIDE: usize = 32;
+        self.found.clear();
+        let n = self.row.len() - 1;
+        let (a, b) = (&self.row[..n], &self.row[1..]);
+        for start in (0..n).step_by(STRIDE) {
+            let end = (start + STRIDE).min(n);
+            let (a, b) = (&a[start..end], &b[start..end]);
+            let any = a.iter().zip(b).fold(false, |any, (x, y)| any | ((y - x).abs() > self.gradient));
+            if any {
+                let steep = a.iter().zip(b).enumerate().filter(|(_, (x, y))| (*y - *x).abs() > self.gradient);
+                self.found.extend(steep.map(|(i, _)| start + i));
+            }
+        }
     }
 }
 
 /// Copies the first and last inner values into `pad` places at either end.
+#[inline(always)]
 fn repeat_ends(line: &mut [f32], pad: usize) {
     let n = line.len();
     let (first, last) = (line[pad], line[n - pad - 1]);

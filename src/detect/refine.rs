@@ -13,11 +13,13 @@
 //! Steps 1 and 2 are repeated from the ellipse found until it stands still; two or three rounds suffice. Blur and light are common to
 //! all sectors; what their uncertainty adds to the geometry is spread evenly over the sigmas.
 
-use crate::conic::{Ellipse, fit_geometric_from};
+use crate::conic::{Ellipse, Frame, covariance_from_regular, fit_geometric_from, from_regular, to_regular};
 use crate::detect::band::{Band, Reach};
-use crate::detect::contour::Contour;
+use crate::detect::contour::{Contour, NEIGHBOUR};
 use crate::detect::edge_model::{EdgeModel, Solution};
+use crate::detect::exact::{Exact, Field, MOST_CONTOUR_PX, Share, State};
 use crate::detect::light::{self, Light, Side};
+use crate::detect::quick::{Clean, Quick};
 use crate::detect::sectors::{Lens, Sectors};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::{GrayView, Samples};
@@ -39,6 +41,9 @@ pub(crate) struct Scratch {
     sectors: Sectors,
     found: Solution,
     sorted: Vec<f64>,
+    exact: Exact,
+    fine: Contour,
+    quick: Quick,
 }
 
 /// A disc to refine.
@@ -62,6 +67,9 @@ pub(crate) fn refine(
     options: &DetectOptions,
     s: &mut Scratch,
 ) -> Result<Disc, RejectionReason> {
+    if let Some(disc) = clean_disc(view, start, options, s) {
+        return disc;
+    }
     let mut model = rough_model(view, start, s)?;
     for round in 0..MOST_ROUNDS {
         if border_px(view, &model.ellipse) < 1.0 {
@@ -81,7 +89,7 @@ pub(crate) fn refine(
             if coverage + 1.0 / (s.sectors.len() as f64) < options.min_coverage {
                 return Err(RejectionReason::Incomplete { coverage });
             }
-            return finish(&model, start, options, s);
+            return finish(view, &model, start, options, s);
         }
         model = moved(&model, s)?;
     }
@@ -196,9 +204,14 @@ fn fit_light(
     Ok(before)
 }
 
+/// How far from the edge the fine fit looks, px.
+pub(crate) fn reach_px(blur_px: f64) -> f64 {
+    3.0 * blur_px + 0.7 + (2.0 * blur_px).max(3.0)
+}
+
 /// Band of the fine fit: the edge, and beside it what fixes the light.
 fn fine_reach(model: &EdgeModel, start: &Start) -> Reach {
-    let wanted = 3.0 * model.blur_px + 0.7 + (2.0 * model.blur_px).max(3.0);
+    let wanted = reach_px(model.blur_px);
     Reach { inner_px: wanted.min(start.inner_px).min(0.85 * model.ellipse.semi_minor_px), outer_px: wanted }
 }
 
@@ -308,12 +321,13 @@ fn without_smooth_bends(ellipse: &Ellipse, edge: &EdgePoints) -> (Vec<f64>, f64)
     const N: usize = 2 * SMOOTH + 1;
     let n = edge.u_px.len();
     let (s, c) = ellipse.angle_rad.sin_cos();
+    let frame = Frame::new(ellipse);
     let mut distance = Vec::with_capacity(n);
     let mut rows = Vec::with_capacity(n);
     let (mut matrix, mut right) = (SMatrix::<f64, N, N>::zeros(), SVector::<f64, N>::zeros());
     for i in 0..n {
         let p = crate::frames::Pixel::new(edge.u_px[i], edge.v_px[i]);
-        let d = ellipse.distance_px(p);
+        let d = frame.foot(p.u_px, p.v_px, None).distance;
         let (du, dv) = (p.u_px - ellipse.center_px.u_px, p.v_px - ellipse.center_px.v_px);
         let (x, y) = ((c * du + s * dv) / ellipse.semi_major_px, (c * dv - s * du) / ellipse.semi_minor_px);
         let r = x.hypot(y);
@@ -360,10 +374,121 @@ fn roughness_px2(ellipse: &Ellipse, edge: &EdgePoints) -> f64 {
     high
 }
 
-/// Edge points, the ellipse through them, the honest sigmas.
-fn finish(model: &EdgeModel, start: &Start, options: &DetectOptions, s: &Scratch) -> Result<Disc, RejectionReason> {
-    let model = &moved(model, s)?;
-    let e = &model.ellipse;
+/// Edge points, the ellipse, the honest sigmas.
+fn finish(
+    view: &GrayView,
+    model: &EdgeModel,
+    start: &Start,
+    options: &DetectOptions,
+    s: &mut Scratch,
+) -> Result<Disc, RejectionReason> {
+    let moved = moved(model, s)?;
+    let (found, edge) = match fit_exactly(view, &moved, start, s) {
+        Some(exact) => exact,
+        None => (Found { ellipse: moved.ellipse, blur_px: moved.blur_px, covariance: None }, sector_edges(s)),
+    };
+    accept(&found, edge, &moved, start, options)
+}
+
+/// The short way: a disc with nothing hidden and nothing beside it; none where it may be otherwise.
+fn clean_disc(
+    view: &GrayView,
+    start: &Start,
+    options: &DetectOptions,
+    s: &mut Scratch,
+) -> Option<Result<Disc, RejectionReason>> {
+    let frame = Frame::new(&start.ellipse);
+    let gap = |e: &Ellipse| least_gap_px(&frame, e);
+    let outer_px = start.neighbours.iter().map(gap).fold(f64::INFINITY, f64::min) * NEIGHBOUR;
+    if start.inner_px < 0.89 * start.ellipse.semi_minor_px {
+        return None;
+    }
+    let mut state = Clean {
+        ellipse: start.ellipse,
+        blur_px: start.blur_px,
+        expected_blur_px: start.blur_px,
+        step: if start.bright { start.contrast } else { -start.contrast },
+        variance: [1.0; 2],
+    };
+    let floor = quantisation(view).max((1e-4 * start.contrast).powi(2));
+    s.quick.fit(view, &mut state, outer_px, floor)?;
+    s.fine.cut(&state.ellipse, &[]);
+    s.quick.share_out(&s.fine);
+    if !s.quick.clean(&state) || !agree(&s.quick.shares, &mut s.sorted) {
+        return None;
+    }
+    let ends = border_px(view, &state.ellipse);
+    let model = EdgeModel {
+        ellipse: state.ellipse,
+        blur_px: state.blur_px,
+        expected_blur_px: state.expected_blur_px,
+        light: Light::Surface([Side::plain(0, 1.0); 2]),
+        variance: state.variance,
+        bends: [0.0; 2],
+        step: state.step,
+    };
+    if ends < 1.0 || check_size(&model, start, options).is_err() {
+        return None;
+    }
+    let change = s.quick.change();
+    let ellipse = from_regular(&(to_regular(&state.ellipse) + change))?;
+    let edge = edges(&s.fine, &s.quick.shares, None, &change, s.quick.widen());
+    let covariance = Some(covariance_from_regular(&to_regular(&ellipse), s.quick.covariance()));
+    Some(accept(&Found { ellipse, blur_px: state.blur_px, covariance }, edge, &model, start, options))
+}
+
+/// Least distance of an ellipse from a contour beside it, px.
+fn least_gap_px(frame: &Frame, other: &Ellipse) -> f64 {
+    (0..64)
+        .map(|k| other.point(f64::from(k) / 64.0 * std::f64::consts::TAU))
+        .map(|p| frame.foot(p.u_px, p.v_px, None).distance)
+        .fold(f64::INFINITY, f64::min)
+}
+
+/// Whether every sector of the contour says the same.
+fn agree(shares: &[Share], sorted: &mut Vec<f64>) -> bool {
+    let mut typical = |f: &dyn Fn(&Share) -> f64| {
+        sorted.clear();
+        sorted.extend(shares.iter().map(f));
+        median(sorted)
+    };
+    let information = typical(&|x| x.information);
+    let shift = 1.4826 * typical(&|x| x.shift_px().abs());
+    let limit = 4.5 * shift.max(information.powf(-0.5));
+    shares.iter().all(|x| {
+        let (enough, spread) = (x.information > 0.15 * information, x.squares / x.pixels.max(1.0));
+        enough && x.shift_px().abs() < limit && spread < 2.0 + 5.0 * (2.0 / x.pixels.max(1.0)).sqrt()
+    })
+}
+
+/// Edge points of the sectors that count.
+fn edges(
+    contour: &Contour,
+    shares: &[Share],
+    kept: Option<&[bool]>,
+    change: &SVector<f64, 5>,
+    widen: f64,
+) -> EdgePoints {
+    let mut edge = EdgePoints::default();
+    for (k, share) in shares.iter().enumerate().filter(|(k, x)| kept.is_none_or(|l| l[*k]) && x.information > 0.0) {
+        let shift = share.shift_px() - (0..5).map(|i| contour.row[k][i] * change[i]).sum::<f64>();
+        edge.u_px.push(contour.u[k] + shift * contour.normal_u[k]);
+        edge.v_px.push(contour.v[k] + shift * contour.normal_v[k]);
+        edge.sigma_px.push(widen * share.information.powf(-0.5));
+    }
+    edge
+}
+
+/// What a fit says about the disc as a whole.
+struct Found {
+    ellipse: Ellipse,
+    blur_px: f64,
+    /// Covariance of the ellipse where the fit knows it better than the edge points do.
+    covariance: Option<SMatrix<f64, 5, 5>>,
+}
+
+/// Edge points from the sums over sectors.
+fn sector_edges(s: &Scratch) -> EdgePoints {
     let (contour, found) = (&s.contour, &s.found);
     let mut edge = EdgePoints::default();
     for k in (0..s.sectors.len()).filter(|k| s.sectors.keep[*k]) {
@@ -373,32 +498,120 @@ fn finish(model: &EdgeModel, start: &Start, options: &DetectOptions, s: &Scratch
         edge.v_px.push(contour.v[k] + shift * contour.normal_v[k]);
         edge.sigma_px.push(found.widen * information.powf(-0.5));
     }
+    edge
+}
+
+/// The fit to single pixels, with the sectors that the rounds kept; none where it does not hold.
+fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: &mut Scratch) -> Option<(Found, EdgePoints)> {
+    let keep = s.sectors.keep.clone();
+    let (sides, smoke) = match &model.light {
+        Light::Surface(sides) => (*sides, false),
+        Light::Nodes(..) => ([Side::plain(1, model.step.abs()), Side::plain(0, model.step.abs())], true),
+    };
+    let mut state = State {
+        ellipse: model.ellipse,
+        blur_px: model.blur_px,
+        expected_blur_px: model.expected_blur_px,
+        sides,
+        field: None,
+        variance: model.variance,
+        step: model.step,
+    };
+    let floor = quantisation(view).max((1e-4 * model.step).powi(2));
+    let perimeter_px = model.ellipse.perimeter_px();
+    if smoke && perimeter_px > MOST_CONTOUR_PX {
+        return None;
+    }
+    let before = state.clone();
+    let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
+    if smoke || s.exact.smoke_left(perimeter_px) {
+        let mut smoky = State { field: Some(Field::default()), ..before };
+        smoky.sides[0] = Side::plain(0, model.step.abs());
+        // Noise inside cannot be told from smoke before the smoke is known.
+        smoky.variance = [s.exact.noise()[1].unwrap_or(state.variance[1]).max(floor); 2];
+        // Smoke looked like disagreement before it was known.
+        let all = vec![true; keep.len()];
+        let mut whole_contour = smoky.clone();
+        let mut settled = s.exact.settle(view, &mut whole_contour, &mut s.fine, &all, start, floor);
+        if settled.is_some() && s.exact.misfit() < 1.3 {
+            smoky = whole_contour;
+        } else {
+            settled = s.exact.settle(view, &mut smoky, &mut s.fine, &keep, start, floor);
+        }
+        if let Some(keep) = settled {
+            // Where there is another edge inside, the field must explain what it is said to be.
+            let whole = start.inner_px >= 0.85 * model.ellipse.semi_minor_px;
+            if smoky.field.is_some() && (whole || s.exact.misfit() < 1.5) {
+                (state, kept) = (smoky, keep);
+            } else if smoke {
+                return None;
+            } else {
+                kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
+            }
+        } else {
+            return None;
+        }
+    }
+    let (ellipse, change, blur_px) = s.exact.finished(&state)?;
+    let edge = edges(&s.fine, &s.exact.shares, Some(&kept), &change, s.exact.widen());
+    let covariance = covariance_from_regular(&to_regular(&ellipse), s.exact.covariance());
+    Some((Found { ellipse, blur_px, covariance: Some(covariance) }, edge))
+}
+
+/// Checks the shape and makes a disc of what was found.
+fn accept(
+    found: &Found,
+    mut edge: EdgePoints,
+    model: &EdgeModel,
+    start: &Start,
+    options: &DetectOptions,
+) -> Result<Disc, RejectionReason> {
+    let e = &found.ellipse;
     let fit_edges = |edge: &EdgePoints| {
         fit_geometric_from(e, &edge.u_px, &edge.v_px, &edge.sigma_px)
             .map_err(|_| not_elliptical(f64::INFINITY, e.semi_minor_px))
     };
-    let mut fit = fit_edges(&edge)?;
     // What the grey noise explains is no sign of another shape.
-    let noise_px2 = edge.sigma_px.iter().map(|s| s * s).sum::<f64>() / edge.sigma_px.len() as f64;
+    let count = edge.sigma_px.len() as f64;
+    let noise_px2 = edge.sigma_px.iter().map(|s| s * s).sum::<f64>() / count;
+    let (mut ellipse, mut covariance, chi2, rms_px) = match &found.covariance {
+        Some(covariance) => {
+            let frame = Frame::new(e);
+            let (mut chi2, mut squares) = (0.0, 0.0);
+            for ((u, v), sigma) in edge.u_px.iter().zip(&edge.v_px).zip(&edge.sigma_px) {
+                let d = frame.foot(*u, *v, None).distance;
+                chi2 += d * d / (sigma * sigma);
+                squares += d * d;
+            }
+            (*e, *covariance, chi2, (squares / count).sqrt())
+        }
+        None => {
+            let plain = fit_edges(&edge)?;
+            (plain.ellipse, plain.covariance, plain.chi2, plain.rms_px)
+        }
+    };
     let limit_px =
-        (options.max_edge_rms_px + options.max_edge_rms_ratio * fit.ellipse.semi_minor_px).hypot(noise_px2.sqrt());
-    if fit.rms_px > limit_px {
-        return Err(not_elliptical(fit.rms_px, limit_px));
+        (options.max_edge_rms_px + options.max_edge_rms_ratio * ellipse.semi_minor_px).hypot(noise_px2.sqrt());
+    if rms_px > limit_px {
+        return Err(not_elliptical(rms_px, limit_px));
     }
-    if fit.chi2 > fit.degrees_of_freedom as f64 {
+    if chi2 > count - 5.0 {
         // Rough prints and speckle scatter all edge points alike, sharp or blurred: their variance adds to that of the noise.
-        let roughness = roughness_px2(&fit.ellipse, &edge);
+        let roughness = roughness_px2(&ellipse, &edge);
         if roughness > 0.0 {
+            let plain = fit_edges(&edge)?;
             edge.sigma_px.iter_mut().for_each(|s| *s = (*s * *s + roughness).sqrt());
-            fit = fit_edges(&edge)?;
+            let rough = fit_edges(&edge)?;
+            ellipse = rough.ellipse;
+            covariance += rough.covariance - plain.covariance;
         }
     }
     Ok(Disc {
-        ellipse: fit.ellipse,
-        covariance: fit.covariance,
+        ellipse,
+        covariance,
         edge,
         polarity: if start.bright { Polarity::Bright } else { Polarity::Dark },
-        blur_px: model.blur_px,
+        blur_px: found.blur_px,
         contrast: model.step.abs(),
         mark: None,
     })

@@ -218,10 +218,10 @@ const fn place(a: usize, b: usize) -> usize {
 }
 
 /// `(Phi(-z), phi(z))` of the normal distribution for many `z`, without branches: Abramowitz and Stegun 7.1.26, error below 1.5e-7.
-#[inline]
-pub(crate) fn normal_tails(z: &[f64; LANES], tail: &mut [f64; LANES], density: &mut [f64; LANES]) {
+#[inline(always)]
+pub(crate) fn normal_tails<const N: usize>(z: &[f64; N], tail: &mut [f64; N], density: &mut [f64; N]) {
     const INVERSE_ROOT_TAU: f64 = 0.398_942_280_401_432_7;
-    for i in 0..LANES {
+    for i in 0..N {
         let x = (z[i].abs() * std::f64::consts::FRAC_1_SQRT_2).min(6.0);
         let gauss = exp_of_negative(-x * x);
         let t = 1.0 / (1.0 + 0.327_591_1 * x);
@@ -234,7 +234,7 @@ pub(crate) fn normal_tails(z: &[f64; LANES], tail: &mut [f64; LANES], density: &
 }
 
 /// `exp(x)` for `-40 <= x <= 0`, relative error below 1e-10: `2^n` times the power series on `|r| <= ln 2 / 2`.
-#[inline]
+#[inline(always)]
 fn exp_of_negative(x: f64) -> f64 {
     // Adding 1.5 * 2^52 rounds to the nearest whole number and leaves it in the low bits.
     const ROUND: f64 = 6_755_399_441_055_744.0;

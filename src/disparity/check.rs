@@ -2,14 +2,18 @@
 
 use super::acquire::{Acquired, Binned, SIGNIFICANT, acquire, factor};
 use super::correlate::{Correlator, Dewarped, Sums};
-use super::plane::{Match, PlaneFit, Seen, fit_plane, moved_sheet, see};
+use super::misalignment::misalignment;
+use super::plane::{Match, PlaneFit, Seen, cameras_held, fit_plane, moved_sheet, see};
 use super::prepare::{SATURATED, levels, particles, saturated_part};
+use super::profile::Summed;
+use super::propagate::{Propagated, against, against_by_plane, propagate};
 use crate::dewarp::{Kernel, Sampler, SheetGrid, SheetMap, resample};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::frames::{Rig, Sheet};
 use crate::image::GrayView;
-use crate::record::{CheckRound, DisparityMap, Record, SheetCheck};
-use nalgebra::{Matrix3, Vector2, Vector3};
+use crate::record::{CheckRound, DisparityMap, Misalignment, Record, SheetCheck};
+use crate::rigid::Motion;
+use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
 use rayon::prelude::*;
 
 /// A peak must be this much higher than the second.
@@ -22,8 +26,10 @@ const ROUNDS: usize = 12;
 const STILL_PX: f64 = 0.002;
 /// Or moves by less than this part of its sigma (windows at the limit of being used come and go).
 const STILL_SIGMAS: f64 = 0.3;
-/// Median disparity across the direction of depth that says that the cameras themselves are off, px.
-const ACROSS_PX: f64 = 0.5;
+/// Smooth disparity beyond which the sheet (along the direction of depth) and the cameras (across it) are off, px ...
+const OFF_PX: [f64; 2] = [0.5, 0.3];
+/// ... where it is this many times what scatter alone would show.
+const OVER_NOISE: f64 = 3.0;
 
 /// Options of [`check_sheet`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -108,7 +114,7 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
         .par_iter()
         .map(|p| Moment { samplers: p.images.each_ref().map(|i| Sampler::new(i, Kernel::Cubic)) })
         .collect();
-    let mut current = moved(record, &found.plane, &Matrix3::zeros())?;
+    let mut current = moved(record, &found.plane, &Matrix6::zeros())?;
     let mut history = vec![];
     let (mut converged, mut last) = (false, None);
     // Coarse windows first, unless the field holds too few of them.
@@ -121,8 +127,8 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
         let step_px = plane_step_px(&result);
         let abc = result.fit.abc;
         let step_sigmas = result.fit.covariance.try_inverse().map_or(f64::INFINITY, |w| abc.dot(&(w * abc)).sqrt());
-        let next = moved(&current, &result.fit.abc, &result.fit.covariance)?;
-        history.push(entry(record, &next, &result, window, options));
+        let next = moved(&current, &result.fit.abc, &cameras_held(&result.fit.covariance))?;
+        history.push(entry(record, &next, &result, window, options)?);
         current = next;
         last = Some(result);
         converged = fine && (step_px < STILL_PX || step_sigmas < STILL_SIGMAS);
@@ -195,7 +201,7 @@ fn coarse_plane(
     }
 }
 
-fn moved(record: &Record, abc: &Vector3<f64>, covariance: &Matrix3<f64>) -> Result<Record> {
+fn moved(record: &Record, abc: &Vector3<f64>, covariance: &Matrix6<f64>) -> Result<Record> {
     moved_sheet(record, abc, covariance).ok_or_else(|| crate::Error::Bug("a sheet was lost on the way".into()))
 }
 
@@ -285,34 +291,26 @@ fn plane_step_px(r: &Round) -> f64 {
     z * r.slope_apart.norm() / r.grid.mm_per_px
 }
 
-/// Where a sheet lies in the frame of another: `z = a + b x + c y`.
-fn relative(start: &Record, now: &Record) -> Option<Vector3<f64>> {
-    let pose = |r: &Record| r.sheet.as_ref().map(|s| s.rig_from_sheet.motion::<Rig, Sheet>());
-    let m = pose(start)?.inverse() * pose(now)?;
-    let n = m.rotation.column(2);
-    let (b, c) = (-n.x / n.z, -n.y / n.z);
-    Some(Vector3::new(m.translation_mm.z - b * m.translation_mm.x - c * m.translation_mm.y, b, c))
+fn pose(record: &Record) -> Result<Motion<Rig, Sheet>> {
+    let sheet = record.sheet.as_ref().ok_or_else(|| crate::Error::Bug("a sheet was lost on the way".into()))?;
+    Ok(sheet.rig_from_sheet.motion())
 }
 
 /// Offset at the reference point, mm, and tilts about x and y, degrees.
-fn offset_and_tilt(start: &Record, now: &Record, reference_mm: [f64; 2]) -> (f64, [f64; 2]) {
-    let abc = relative(start, now).unwrap_or(Vector3::repeat(f64::NAN));
-    let offset = abc.dot(&Vector3::new(1.0, reference_mm[0], reference_mm[1]));
-    // z rises with y by a turn about x, and falls with x by one about y.
-    (offset, [abc.z.atan().to_degrees(), (-abc.y).atan().to_degrees()])
+fn offset_and_tilt(start: &Record, now: &Record, reference_mm: [f64; 2]) -> Result<(f64, [f64; 2])> {
+    let e = against(&pose(start)?, &pose(now)?, reference_mm);
+    Ok((e.x, [e.y.to_degrees(), e.z.to_degrees()]))
 }
 
-/// (1, x, y) of the reference point in the frame of another sheet.
-fn reference_in(start: &Record, now: &Record, reference_mm: [f64; 2]) -> Vector3<f64> {
-    let pose = |r: &Record| r.sheet.as_ref().map(|s| s.rig_from_sheet.motion::<Rig, Sheet>());
-    let p = Vector3::new(reference_mm[0], reference_mm[1], 0.0);
-    let there = pose(now).zip(pose(start)).map(|(n, s)| (n.inverse() * s).apply(&p)).unwrap_or(p);
-    Vector3::new(1.0, there.x, there.y)
-}
-
-fn entry(start: &Record, next: &Record, r: &Round, window: usize, options: &CheckOptions) -> CheckRound {
-    let (offset_mm, tilt_deg) = offset_and_tilt(start, next, options.reference_mm);
-    CheckRound { window_px: window, windows: [r.matches.len(), r.windows], median_px: r.median_px, offset_mm, tilt_deg }
+fn entry(start: &Record, next: &Record, r: &Round, window: usize, options: &CheckOptions) -> Result<CheckRound> {
+    let (offset_mm, tilt_deg) = offset_and_tilt(start, next, options.reference_mm)?;
+    Ok(CheckRound {
+        window_px: window,
+        windows: [r.matches.len(), r.windows],
+        median_px: r.median_px,
+        offset_mm,
+        tilt_deg,
+    })
 }
 
 /// Matches seen in a record's sheet.
@@ -335,23 +333,24 @@ fn map_in(record: &Record, matches: &[Match], used: &[bool], mm_per_px: f64) -> 
     Ok(out)
 }
 
-/// Full width of the light at 1/e^2, mm; `NaN` where the cross-correlation peak is no wider than the particle images.
-fn thickness_mm(r: &Round, window: usize) -> f64 {
-    let widths = || -> Option<f64> {
-        let sums = r.sums.as_ref()?;
-        let correlator = Correlator::new(window);
-        let shape =
-            |values: &Vec<f64>, auto: bool| correlator.map(values.clone()).peak(window / 8, auto).map(|p| p.shape_px2);
-        let (cross, a, b) = (shape(&sums.cross, false)?, shape(&sums.auto[0], true)?, shape(&sums.auto[1], true)?);
-        let wider = cross - 0.5 * (a + b);
-        let length = r.slope_apart.norm();
-        // Rows of the image run down, y of the sheet up.
-        let along = Vector2::new(r.slope_apart.x, -r.slope_apart.y) / length;
-        let variance_px2 = along.dot(&(wider * along));
-        let sigma_z = r.grid.mm_per_px * variance_px2.max(0.0).sqrt() / length;
-        (variance_px2 > 0.0).then_some(4.0 * std::f64::consts::SQRT_2 * sigma_z)
-    };
-    widths().unwrap_or(f64::NAN)
+/// What the map says must be looked at.
+fn told(before: &Misalignment, now: &Misalignment, refine: bool, flags: &mut Vec<String>) {
+    let off =
+        |m: &Misalignment, a: usize| m.smooth_px[a] > OFF_PX[a] && m.smooth_px[a] > OVER_NOISE * m.smooth_noise_px[a];
+    if off(now, 1) {
+        flags.push(format!(
+            "disparities of {:.2} px (root mean square, smooth over the field) across the direction of depth remain: no sheet explains them, the \
+             cameras' calibration itself is off (moved camera, refraction)",
+            now.smooth_px[1]
+        ));
+    }
+    if !refine && off(before, 0) {
+        flags.push(format!(
+            "the sheet is off: disparities of {:.2} px (root mean square, smooth over the field) along the direction of depth; run again with \
+             --refine and use the corrected calibration",
+            before.smooth_px[0]
+        ));
+    }
 }
 
 #[allow(clippy::too_many_arguments)]
@@ -369,23 +368,34 @@ fn output(
     let scale = last.grid.mm_per_px;
     let before = map_in(start, &last.matches, &last.fit.used, scale)?;
     let after = map_in(&corrected, &last.matches, &last.fit.used, scale)?;
-    let (offset_mm, tilt_deg) = offset_and_tilt(start, &corrected, options.reference_mm);
-    // The covariance lives in the last frame; its offset and tilts differ from those of the start by the turn alone.
-    let c = &last.fit.covariance;
-    let reference = reference_in(start, &corrected, options.reference_mm);
+    let (offset_mm, tilt_deg) = offset_and_tilt(start, &corrected, options.reference_mm)?;
+    // The covariance of the scatter lives in the last frame, which the found one differs from by less than a sigma.
+    let by_plane = against_by_plane(&pose(start)?, &pose(&corrected)?, options.reference_mm);
+    let windows = by_plane * last.fit.covariance * by_plane.transpose();
+    let shared = propagate(start, &corrected, &last.matches, &last.fit, options.reference_mm);
+    let whole = shared.as_ref().map_or(windows, |s| s.against_start);
+    let sigma = |c: &Matrix3<f64>, k: usize| c[(k, k)].max(0.0).sqrt();
+    let tilts = |c: &Matrix3<f64>| [sigma(c, 1).to_degrees(), sigma(c, 2).to_degrees()];
     let used = || (0..after.x_mm.len()).filter(|i| after.used[*i]);
     let n = used().count() as f64;
     let across_rms_px = (used().map(|i| after.across_px[i].powi(2)).sum::<f64>() / n).sqrt();
-    if across_rms_px > ACROSS_PX {
-        flags.push(format!(
-            "disparities of {across_rms_px:.2} px (root mean square) across the direction of depth remain: no sheet explains them, the cameras' \
-             calibration itself is off (moved camera, refraction)"
-        ));
-    }
-    let quiet = before.median_px();
-    if !options.refine && quiet > 0.5 {
-        flags.push(format!("the sheet is off: median disparity {quiet:.2} px; run again with --refine and use the corrected calibration"));
-    }
+    let misaligned = [misalignment(&before, false), misalignment(&after, true)];
+    told(&misaligned[0], &misaligned[1], options.refine, &mut flags);
+    let light = last.sums.as_ref().map(|sums| Summed {
+        sums,
+        window_px: options.window_px,
+        mm_per_px: scale,
+        slope_apart: last.slope_apart,
+    });
+    // The sums were taken in the last frame; z counts from the plane found in it.
+    let middle = [0.5 * (last.grid.width_px - 1) as f64, 0.5 * (last.grid.height_px - 1) as f64];
+    let [x, y] = last.grid.point_mm(middle[0], middle[1]);
+    let step_mm = last.fit.abc.dot(&Vector3::new(1.0, x, y));
+    let profile = light.as_ref().and_then(Summed::profile).map(|mut p| {
+        p.z_mm.iter_mut().for_each(|z| *z -= step_mm);
+        (p.top_mm, p.middle_mm) = (p.top_mm - step_mm, p.middle_mm - step_mm);
+        p
+    });
     let check = SheetCheck {
         format: "spivcal-check".into(),
         version: 1,
@@ -400,25 +410,39 @@ fn output(
         reference_mm: options.reference_mm,
         offset_mm,
         tilt_deg,
-        offset_sigma_mm: reference.dot(&(c * reference)).max(0.0).sqrt(),
-        tilt_sigma_deg: [c.m33.max(0.0).sqrt().to_degrees(), c.m22.max(0.0).sqrt().to_degrees()],
+        offset_sigma_mm: sigma(&whole, 0),
+        tilt_sigma_deg: tilts(&whole),
+        offset_sigma_windows_mm: sigma(&windows, 0),
+        tilt_sigma_windows_deg: tilts(&windows),
+        sigmas_hold_calibration: shared.is_some(),
         window_sigma_px: last.fit.scatter_mm / scale,
         across_rms_px,
-        thickness_mm: thickness_mm(&last, options.window_px),
+        misalignment_before: misaligned[0],
+        misalignment_after: options.refine.then_some(misaligned[1]),
+        profile,
+        thickness_mm: light.map_or(f64::NAN, |l| l.thickness_mm()),
         flags,
     };
-    let record = options.refine.then(|| {
-        let mut r = corrected;
-        r.provenance.options.insert(
-            "sheet".into(),
-            format!("self-calibration on {} particle image pair(s), cameras held", pairs.len()),
-        );
-        let kept: Vec<usize> =
-            (0..r.covariance.names.len()).filter(|i| !r.covariance.names[*i].starts_with("sheet.")).collect();
-        let matrix = kept.iter().map(|i| kept.iter().map(|j| r.covariance.matrix[*i][*j]).collect()).collect();
-        r.covariance.names = kept.iter().map(|i| r.covariance.names[*i].clone()).collect();
-        r.covariance.matrix = matrix;
-        r
-    });
+    let record = options.refine.then(|| corrected_record(corrected, shared, pairs.len())).transpose()?;
     Ok(CheckOutput { check, record })
+}
+
+/// The calibration with the sheet's sigmas and rows of the covariance.
+fn corrected_record(corrected: Record, shared: Option<Propagated>, pairs: usize) -> Result<Record> {
+    let how = if shared.is_some() { "" } else { ", cameras held" };
+    let mut r = corrected;
+    if let Some(s) = shared {
+        r = moved(&r, &Vector3::zeros(), &s.plane_and_center)?;
+        r.covariance = s.covariance;
+    } else {
+        let c = &r.covariance;
+        let kept: Vec<usize> = (0..c.names.len()).filter(|i| !c.names[*i].starts_with("sheet.")).collect();
+        let matrix = kept.iter().map(|i| kept.iter().map(|j| c.matrix[*i][*j]).collect()).collect();
+        r.covariance.names = kept.iter().map(|i| c.names[*i].clone()).collect();
+        r.covariance.matrix = matrix;
+    }
+    // What was said about the former sheet.
+    r.mapping_uncertainty = None;
+    r.provenance.options.insert("sheet".into(), format!("self-calibration on {pairs} particle image pair(s){how}"));
+    Ok(r)
 }

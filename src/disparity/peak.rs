@@ -33,7 +33,8 @@ pub(super) struct Peak {
 }
 
 impl CorrelationMap {
-    fn at(&self, dx: isize, dy: isize) -> Option<f64> {
+    /// Value at a shift; none outside.
+    pub(super) fn at(&self, dx: isize, dy: isize) -> Option<f64> {
         let (x, y) = (dx + (self.width / 2) as isize, dy + (self.height / 2) as isize);
         let inside = x >= 0 && y >= 0 && (x as usize) < self.width && (y as usize) < self.height;
         inside.then(|| self.values[y as usize * self.width + x as usize])

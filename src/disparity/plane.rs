@@ -6,7 +6,7 @@ use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::record::{self, Record};
 use crate::rigid::Motion;
 use crate::sheet::SheetEstimate;
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
 
 /// Tukey's constant: 95 % efficiency for normal scatter.
 const TUKEY: f64 = 4.685;
@@ -61,6 +61,8 @@ pub(super) struct PlaneFit {
     pub(super) scatter_mm: f64,
     /// Whether a point took part.
     pub(super) used: Vec<bool>,
+    /// What each point counted in the end.
+    pub(super) weights: Vec<f64>,
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
@@ -80,22 +82,34 @@ fn likely_across(seen: &[Seen]) -> Vec<f64> {
     seen.iter().map(|s| f64::from(u8::from((s.across_mm - middle).abs() < TUKEY * scale))).collect()
 }
 
+fn row(s: &Seen) -> Vector3<f64> {
+    Vector3::new(1.0, s.point_mm.x, s.point_mm.y)
+}
+
+/// Plane through points with given weights.
+pub(super) fn weighted_plane(seen: &[Seen], weights: &[f64]) -> Option<Vector3<f64>> {
+    let (mut n, mut b) = (Matrix3::zeros(), Vector3::zeros());
+    for (s, w) in seen.iter().zip(weights) {
+        n += row(s) * row(s).transpose() * *w;
+        b += row(s) * (w * s.point_mm.z);
+    }
+    Some(n.cholesky()?.solve(&b))
+}
+
+fn weights_of(seen: &[Seen], matches: &[Match], robust: &[f64]) -> Vec<f64> {
+    let one = |((s, m), r): ((&Seen, &Match), &f64)| r * (m.correlation * s.slope_apart).powi(2);
+    seen.iter().zip(matches).zip(robust).map(one).collect()
+}
+
 /// Weighted robust fit; residuals count in disparity, `r = (z - plane) |s_2 - s_1|`, weights as the square of the correlation.
 pub(super) fn fit_plane(matches: &[Match], seen: &[Seen]) -> Option<PlaneFit> {
-    let row = |s: &Seen| Vector3::new(1.0, s.point_mm.x, s.point_mm.y);
     let residual = |s: &Seen, abc: &Vector3<f64>| (s.point_mm.z - abc.dot(&row(s))) * s.slope_apart;
     let mut abc = Vector3::zeros();
     let likely = likely_across(seen);
     let mut robust = likely.clone();
     let mut scale = f64::INFINITY;
     for round in 0..30 {
-        let (mut n, mut b) = (Matrix3::zeros(), Vector3::zeros());
-        for ((s, m), r) in seen.iter().zip(matches).zip(&robust) {
-            let w = r * (m.correlation * s.slope_apart).powi(2);
-            n += row(s) * row(s).transpose() * w;
-            b += row(s) * (w * s.point_mm.z);
-        }
-        let next = n.cholesky()?.solve(&b);
+        let next = weighted_plane(seen, &weights_of(seen, matches, &robust))?;
         let moved = (next - abc).norm();
         abc = next;
         let sizes = seen.iter().zip(&likely).filter(|(_, l)| **l > 0.0).map(|(s, _)| residual(s, &abc).abs());
@@ -110,9 +124,9 @@ pub(super) fn fit_plane(matches: &[Match], seen: &[Seen]) -> Option<PlaneFit> {
     // Covariance of the weighted estimate from its own residuals (sandwich), for correct weights or not.
     let (mut n, mut meat) = (Matrix3::zeros(), Matrix3::zeros());
     let mut count = 0.0_f64;
-    for ((s, m), r) in seen.iter().zip(matches).zip(&robust) {
-        let w = r * (m.correlation * s.slope_apart).powi(2);
-        n += row(s) * row(s).transpose() * w;
+    let weights = weights_of(seen, matches, &robust);
+    for ((s, w), r) in seen.iter().zip(&weights).zip(&robust) {
+        n += row(s) * row(s).transpose() * *w;
         meat += row(s) * row(s).transpose() * (w * (s.point_mm.z - abc.dot(&row(s)))).powi(2);
         count += f64::from(u8::from(*r > 0.0));
     }
@@ -123,17 +137,25 @@ pub(super) fn fit_plane(matches: &[Match], seen: &[Seen]) -> Option<PlaneFit> {
     }
     // The fit has taken three numbers, and Tukey's weights a twentieth of what was known.
     let covariance = inverse * meat * inverse * (count / (count - 3.0) / 0.95);
-    Some(PlaneFit { abc, covariance, scatter_mm: scale, used })
+    Some(PlaneFit { abc, covariance, scatter_mm: scale, used, weights })
 }
 
-/// The record with its sheet at `z = a + b x + c y` of its present sheet frame.
-pub(super) fn moved_sheet(record: &Record, abc: &Vector3<f64>, covariance: &Matrix3<f64>) -> Option<Record> {
+/// The record with its sheet at `z = a + b x + c y` of its present sheet frame; the covariance is that of (a, b, c) and of the second
+/// projection centre.
+pub(super) fn moved_sheet(record: &Record, abc: &Vector3<f64>, covariance: &Matrix6<f64>) -> Option<Record> {
     let mut out = record.clone();
     let old = record.sheet.as_ref()?;
     let center = record.cameras.get(1).map(|c| c.cam_from_rig.motion::<Cam, Rig>().inverse().translation_mm);
     let estimate = SheetEstimate::from_plane(&old.rig_from_sheet.motion(), abc, covariance, center);
     out.sheet = Some(estimate.to_record("self-calibration", old.views.clone()));
     Some(out)
+}
+
+/// The covariance of a plane with the cameras held.
+pub(super) fn cameras_held(covariance: &Matrix3<f64>) -> Matrix6<f64> {
+    let mut out = Matrix6::zeros();
+    out.fixed_view_mut::<3, 3>(0, 0).copy_from(covariance);
+    out
 }
 
 /// A sheet to start from where the calibration has none: the plane of the target of a view.
@@ -152,6 +174,6 @@ pub fn sheet_of_view(record: &Record, view: usize) -> Result<record::Sheet> {
     let center = record.cameras.get(1).map(|c| c.cam_from_rig.motion::<Cam, Rig>().inverse().translation_mm);
     let target: Motion<Rig, Target> = pose.motion();
     let frame = Motion::<Rig, Sheet>::new(target.rotation, target.translation_mm);
-    let unknown = Matrix3::repeat(f64::NAN);
+    let unknown = Matrix6::repeat(f64::NAN);
     Ok(SheetEstimate::from_plane(&frame, &Vector3::zeros(), &unknown, center).to_record("target plane", vec![view]))
 }

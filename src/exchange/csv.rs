@@ -53,6 +53,20 @@ fn cameras(record: &Record) -> String {
         t.row(o, "effective.cy", c.effective.cy_px, s.effective.cy_px, "px");
         t.row(o, "rms", c.rms_px, f64::NAN, "px");
         t.pose(o, "cam_from_rig", &c.cam_from_rig);
+        if let Some(w) = &c.window {
+            for (i, name) in ["x", "y", "z"].iter().enumerate() {
+                t.row(o, &format!("window.normal_{name}"), w.normal_in_cam[i], w.sigma.normal_rad[i], "1");
+            }
+            t.row(o, "window.distance", w.distance_mm, w.sigma.distance_mm, "mm");
+            t.row(o, "window.thickness", w.thickness_mm, w.sigma.thickness_mm, "mm");
+            for (name, x, sigma) in [
+                ("n_air", w.n_air, w.sigma.n_air),
+                ("n_glass", w.n_glass, w.sigma.n_glass),
+                ("n_water", w.n_water, w.sigma.n_water),
+            ] {
+                t.row(o, &format!("window.{name}"), x, sigma, "1");
+            }
+        }
     }
     t.0
 }

@@ -91,7 +91,7 @@ fn pinhole<'a>(xml: &Xml<'a>, mapper: Node<'_, 'a>, name: String, options: &Impo
         None => image_size(options)?,
     };
     let (camera, cam_from_world, loss) = model.to_scheimpflug(&pose, image_size_px)?;
-    Ok(WorldCamera { name, image_size_px, pixel_pitch_mm: Some(pitch_mm), camera, cam_from_world, loss })
+    Ok(WorldCamera { name, image_size_px, pixel_pitch_mm: Some(pitch_mm), camera, cam_from_world, loss, points: None })
 }
 
 fn image_size(options: &ImportOptions) -> Result<[usize; 2]> {
@@ -123,7 +123,15 @@ fn marks(xml: &Xml<'_>, options: &ImportOptions) -> Result<Found> {
             loss.max_px
         ));
         let pixel_pitch_mm = options.pixel_pitch_mm;
-        cameras.push(WorldCamera { name, image_size_px, pixel_pitch_mm, camera: model, cam_from_world, loss });
+        cameras.push(WorldCamera {
+            name,
+            image_size_px,
+            pixel_pitch_mm,
+            camera: model,
+            cam_from_world,
+            loss,
+            points: None,
+        });
     }
     Ok(Found { cameras, notes, program: "davis marks" })
 }

@@ -7,7 +7,7 @@
 //! Source of the container: "MAT-File Format", MathWorks, level 5.
 
 use super::distorted::OpenCvCamera;
-use super::refit::{moved, refit, volume};
+use super::refit::{moved, refit};
 use super::{Cameras, Conversion, Loss, WorldCamera};
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Sheet};
@@ -64,8 +64,7 @@ fn untilted(c: &WorldCamera) -> Result<(OpenCvCamera, Motion<Cam, Sheet>, Loss)>
     let far = pose.translation_mm.norm();
     let (turn, shift) = (1e-6, 1e-6 * far);
     let steps = [turn, turn, turn, shift, shift, shift, 1e-6, 1e-6, 0.01, 0.01, 1e-4, 1e-2, 1e-5, 1e-5];
-    let seen = volume(&c.camera, &c.cam_from_world, c.image_size_px);
-    let (p, loss) = refit(&seen, &start, &steps, &|p, x| of(p).project(&moved(&pose, p).apply(x)))
+    let (p, loss) = refit(&c.seen(), &start, &steps, &|p, x| of(p).project(&moved(&pose, p).apply(x)))
         .ok_or_else(|| Invalid::Contradiction(format!("camera \"{}\" does not see the sheet", c.name)))?;
     Ok((of(&p), moved(&pose, &p), loss))
 }

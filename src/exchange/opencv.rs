@@ -5,7 +5,6 @@
 //! `camera_matrix` and `distortion_coefficients` is read as one camera.
 
 use super::distorted::{OpenCvCamera, fit_scheimpflug};
-use super::refit::volume;
 use super::storage::{self, Matrix, Node, Storage, Syntax};
 use super::{Cameras, Conversion, Found, ImportOptions, Loss, NamedText, WorldCamera};
 use crate::camera::{Camera, Intrinsics, OpenCvTilted};
@@ -23,7 +22,7 @@ struct Held {
 
 fn held(c: &WorldCamera) -> Result<Held> {
     let (model, pose, loss) = match c.camera.to_opencv() {
-        Ok(model) => (model, c.cam_from_world, Loss::NONE),
+        Ok(model) => (model, c.cam_from_world, c.loss),
         Err(_) => {
             // A pupil ratio or the other polynomial: the nearest camera with neither.
             let i = c.camera.intrinsics();
@@ -31,8 +30,7 @@ fn held(c: &WorldCamera) -> Result<Held> {
             if i.radial != start.radial {
                 start.k = i.k.map(|k| -k);
             }
-            let seen = volume(&c.camera, &c.cam_from_world, c.image_size_px);
-            let (camera, pose, loss) = fit_scheimpflug(&Camera::new(start)?, &c.cam_from_world, &seen)?;
+            let (camera, pose, loss) = fit_scheimpflug(&Camera::new(start)?, &c.cam_from_world, &c.seen())?;
             (camera.to_opencv()?, pose, loss)
         }
     };
@@ -179,7 +177,7 @@ pub(super) fn import(files: &[NamedText], options: &ImportOptions) -> Result<Fou
             model(file, &s, matrix, coefficients)?.to_scheimpflug(&opencv_from_sheet, image_size_px)?;
         let name = s.words.get(&format!("name{n}")).cloned().unwrap_or_else(|| format!("camera{}", i + 1));
         let pixel_pitch_mm = options.pixel_pitch_mm;
-        cameras.push(WorldCamera { name, image_size_px, pixel_pitch_mm, camera, cam_from_world, loss });
+        cameras.push(WorldCamera { name, image_size_px, pixel_pitch_mm, camera, cam_from_world, loss, points: None });
     }
     Ok(Found { cameras, notes, program: "opencv" })
 }

@@ -78,7 +78,7 @@ fn nearest(c: &WorldCamera, sensor: Sensor) -> Result<(Interior, Motion<Cam, She
     let far = pose.translation_mm.norm();
     let (turn, shift, mm) = (1e-6, 1e-6 * far, 1e-2 * sensor.pitch_mm);
     let steps = [turn, turn, turn, shift, shift, shift, 1e-6, mm, mm, 1e-6, 1e-8, 1e-6, 1e-6, 1e-6, 1e-6];
-    let seen = volume(&c.camera, &c.cam_from_world, c.image_size_px);
+    let seen = c.seen();
     let project = |p: &[f64], x: &Vector3<f64>| interior(p, cc_mm).project(&moved(&pose, p).apply(x), sensor);
     let (p, loss) = refit(&seen, &start, &steps, &project)
         .ok_or_else(|| Invalid::Contradiction(format!("camera \"{}\" does not see the sheet", c.name)))?;
@@ -176,7 +176,7 @@ fn camera(ori: &NamedText, addpar: Option<&NamedText>, sensor: Sensor) -> Result
         if plain { (start, pose, Loss::NONE) } else { fit_scheimpflug(&start, &pose, &seen)? };
     let name = ori.name.rsplit(['/', '\\']).next().unwrap_or_default().trim_end_matches(".ori").to_string();
     let pixel_pitch_mm = Some(sensor.pitch_mm);
-    Ok(WorldCamera { name, image_size_px: sensor.size_px, pixel_pitch_mm, camera, cam_from_world, loss })
+    Ok(WorldCamera { name, image_size_px: sensor.size_px, pixel_pitch_mm, camera, cam_from_world, loss, points: None })
 }
 
 /// The cameras of `.ori` files, each with the `.addpar` of the same name where it is among the files.

@@ -1,7 +1,7 @@
 //! Soloff's polynomial as text: one file of coefficients per camera.
 //!
 //! ```text
-//! u = sum a_ijk X^i Y^j Z^k,   v = sum b_ijk X^i Y^j Z^k                 i + j + k <= 3, k <= 2: 19 terms
+//! u = sum a_ijk X^i Y^j Z^k,   v = sum b_ijk X^i Y^j Z^k                 i + j + k <= 3, k <= 2: 19 terms (other degrees on request)
 //! X = (x - middle_x) / half_x,  Y and Z alike                            -1 to 1 in the volume
 //! ```
 //! (x, y, z) in mm of the sheet frame, z towards the first camera; (u, v) in px, (0, 0) the centre of the first pixel, v down. The volume
@@ -52,13 +52,13 @@ fn text(c: &WorldCamera, fit: &SoloffFit) -> String {
 }
 
 /// `soloff_<camera>.txt` per camera.
-pub(super) fn export(rig: &Cameras) -> Result<Conversion<Vec<(String, Vec<u8>)>>> {
+pub(super) fn export(rig: &Cameras, degrees: SoloffDegrees) -> Result<Conversion<Vec<(String, Vec<u8>)>>> {
     let maps: Vec<SheetMap> =
         rig.cameras.iter().map(|c| SheetMap::new(c.camera, c.cam_from_world, c.image_size_px)).collect();
     let volume = volume(&rig.cameras, &maps)?;
     let (mut result, mut losses, mut notes) = (Vec::new(), Vec::new(), rig.notes.clone());
     for (c, map) in rig.cameras.iter().zip(&maps) {
-        let fit = Soloff::fit(map, volume, SoloffDegrees::default())?;
+        let fit = Soloff::fit(map, volume, degrees)?;
         let name: String = c.name.chars().map(|x| if x.is_alphanumeric() { x } else { '_' }).collect();
         result.push((format!("soloff_{name}.txt"), text(c, &fit).into_bytes()));
         losses.push(Loss { rms_px: fit.rms_px, max_px: fit.largest_px });

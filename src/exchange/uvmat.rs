@@ -101,6 +101,7 @@ fn camera(file: &NamedText, size_px: [usize; 2], options: &ImportOptions) -> Res
         camera: Camera::new(i)?,
         cam_from_world: pose,
         loss: Loss::NONE,
+        points: None,
     };
     Ok((camera, mirrored))
 }

@@ -2,7 +2,7 @@
 
 use super::abi::SPIVCAL_OK;
 use super::door::{Fault, Outcome, destroy, enter};
-use super::memory::{Out, rows_of, text_of};
+use super::memory::{Out, Plain, rows_of, text_of};
 use super::table::{self, Body, Kind};
 use crate::image::{GrayImage, Pixels};
 use crate::pipeline::load_image;
@@ -21,10 +21,7 @@ pub unsafe extern "C" fn spivcal_image_create_u8(
     image: *mut u64,
 ) -> i32 {
     // SAFETY: the contract of the header.
-    enter(context, Kind::Context, |_| unsafe {
-        let out = Out::new(image, "image")?;
-        keep(context, Pixels::U8(rows_of(data, width, height, stride_bytes)?), width, height, out)
-    })
+    unsafe { create(context, data, [width, height], stride_bytes, image, |pixels| Ok(Pixels::U8(pixels))) }
 }
 
 /// Image of 16-bit grey levels from memory (10, 12 and 14 bit cameras deliver them too), in the machine's byte order.
@@ -44,10 +41,7 @@ pub unsafe extern "C" fn spivcal_image_create_u16(
     image: *mut u64,
 ) -> i32 {
     // SAFETY: the contract of the header.
-    enter(context, Kind::Context, |_| unsafe {
-        let out = Out::new(image, "image")?;
-        keep(context, Pixels::U16(rows_of(data, width, height, stride_bytes)?), width, height, out)
-    })
+    unsafe { create(context, data, [width, height], stride_bytes, image, |pixels| Ok(Pixels::U16(pixels))) }
 }
 
 /// Image of floating-point grey levels from memory, all finite; see spivcal_image_create_u16.
@@ -60,19 +54,16 @@ pub unsafe extern "C" fn spivcal_image_create_f32(
     stride_bytes: u64,
     image: *mut u64,
 ) -> i32 {
-    // SAFETY: the contract of the header.
-    enter(context, Kind::Context, |_| unsafe {
-        let out = Out::new(image, "image")?;
-        let pixels = rows_of(data, width, height, stride_bytes)?;
-        if let Some(i) = pixels.iter().position(|x| !x.is_finite()) {
+    let finite = |pixels: Vec<f32>| match pixels.iter().position(|x| !x.is_finite()) {
+        None => Ok(Pixels::F32(pixels)),
+        Some(i) => {
             let (u, v) = (i % width as usize, i / width as usize);
-            return Err(Fault::argument(format!(
-                "the grey level at ({u}, {v}) px is {}; expected finite numbers",
-                pixels[i]
-            )));
+            let text = format!("the grey level at ({u}, {v}) px is {}; expected finite numbers", pixels[i]);
+            Err(Fault::argument(text))
         }
-        keep(context, Pixels::F32(pixels), width, height, out)
-    })
+    };
+    // SAFETY: the contract of the header.
+    unsafe { create(context, data, [width, height], stride_bytes, image, finite) }
 }
 
 /// Image from a file: PNG, TIFF (8, 16 bit, floating point), BMP, PGM, JPEG. Colours become grey.
@@ -83,9 +74,7 @@ pub unsafe extern "C" fn spivcal_image_load(context: u64, path_utf8: *const c_ch
     enter(context, Kind::Context, |_| {
         // SAFETY: the contract of the header.
         let (out, path) = unsafe { (Out::new(image, "image")?, text_of(path_utf8, "path_utf8")?) };
-        let loaded = load_image(Path::new(&path))?;
-        out.set(table::insert(context, Body::Image(Arc::new(loaded)))?);
-        Ok(SPIVCAL_OK)
+        keep(context, load_image(Path::new(&path))?, out)
     })
 }
 
@@ -108,8 +97,26 @@ pub extern "C" fn spivcal_image_destroy(image: u64) -> i32 {
     destroy(image, Kind::Image)
 }
 
-fn keep(context: u64, pixels: Pixels, width: u32, height: u32, out: Out<u64>) -> Outcome {
-    let image = GrayImage::new(pixels, width as usize, height as usize)?;
+/// Image of the samples of a caller, of whatever type.
+///
+/// # Safety
+/// `data` is null or every row of `width` samples can be read, `image` is null or can be written.
+unsafe fn create<T: Plain>(
+    context: u64,
+    data: *const T,
+    [width, height]: [u32; 2],
+    stride_bytes: u64,
+    image: *mut u64,
+    pixels_of: impl FnOnce(Vec<T>) -> Result<Pixels, Fault>,
+) -> i32 {
+    enter(context, Kind::Context, |_| {
+        // SAFETY: the contract of this function.
+        let (out, samples) = unsafe { (Out::new(image, "image")?, rows_of(data, width, height, stride_bytes)?) };
+        keep(context, GrayImage::new(pixels_of(samples)?, width as usize, height as usize)?, out)
+    })
+}
+
+fn keep(context: u64, image: GrayImage, out: Out<u64>) -> Outcome {
     out.set(table::insert(context, Body::Image(Arc::new(image)))?);
     Ok(SPIVCAL_OK)
 }

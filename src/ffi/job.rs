@@ -31,7 +31,6 @@ impl Work {
 
     fn run(&self, progress: &mut (dyn FnMut(Progress) -> bool + Send)) -> Result<CalibrationState, Fault> {
         let Task { job, .. } = &self.task;
-        super::results::refuse_window(job.cameras.iter().find(|c| c.window.is_some()).map(|c| c.name.as_str()))?;
         let source = |view: usize, camera: usize| self.task.image(view, camera);
         let (record, residuals) = match &self.known {
             Some(known) => {

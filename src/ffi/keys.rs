@@ -117,6 +117,23 @@ pub const SPIVCAL_CAMERA_HEIGHT_PX: i32 = 323;
 pub const SPIVCAL_CAMERA_OBSERVATIONS: i32 = 324;
 /// Pixel pitch as the rig description gives it, mm. No sigma.
 pub const SPIVCAL_CAMERA_PIXEL_PITCH_MM: i32 = 325;
+/// Unit normal of its flat window in the camera frame, away from the camera, x. SPIVCAL_ERROR_NOT_AVAILABLE, as for all keys of the
+/// window, where it looks through none. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
+pub const SPIVCAL_CAMERA_WINDOW_NORMAL_X: i32 = 331;
+/// The same, y. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
+pub const SPIVCAL_CAMERA_WINDOW_NORMAL_Y: i32 = 332;
+/// The same, z. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
+pub const SPIVCAL_CAMERA_WINDOW_NORMAL_Z: i32 = 333;
+/// From the projection centre to the glass along the normal, mm.
+pub const SPIVCAL_CAMERA_WINDOW_DISTANCE_MM: i32 = 334;
+/// Thickness of the glass, mm.
+pub const SPIVCAL_CAMERA_WINDOW_THICKNESS_MM: i32 = 335;
+/// Refractive index before the glass.
+pub const SPIVCAL_CAMERA_WINDOW_N_AIR: i32 = 336;
+/// Refractive index of the glass.
+pub const SPIVCAL_CAMERA_WINDOW_N_GLASS: i32 = 337;
+/// Refractive index behind the glass.
+pub const SPIVCAL_CAMERA_WINDOW_N_WATER: i32 = 338;
 
 // Keys of spivcal_calibration_number without index.
 
@@ -126,11 +143,11 @@ pub const SPIVCAL_BASELINE_MM: i32 = 401;
 pub const SPIVCAL_AXES_ANGLE_DEG: i32 = 402;
 /// Distance of the sheet from the first projection centre along the normal, mm.
 pub const SPIVCAL_SHEET_DISTANCE_MM: i32 = 411;
-/// Unit normal of the sheet in the rig frame, away from the first camera, x. Sigma: see SPIVCAL_ARRAY_SHEET_NORMAL_SIGMA.
+/// Unit normal of the sheet in the rig frame, away from the first camera, x. Sigma: see SPIVCAL_ARRAY_SHEET_NORMAL_SIGMA_RAD.
 pub const SPIVCAL_SHEET_NORMAL_X: i32 = 412;
-/// Unit normal of the sheet in the rig frame, away from the first camera, y. Sigma: see SPIVCAL_ARRAY_SHEET_NORMAL_SIGMA.
+/// Unit normal of the sheet in the rig frame, away from the first camera, y. Sigma: see SPIVCAL_ARRAY_SHEET_NORMAL_SIGMA_RAD.
 pub const SPIVCAL_SHEET_NORMAL_Y: i32 = 413;
-/// Unit normal of the sheet in the rig frame, away from the first camera, z. Sigma: see SPIVCAL_ARRAY_SHEET_NORMAL_SIGMA.
+/// Unit normal of the sheet in the rig frame, away from the first camera, z. Sigma: see SPIVCAL_ARRAY_SHEET_NORMAL_SIGMA_RAD.
 pub const SPIVCAL_SHEET_NORMAL_Z: i32 = 414;
 /// a of the plane a x + b y + c z = 1 in the rig frame, per mm.
 pub const SPIVCAL_SHEET_A_PER_MM: i32 = 415;
@@ -203,6 +220,8 @@ pub const SPIVCAL_VIEW_RADIUS1_MM: i32 = 475;
 pub const SPIVCAL_ARRAY_CAM_FROM_RIG: i32 = 501;
 /// Index: camera. Sigmas of a step R' = exp(dw) R, t' = exp(dw) t + dv: dw (rad) x, y, z, dv (mm) x, y, z: 6 doubles.
 pub const SPIVCAL_ARRAY_CAM_FROM_RIG_SIGMA: i32 = 502;
+/// Index: camera. Sigmas of the normal of its window about the x, y and z axes of the camera frame, rad: 3 doubles.
+pub const SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD: i32 = 503;
 /// Pose of the sheet frame, as SPIVCAL_ARRAY_CAM_FROM_RIG: 16 doubles.
 pub const SPIVCAL_ARRAY_RIG_FROM_SHEET: i32 = 511;
 /// Sigmas of the sheet's normal about the sheet's x and y axes, rad: 2 doubles.
@@ -274,3 +293,5 @@ pub const SPIVCAL_POINT_BEYOND_DISTORTION: i32 = 3;
 pub const SPIVCAL_POINT_NOT_FINITE: i32 = 4;
 /// The pixel's ray does not meet the sheet in front of the camera.
 pub const SPIVCAL_POINT_OFF_SHEET: i32 = 5;
+/// The camera looks through a window, and the point does not lie beyond it.
+pub const SPIVCAL_POINT_BEFORE_WINDOW: i32 = 6;

@@ -47,7 +47,8 @@ pub unsafe extern "C" fn spivcal_calibration_project(
 /// Rays of pixels.
 ///
 /// `u_px`, `v_px`: `count` doubles each, px. `dx`, `dy`, `dz`: receive `count` doubles each: unit directions in the rig frame, away from
-/// the camera. The rays begin at the projection centre: the translation of the inverse of SPIVCAL_ARRAY_CAM_FROM_RIG.
+/// the camera. The rays begin at the projection centre: the translation of the inverse of SPIVCAL_ARRAY_CAM_FROM_RIG. Of a camera
+/// behind a window they are the rays in the air, up to the glass: spivcal_calibration_sight_from_pixel says where they go on.
 /// NaN, `point_status` and status as in spivcal_calibration_project.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_calibration_unproject(
@@ -72,6 +73,45 @@ pub unsafe extern "C" fn spivcal_calibration_unproject(
         };
         map(count, pixels, rays, status, |[u, v]| {
             camera.ray_in_rig(&Vector2::new(u, v)).map(|d| [d.x, d.y, d.z]).map_err(refusal)
+        })
+    })
+}
+
+/// Lines on which pixels see the scene, for every camera: of one behind a window those in the water.
+///
+/// `u_px`, `v_px`: `count` doubles each, px. `x_mm`, `y_mm`, `z_mm`: receive `count` doubles each: a point of each line, mm, rig frame: the
+/// projection centre, or where the ray leaves the glass. `dx`, `dy`, `dz`: receive `count` doubles each: unit directions in the rig
+/// frame, away from the camera. NaN, `point_status` and status as in spivcal_calibration_project.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn spivcal_calibration_sight_from_pixel(
+    calibration: u64,
+    camera: u64,
+    count: u64,
+    u_px: *const f64,
+    v_px: *const f64,
+    x_mm: *mut f64,
+    y_mm: *mut f64,
+    z_mm: *mut f64,
+    dx: *mut f64,
+    dy: *mut f64,
+    dz: *mut f64,
+    point_status: *mut i32,
+) -> i32 {
+    on(calibration, camera, |camera| {
+        // SAFETY: the contract of the header.
+        let (pixels, lines, status) = unsafe {
+            let [x, y, z] =
+                [(x_mm, "x_mm"), (y_mm, "y_mm"), (z_mm, "z_mm")].map(|(p, name)| Filled::new(p, count, name));
+            let [dx, dy, dz] = [(dx, "dx"), (dy, "dy"), (dz, "dz")].map(|(p, name)| Filled::new(p, count, name));
+            (
+                [In::new(u_px, count, "u_px")?, In::new(v_px, count, "v_px")?],
+                [x?, y?, z?, dx?, dy?, dz?],
+                status_of(point_status, count),
+            )
+        };
+        map(count, pixels, lines, status, |[u, v]| {
+            let (p, d) = camera.sight_in_rig(&Vector2::new(u, v)).map_err(refusal)?;
+            Ok([p.x, p.y, p.z, d.x, d.y, d.z])
         })
     })
 }
@@ -172,8 +212,8 @@ unsafe fn status_of(to: *mut i32, count: u64) -> Option<Filled<i32>> {
 
 fn refusal(refusal: Refusal) -> i32 {
     match refusal {
-        // Calibrations with windows are refused, so no point lies before one.
-        Refusal::BehindCamera { .. } | Refusal::BeforeWindow { .. } => SPIVCAL_POINT_BEHIND_CAMERA,
+        Refusal::BehindCamera { .. } => SPIVCAL_POINT_BEHIND_CAMERA,
+        Refusal::BeforeWindow { .. } => SPIVCAL_POINT_BEFORE_WINDOW,
         Refusal::OffSensor => SPIVCAL_POINT_OFF_SENSOR,
         Refusal::BeyondDistortion { .. } => SPIVCAL_POINT_BEYOND_DISTORTION,
         Refusal::NotFinite => SPIVCAL_POINT_NOT_FINITE,

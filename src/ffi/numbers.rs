@@ -4,7 +4,7 @@ use super::abi::SPIVCAL_ERROR_NOT_AVAILABLE;
 use super::detection::unknown_key;
 use super::door::Fault;
 use super::keys::*;
-use crate::record::{Camera, Pose, PoseSigma, Record, Sheet, View};
+use crate::record::{Camera, Pose, PoseSigma, Record, Sheet, View, Window};
 use crate::report::{Level, verdict};
 
 /// A value and its standard deviation, NaN where there is none.
@@ -24,10 +24,17 @@ fn sheet_of(record: &Record) -> Result<&Sheet, Fault> {
     record.sheet.as_ref().ok_or_else(|| missing("sheet: no view was recorded in it (sheet = true)"))
 }
 
+fn window_of(camera: &Camera) -> Result<&Window, Fault> {
+    camera.window.as_ref().ok_or_else(|| missing(&format!("window before camera \"{}\"", camera.name)))
+}
+
 /// `spivcal_calibration_number`.
 pub(super) fn number(record: &Record, key: i32, index: u64) -> Number {
     match key {
         SPIVCAL_CAMERA_F_PX..=SPIVCAL_CAMERA_PIXEL_PITCH_MM => of_camera(one(&record.cameras, index, "camera")?, key),
+        SPIVCAL_CAMERA_WINDOW_NORMAL_X..=SPIVCAL_CAMERA_WINDOW_N_WATER => {
+            of_window(window_of(one(&record.cameras, index, "camera")?)?, key)
+        }
         SPIVCAL_BASELINE_MM | SPIVCAL_AXES_ANGLE_DEG => {
             let rig = record.rig.as_ref().ok_or_else(|| missing("second camera"))?;
             Ok(match key {
@@ -67,6 +74,21 @@ fn of_camera(c: &Camera, key: i32) -> Number {
         SPIVCAL_CAMERA_OBSERVATIONS => (c.observations as f64, NO_SIGMA),
         SPIVCAL_CAMERA_PIXEL_PITCH_MM => (c.pixel_pitch_mm.ok_or_else(|| missing("pixel pitch"))?, NO_SIGMA),
         _ => return Err(unknown_key("SPIVCAL_CAMERA_", key)),
+    })
+}
+
+fn of_window(w: &Window, key: i32) -> Number {
+    let s = &w.sigma;
+    Ok(match key {
+        SPIVCAL_CAMERA_WINDOW_NORMAL_X => (w.normal_in_cam[0], NO_SIGMA),
+        SPIVCAL_CAMERA_WINDOW_NORMAL_Y => (w.normal_in_cam[1], NO_SIGMA),
+        SPIVCAL_CAMERA_WINDOW_NORMAL_Z => (w.normal_in_cam[2], NO_SIGMA),
+        SPIVCAL_CAMERA_WINDOW_DISTANCE_MM => (w.distance_mm, s.distance_mm),
+        SPIVCAL_CAMERA_WINDOW_THICKNESS_MM => (w.thickness_mm, s.thickness_mm),
+        SPIVCAL_CAMERA_WINDOW_N_AIR => (w.n_air, s.n_air),
+        SPIVCAL_CAMERA_WINDOW_N_GLASS => (w.n_glass, s.n_glass),
+        SPIVCAL_CAMERA_WINDOW_N_WATER => (w.n_water, s.n_water),
+        _ => return Err(unknown_key("SPIVCAL_CAMERA_WINDOW_", key)),
     })
 }
 
@@ -156,6 +178,7 @@ pub(super) fn array(record: &Record, key: i32, index: u64) -> Result<Vec<f64>, F
     Ok(match key {
         SPIVCAL_ARRAY_CAM_FROM_RIG => matrix(&camera()?.cam_from_rig),
         SPIVCAL_ARRAY_CAM_FROM_RIG_SIGMA => steps(&camera()?.sigma.cam_from_rig),
+        SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD => window_of(camera()?)?.sigma.normal_rad.to_vec(),
         SPIVCAL_ARRAY_RIG_FROM_SHEET => matrix(&sheet_of(record)?.rig_from_sheet),
         SPIVCAL_ARRAY_SHEET_NORMAL_SIGMA_RAD => sheet_of(record)?.sigma.normal_rad.to_vec(),
         SPIVCAL_ARRAY_RIG_FROM_TARGET => {

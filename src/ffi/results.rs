@@ -5,7 +5,6 @@ use super::door::{Fault, Outcome};
 use super::memory::Out;
 use super::table::{self, Body, Kind, Object};
 use crate::dewarp::SheetMap;
-use crate::error::{Error, Invalid};
 use crate::record::{PlacedCamera, Record, ResidualTable};
 use crate::report::{Level, verdict};
 use std::sync::Arc;
@@ -21,21 +20,11 @@ pub(super) struct CalibrationState {
 
 impl CalibrationState {
     pub(super) fn new(record: Record, residuals: Option<ResidualTable>) -> Result<Self, Fault> {
-        refuse_window(record.cameras.iter().find(|c| c.window.is_some()).map(|c| c.name.as_str()))?;
         let cameras = record.placed_cameras()?;
         let with_sheet = if record.sheet.is_some() { cameras.len() } else { 0 };
         let maps = (0..with_sheet).map(|c| SheetMap::from_record(&record, c)).collect::<Result<_, _>>()?;
         Ok(Self { record, residuals, cameras, maps })
     }
-}
-
-/// Refuses a camera that looks through a window: the interface has neither its numbers nor its rays.
-pub(super) fn refuse_window(camera: Option<&str>) -> Result<(), Fault> {
-    let Some(name) = camera else { return Ok(()) };
-    let what = format!(
-        "camera \"{name}\" looks through a flat window, which this interface does not know yet; use the program spivcal, or calibrate without [camera.window]"
-    );
-    Err(Error::from(Invalid::Contradiction(what)).into())
 }
 
 /// Gives a calibration a handle; the status says whether it must be looked at.

@@ -82,13 +82,13 @@ impl Document {
     /// A table of the file, made where it is missing.
     pub(super) fn table(&mut self, key: &str) -> Result<&mut Table, Fault> {
         self.text = None;
-        let table = self.tables.entry(key).or_insert_with(|| Value::Table(Table::new()));
-        table.as_table_mut().ok_or_else(|| Fault::argument(format!("{key} is no table")))
+        within(&mut self.tables, key)
     }
 
     fn place(&mut self, place: Place, index: u64) -> Result<&mut Table, Fault> {
         match place {
             Place::Camera => self.entry("camera", index),
+            Place::Window => within(self.entry("camera", index)?, "window"),
             Place::View => self.entry("view", index),
             Place::Target | Place::Radius => self.table("target"),
             Place::Focus => self.table("focus"),
@@ -144,25 +144,25 @@ impl Document {
 
     /// `spivcal_rig_set_known`.
     pub(super) fn set_known(&mut self, camera: u64, parameter: i32, value: f64, sigma: f64) -> Result<(), Fault> {
-        let name = usize::try_from(parameter).ok().and_then(|p| PARAMETERS.get(p));
-        let name = *name.ok_or_else(|| super::detection::unknown_key("SPIVCAL_PARAMETER_", parameter))?;
+        let Some((_, place, name)) = PARAMETERS.into_iter().find(|p| p.0 == parameter) else {
+            return Err(super::detection::unknown_key("SPIVCAL_PARAMETER_", parameter));
+        };
         if !(value.is_finite() && sigma.is_finite() && sigma >= 0.0) {
             return Err(Fault::argument(format!(
                 "{name} = {value} with sigma {sigma}: expected a finite value and a finite sigma, 0 where the value is exact"
             )));
         }
-        let mut known = Table::new();
-        if sigma == 0.0 {
-            known.insert("fixed".into(), Value::Float(value));
-        } else {
-            known.insert("value".into(), Value::Float(value));
-            known.insert("sigma".into(), Value::Float(sigma));
-        }
-        let camera = self.entry("camera", camera)?;
-        let all = camera.entry("known").or_insert_with(|| Value::Table(Table::new()));
-        if let Some(all) = all.as_table_mut() {
-            all.insert(name.into(), Value::Table(known));
-        }
+        let number = |key: &str, number: f64| (key.to_string(), Value::Float(number));
+        let known = match place {
+            _ if sigma > 0.0 => Value::Table(Table::from_iter([number("value", value), number("sigma", sigma)])),
+            Place::Window => Value::Float(value),
+            _ => Value::Table(Table::from_iter([number("fixed", value)])),
+        };
+        let all = match place {
+            Place::Window => self.place(place, camera),
+            _ => within(self.place(place, camera)?, "known"),
+        };
+        all?.insert(name.into(), known);
         Ok(())
     }
 
@@ -235,4 +235,10 @@ impl Document {
         };
         entry().is_some()
     }
+}
+
+/// A table in a table, made where it is missing.
+fn within<'a>(outer: &'a mut Table, key: &str) -> Result<&'a mut Table, Fault> {
+    let inner = outer.entry(key).or_insert_with(|| Value::Table(Table::new()));
+    inner.as_table_mut().ok_or_else(|| Fault::argument(format!("{key} is no table")))
 }

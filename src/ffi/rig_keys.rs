@@ -6,6 +6,9 @@
 pub const SPIVCAL_RIG_CAMERA_PIXEL_PITCH_MM: i32 = 1;
 /// Index: camera. Nominal focal length of the lens, mm.
 pub const SPIVCAL_RIG_CAMERA_FOCAL_LENGTH_MM: i32 = 2;
+/// Index: camera. It looks through a flat window (see SPIVCAL_PARAMETER_WINDOW_DISTANCE_MM) that is parallel to the sheet with this
+/// standard deviation, degrees; default 1.
+pub const SPIVCAL_RIG_CAMERA_WINDOW_TILT_SIGMA_DEG: i32 = 3;
 /// Two discs: distance of the centres; grid: pitch; plate: pitch on one level, mm.
 pub const SPIVCAL_RIG_TARGET_SPACING_MM: i32 = 11;
 /// Index: disc (0 or 1; 0 for grids and plates). Radius, mm.
@@ -64,6 +67,17 @@ pub const SPIVCAL_PARAMETER_K2: i32 = 7;
 pub const SPIVCAL_PARAMETER_K3: i32 = 8;
 /// Exit over entrance pupil.
 pub const SPIVCAL_PARAMETER_PUPIL_RATIO: i32 = 9;
+/// The camera looks through a flat window between air and water: distance from the projection centre to the glass along its normal, mm.
+/// A camera with any parameter of a window needs this one.
+pub const SPIVCAL_PARAMETER_WINDOW_DISTANCE_MM: i32 = 20;
+/// Thickness of the glass of that window, mm; 0 where it is not stated.
+pub const SPIVCAL_PARAMETER_WINDOW_THICKNESS_MM: i32 = 21;
+/// Refractive index before the glass; 1 where it is not stated.
+pub const SPIVCAL_PARAMETER_WINDOW_N_AIR: i32 = 22;
+/// Refractive index of the glass; 1.5 where it is not stated.
+pub const SPIVCAL_PARAMETER_WINDOW_N_GLASS: i32 = 23;
+/// Refractive index behind the glass; 1.333 where it is not stated.
+pub const SPIVCAL_PARAMETER_WINDOW_N_WATER: i32 = 24;
 
 // Facts for spivcal_rig_set_scale.
 
@@ -81,6 +95,8 @@ pub const SPIVCAL_SCALE_TRAVERSE: i32 = 4;
 pub(super) enum Place {
     /// `[[camera]]`, by index.
     Camera,
+    /// `[camera.window]`, by index of the camera.
+    Window,
     /// `[target]`.
     Target,
     /// `radii_mm` of `[target]`, by index.
@@ -105,9 +121,10 @@ pub(super) enum Form {
 }
 
 /// Numbers: key of the interface, place and key of the rig file, form.
-pub(super) const NUMBERS: [(i32, Place, &str, Form); 12] = [
+pub(super) const NUMBERS: [(i32, Place, &str, Form); 13] = [
     (SPIVCAL_RIG_CAMERA_PIXEL_PITCH_MM, Place::Camera, "pixel_pitch_mm", Form::Real),
     (SPIVCAL_RIG_CAMERA_FOCAL_LENGTH_MM, Place::Camera, "focal_length_mm", Form::Real),
+    (SPIVCAL_RIG_CAMERA_WINDOW_TILT_SIGMA_DEG, Place::Window, "tilt_sigma_deg", Form::Real),
     (SPIVCAL_RIG_TARGET_SPACING_MM, Place::Target, "spacing_mm", Form::Real),
     (SPIVCAL_RIG_TARGET_RADIUS_MM, Place::Radius, "radii_mm", Form::Real),
     (SPIVCAL_RIG_TARGET_POINT_SIGMA_MM, Place::Target, "point_sigma_mm", Form::Real),
@@ -130,6 +147,21 @@ pub(super) const WORDS: [(i32, Place, &str); 6] = [
     (SPIVCAL_RIG_SOLVE_ESTIMATE, Place::Solve, "estimate"),
 ];
 
-/// Parameters of a camera in the order of their numbers.
-pub(super) const PARAMETERS: [&str; 10] =
-    ["f_px", "aspect", "cx_px", "cy_px", "alpha_deg", "beta_deg", "k1", "k2", "k3", "pupil_ratio"];
+/// Parameters: number of the interface, place and key of the rig file.
+pub(super) const PARAMETERS: [(i32, Place, &str); 15] = [
+    (SPIVCAL_PARAMETER_F_PX, Place::Camera, "f_px"),
+    (SPIVCAL_PARAMETER_ASPECT, Place::Camera, "aspect"),
+    (SPIVCAL_PARAMETER_CX_PX, Place::Camera, "cx_px"),
+    (SPIVCAL_PARAMETER_CY_PX, Place::Camera, "cy_px"),
+    (SPIVCAL_PARAMETER_ALPHA_DEG, Place::Camera, "alpha_deg"),
+    (SPIVCAL_PARAMETER_BETA_DEG, Place::Camera, "beta_deg"),
+    (SPIVCAL_PARAMETER_K1, Place::Camera, "k1"),
+    (SPIVCAL_PARAMETER_K2, Place::Camera, "k2"),
+    (SPIVCAL_PARAMETER_K3, Place::Camera, "k3"),
+    (SPIVCAL_PARAMETER_PUPIL_RATIO, Place::Camera, "pupil_ratio"),
+    (SPIVCAL_PARAMETER_WINDOW_DISTANCE_MM, Place::Window, "distance_mm"),
+    (SPIVCAL_PARAMETER_WINDOW_THICKNESS_MM, Place::Window, "thickness_mm"),
+    (SPIVCAL_PARAMETER_WINDOW_N_AIR, Place::Window, "n_air"),
+    (SPIVCAL_PARAMETER_WINDOW_N_GLASS, Place::Window, "n_glass"),
+    (SPIVCAL_PARAMETER_WINDOW_N_WATER, Place::Window, "n_water"),
+];

@@ -69,6 +69,7 @@ pub(super) fn see_all(
     }
     let images: Vec<SeenImage> = all.into_iter().collect::<Result<_>>()?;
     check_sizes(job, &images)?;
+    refuse_repeated(job, &images)?;
     Ok(images)
 }
 
@@ -106,6 +107,23 @@ fn check_sizes(job: &RigDescription, images: &[SeenImage]) -> Result<()> {
                 .into());
             }
         }
+    }
+    Ok(())
+}
+
+/// Refuses a picture that stands in two places: noise makes every exposure another one, so it is the same file twice. It would count
+/// as new evidence, and the standard deviations would come out too small.
+fn refuse_repeated(job: &RigDescription, images: &[SeenImage]) -> Result<()> {
+    for (k, second) in images.iter().enumerate() {
+        let Some(first) = images[..k].iter().find(|first| first.image == second.image) else { continue };
+        let place = |i: &SeenImage| format!("view {}, camera \"{}\" ({})", i.view, job.cameras[i.camera].name, i.name);
+        return Err(Insufficient::Degenerate(format!(
+            "{} and {} are one picture, equal to the last bit (views counted from 0): shown twice, it adds nothing; give each view \
+             and camera its own image, or leave the view out of the rig file",
+            place(first),
+            place(second)
+        ))
+        .into());
     }
     Ok(())
 }

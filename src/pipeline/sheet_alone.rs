@@ -132,8 +132,9 @@ fn held_cameras(job: &RigDescription, calibration: &Record) -> Result<HeldCamera
         return Err(mismatch(
             job,
             format!(
-                "camera \"{}\" of the calibration looks through a window, behind which the homography of the sheet does not hold; \
-                 mark the views in the sheet with sheet = true and calibrate them together, or use spivcal check",
+                "camera \"{}\" of the calibration looks through a window, behind which a plane is seen by no homography and tangents of discs are \
+                 not those of their images (refraction bends straight lines); mark the views in the sheet with sheet = true and calibrate them \
+                 together, which goes through glass and water exactly, or find the sheet on particles with spivcal check --refine",
                 c.name
             ),
         ));

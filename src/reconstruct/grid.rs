@@ -33,6 +33,8 @@ pub(super) struct Between {
     pub(super) variance: f64,
     /// Whether neighbours were missing and the order had to be lowered.
     pub(super) lowered: bool,
+    /// Squared change from one vector to the next, summed over both axes, unit of the field squared.
+    pub(super) unevenness: f64,
 }
 
 fn not_a_grid(table: &FieldTable, message: String) -> Error {
@@ -140,7 +142,7 @@ impl PlanarField {
         let linear = |t: f64| [0.0, 1.0 - t, t, 0.0];
         for (order, weights) in [(0, t.map(cubic)), (1, t.map(linear))] {
             if let Some((vector, variance)) = self.weighted(base, &weights) {
-                return Some(Between { vector, variance, lowered: order == 1 });
+                return Some(Between { vector, variance, lowered: order == 1, unevenness: self.unevenness(base, t) });
             }
         }
         let inside = (0..2).all(|a| snapped[a] >= 0.0 && snapped[a] <= (self.count[a] - 1) as f64);
@@ -173,7 +175,23 @@ impl PlanarField {
             variance += part * part;
         }
         // More than a measured vector's variance: extrapolated from one side.
-        (variance < 1.0).then_some(Between { vector, variance, lowered: true })
+        let unevenness = self.unevenness(base, t);
+        (variance < 1.0).then_some(Between { vector, variance, lowered: true, unevenness })
+    }
+
+    /// Squared change per vector about the nearest vector: half that from one neighbour to the other, or that to the one that is there.
+    fn unevenness(&self, base: [isize; 2], t: [f64; 2]) -> f64 {
+        let [i, j] = [0, 1].map(|a| base[a] + isize::from(t[a] >= 0.5));
+        let change = |di: isize, dj: isize| {
+            let (before, here, after) = (self.vector(i - di, j - dj), self.vector(i, j), self.vector(i + di, j + dj));
+            match (before, here, after) {
+                (Some(b), _, Some(a)) => 0.25 * (a - b).norm_squared(),
+                (Some(b), Some(h), None) => (h - b).norm_squared(),
+                (None, Some(h), Some(a)) => (a - h).norm_squared(),
+                _ => 0.0,
+            }
+        };
+        change(1, 0) + change(0, 1)
     }
 
     fn weighted(&self, base: [isize; 2], w: &[[f64; 4]; 2]) -> Option<(Vector2<f64>, f64)> {

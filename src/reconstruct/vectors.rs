@@ -1,10 +1,11 @@
 //! Three components at every point of a grid.
 
 use super::grid::{Between, PlanarField};
+use super::noise::Noise;
 use super::read::FieldUnit;
 use crate::dewarp::{SheetGrid, SheetMap};
 use crate::error::{Error, Insufficient, Invalid, Result};
-use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 use rayon::prelude::*;
 
 /// Where on its path a planar vector belongs.
@@ -31,8 +32,6 @@ pub mod flag {
 
 /// Residuals beyond this many sigmas are flagged.
 const RESIDUAL_SIGMAS: f64 = 5.0;
-/// Median of chi-square with one degree of freedom.
-const MEDIAN_CHI2: f64 = 0.454_936;
 /// Largest ratio of the sigma of w to that of u and v that still is a stereo arrangement.
 const WORST_GAIN: f64 = 1e3;
 
@@ -45,7 +44,8 @@ pub struct Options {
     pub dewarped: Option<SheetGrid>,
     /// Where on its path a vector belongs.
     pub reference: Reference,
-    /// Standard deviation of one component of a planar vector in the unit of the fields; estimated from the residuals where not given.
+    /// Standard deviation of one component of a planar vector in the unit of the fields (dewarped: geometric mean over the
+    /// directions), everywhere; estimated from the residuals, with its growth with the flow's gradient, where not given.
     pub sigma: Option<f64>,
     /// Distance of the vectors of the result, mm; that of the finer field where not given.
     pub spacing_mm: Option<f64>,
@@ -77,8 +77,11 @@ pub struct VectorField {
     pub residual_px: Vec<f64>,
     /// Bits of [`flag`].
     pub flags: Vec<u8>,
-    /// Standard deviation of a planar vector's component that was used, in the unit of the fields.
+    /// Standard deviation of a planar vector's component that was used, in the unit of the fields, where neighbours are alike; of dewarped
+    /// fields the geometric mean over the directions.
     pub sigma: f64,
+    /// Growth of that standard deviation with the change from vector to vector: `sqrt(sigma^2 + (sigma_by_gradient change)^2)`.
+    pub sigma_by_gradient: f64,
     /// Whether it was estimated from the residuals.
     pub sigma_estimated: bool,
 }
@@ -93,6 +96,16 @@ struct Solved {
     chi2: f64,
     residual_px: f64,
     lowered: bool,
+    /// Squared change of the planar vectors from one to the next, mean of both cameras, unit^2.
+    unevenness: f64,
+}
+
+/// A planar vector at a raw pixel.
+struct Here {
+    /// Displacement, raw px, with its relative variance.
+    between: Between,
+    /// From raw px, in which the noise is alike along x and y, to the unit of the field (geometric mean).
+    whiten: f64,
 }
 
 /// A field with what turns a raw pixel into a raw displacement.
@@ -114,13 +127,12 @@ impl Measured<'_> {
         }
     }
 
-    /// Displacement at a raw pixel, raw px, with its relative variance, and the matrix that takes raw px to the unit of the field, in which
-    /// its noise is the same along x and y.
-    fn at(&self, q: &Vector2<f64>) -> Option<(Between, Matrix2<f64>)> {
+    /// The planar vector at a raw pixel.
+    fn at(&self, q: &Vector2<f64>) -> Option<Here> {
         let [x, y] = self.place(q)?;
         let between = self.field.at(x, y)?;
         let scale = match self.options.unit {
-            FieldUnit::RawPixels => return Some((between, Matrix2::identity())),
+            FieldUnit::RawPixels => return Some(Here { between, whiten: 1.0 }),
             FieldUnit::Millimetres => Vector2::new(1.0, 1.0),
             FieldUnit::DewarpedPixels => self.options.dewarped.map(|g| Vector2::new(g.mm_per_px, -g.mm_per_px))?,
         };
@@ -132,7 +144,8 @@ impl Measured<'_> {
             Reference::Start => (p, p + d),
         };
         let image = |p: Vector2<f64>| self.nominal.project(&p.push(0.0));
-        Some((Between { vector: image(b)? - image(a)?, ..between }, hit.dxy_dq / scale.x))
+        let vector = image(b)? - image(a)?;
+        Some(Here { between: Between { vector, ..between }, whiten: hit.dxy_dq.determinant().abs().sqrt() / scale.x })
     }
 }
 
@@ -155,12 +168,12 @@ fn solve(maps: [&SheetMap; 2], measured: &[Measured; 2], p: &Vector2<f64>) -> Op
         for c in 0..2 {
             let (q1, j1) = maps[c].project_jet(&(p + d * ahead))?;
             let (q0, j0) = maps[c].project_jet(&(p - d * back))?;
-            let (between, whiten) = &seen[c];
+            let Here { between, whiten } = &seen[c];
             let weight = whiten / between.variance.sqrt();
             let left = between.vector - (q1 - q0);
             raw[c] = left.norm_squared();
-            rest.fixed_rows_mut::<2>(2 * c).copy_from(&(weight * left));
-            jacobian.fixed_rows_mut::<2>(2 * c).copy_from(&(weight * (j1 * ahead + j0 * back)));
+            rest.fixed_rows_mut::<2>(2 * c).copy_from(&(left * weight));
+            jacobian.fixed_rows_mut::<2>(2 * c).copy_from(&((j1 * ahead + j0 * back) * weight));
         }
         let covariance = jacobian.tr_mul(&jacobian).try_inverse()?;
         let step = covariance * jacobian.tr_mul(&rest);
@@ -169,13 +182,14 @@ fn solve(maps: [&SheetMap; 2], measured: &[Measured; 2], p: &Vector2<f64>) -> Op
             return None;
         }
         if step.norm() < 1e-10 * (1.0 + d.norm()) {
-            let lowered = seen.iter().any(|(s, _)| s.lowered);
+            let lowered = seen.iter().any(|s| s.between.lowered);
             return Some(Solved {
                 d_mm: d,
                 covariance,
                 chi2: rest.norm_squared(),
                 residual_px: (raw[0] + raw[1]).sqrt(),
                 lowered,
+                unevenness: 0.5 * seen.iter().map(|s| s.between.unevenness).sum::<f64>(),
             });
         }
     }
@@ -283,19 +297,18 @@ pub fn reconstruct(
     let n = grid.width_px * grid.height_px;
     let place = |i: usize| Vector2::from(grid.point_mm((i % grid.width_px) as f64, (i / grid.width_px) as f64));
     let solved: Vec<Option<Solved>> = (0..n).into_par_iter().map(|i| solve(maps, &measured, &place(i))).collect();
-    let mut chi2: Vec<f64> = solved.iter().flatten().map(|s| s.chi2).collect();
-    if chi2.is_empty() {
-        return Err(nothing(&measured, names).into());
-    }
-    chi2.sort_by(f64::total_cmp);
-    let estimate = (chi2[chi2.len() / 2] / MEDIAN_CHI2).sqrt();
-    let sigma = options.sigma.unwrap_or(estimate);
+    let (chi2, unevenness): (Vec<f64>, Vec<f64>) = solved.iter().flatten().map(|s| (s.chi2, s.unevenness)).unzip();
+    let noise = match (options.sigma, Noise::fit(&chi2, &unevenness)) {
+        (_, None) => return Err(nothing(&measured, names).into()),
+        (Some(sigma), _) => Noise::even(sigma),
+        (None, Some(noise)) => noise,
+    };
     let calibration = options.perturbed.as_ref().map(|p| calibration_variance(p, &measured, n, &place));
-    let mut out = VectorField::empty(grid, sigma, options.sigma.is_none());
+    let mut out = VectorField::empty(grid, &noise, options.sigma.is_none());
     for (i, s) in solved.iter().enumerate() {
         let missing = |c: usize| maps[c].project(&place(i).push(0.0)).and_then(|q| measured[c].at(&q)).is_none();
         let calibration = calibration.as_ref().map(|c| c[i]);
-        out.push(&place(i), s.as_ref(), || [missing(0), missing(1)], calibration);
+        out.push(&place(i), s.as_ref(), &noise, || [missing(0), missing(1)], calibration);
     }
     let worst = solved
         .iter()
@@ -348,7 +361,7 @@ fn calibration_variance(
 }
 
 impl VectorField {
-    fn empty(grid: SheetGrid, sigma: f64, sigma_estimated: bool) -> Self {
+    fn empty(grid: SheetGrid, noise: &Noise, sigma_estimated: bool) -> Self {
         let v = Vec::new;
         Self {
             grid,
@@ -361,7 +374,8 @@ impl VectorField {
             calibration_sigma_mm: [v(), v(), v()],
             residual_px: v(),
             flags: Vec::new(),
-            sigma,
+            sigma: noise.still.sqrt(),
+            sigma_by_gradient: noise.by_gradient.sqrt(),
             sigma_estimated,
         }
     }
@@ -370,6 +384,7 @@ impl VectorField {
         &mut self,
         p: &Vector2<f64>,
         s: Option<&Solved>,
+        noise: &Noise,
         missing: impl Fn() -> [bool; 2],
         calibration: Option<Vector3<f64>>,
     ) {
@@ -382,7 +397,7 @@ impl VectorField {
             list.push(value);
         }
         for a in 0..3 {
-            self.sigma_mm[a].push(s.map_or(nan, |s| self.sigma * s.covariance[(a, a)].sqrt()));
+            self.sigma_mm[a].push(s.map_or(nan, |s| (noise.variance(s.unevenness) * s.covariance[(a, a)]).sqrt()));
             if let Some(c) = calibration {
                 self.calibration_sigma_mm[a].push(if s.is_some() { c[a].sqrt() } else { nan });
             }
@@ -390,7 +405,7 @@ impl VectorField {
         self.residual_px.push(s.map_or(nan, |s| s.residual_px));
         self.flags.push(match s {
             Some(s) => {
-                let far = s.chi2.sqrt() > RESIDUAL_SIGMAS * self.sigma;
+                let far = s.chi2 > RESIDUAL_SIGMAS * RESIDUAL_SIGMAS * noise.variance(s.unevenness);
                 (flag::LOWERED * u8::from(s.lowered)) | (flag::RESIDUAL * u8::from(far))
             }
             None => {

@@ -42,6 +42,40 @@ impl DisparityMap {
     }
 }
 
+/// What a disparity map says about the sheet and the cameras, apart from the scatter of its windows.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Misalignment {
+    /// Median with its sign, along x and along y, px.
+    #[serde(with = "maybe_array")]
+    pub median_px: [f64; 2],
+    /// Standard deviation of these medians by the scatter of the windows, px.
+    #[serde(with = "maybe_array")]
+    pub median_sigma_px: [f64; 2],
+    /// Root mean square of the smooth (quadratic) part of the map, what scatter puts into it taken off: along the direction of depth (the
+    /// sheet), and across it (the cameras), px.
+    #[serde(with = "maybe_array")]
+    pub smooth_px: [f64; 2],
+    /// What scatter alone would show there, px.
+    #[serde(with = "maybe_array")]
+    pub smooth_noise_px: [f64; 2],
+    /// Scatter of single windows about the smooth part, along and across, px.
+    #[serde(with = "maybe_array")]
+    pub scatter_px: [f64; 2],
+}
+
+/// The light along the normal of the sheet that was found, as both cameras' images correlate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LightProfile {
+    /// Along z of the sheet that was found, mm.
+    pub z_mm: Vec<f64>,
+    /// Correlation, its maximum 1: the light's profile squared, broadened by the images of particles.
+    pub light: Vec<f64>,
+    /// Where it is brightest, mm.
+    pub top_mm: f64,
+    /// Centre of gravity, mm; apart from the top where the profile is skewed.
+    pub middle_mm: f64,
+}
+
 /// One round of the refinement.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CheckRound {
@@ -93,12 +127,26 @@ pub struct SheetCheck {
     /// Standard deviations of the tilts, degrees.
     #[serde(with = "maybe_array")]
     pub tilt_sigma_deg: [f64; 2],
+    /// The part of the offset's by the scatter of the windows, mm.
+    #[serde(with = "maybe")]
+    pub offset_sigma_windows_mm: f64,
+    /// The part of the tilts' by the scatter of the windows, degrees.
+    #[serde(with = "maybe_array")]
+    pub tilt_sigma_windows_deg: [f64; 2],
+    /// Whether the standard deviations hold the calibration's covariance; not where it states none, or does not determine them.
+    pub sigmas_hold_calibration: bool,
     /// Standard deviation of a window's disparity about the fit, px.
     #[serde(with = "maybe")]
     pub window_sigma_px: f64,
-    /// Root mean square disparity across the direction of depth, px: errors of the cameras, not of the sheet.
+    /// Root mean square disparity across the direction of depth, px: errors of the cameras, and scatter.
     #[serde(with = "maybe")]
     pub across_rms_px: f64,
+    /// The sheet that was checked, apart from the scatter of its windows.
+    pub misalignment_before: Misalignment,
+    /// The corrected sheet, where it was asked for.
+    pub misalignment_after: Option<Misalignment>,
+    /// The light along the normal of the sheet that was found.
+    pub profile: Option<LightProfile>,
     /// Full width of the light's profile at 1/e^2, mm; unknown where the peak is no wider than the particles.
     #[serde(with = "maybe")]
     pub thickness_mm: f64,

@@ -2,7 +2,7 @@
 
 use super::number::{measured, nice_below, plain, significant, with_unit};
 use super::svg::{escape, label, line, open, path, path_data};
-use crate::record::{DisparityMap, SheetCheck};
+use crate::record::{DisparityMap, LightProfile, SheetCheck};
 use std::fmt::Write;
 
 /// Width of a map, px of the page.
@@ -48,16 +48,21 @@ fn verdict(out: &mut String, check: &SheetCheck) {
         _ if !check.flags.is_empty() => ("care", "Care.", check.flags.join(" · ")),
         Some(after) => {
             let words = format!(
-                "The sheet was corrected: median disparity {} px before, {} px after.",
+                "The sheet was corrected: median disparity {} px before, {} px after. {}",
                 plain(before, 3),
-                plain(after.median_px(), 2)
+                plain(after.median_px(), 2),
+                left_over(check)
             );
             ("good", "Good.", words)
         }
         None => (
             "good",
             "Good.",
-            format!("The light is in the calibrated sheet: median disparity {} px.", plain(before, 2)),
+            format!(
+                "The light is in the calibrated sheet: median disparity {} px. {}",
+                plain(before, 2),
+                left_over(check)
+            ),
         ),
     };
     let _ = writeln!(
@@ -65,6 +70,26 @@ fn verdict(out: &mut String, check: &SheetCheck) {
         "<section class=\"verdict {class}\"><p class=\"headline\"><b>{word}</b> {}</p></section>",
         escape(&words)
     );
+}
+
+/// What of the disparities is the sheet's, and what is scatter.
+fn left_over(check: &SheetCheck) -> String {
+    let m = check.misalignment_after.as_ref().unwrap_or(&check.misalignment_before);
+    let part = |a: usize| {
+        let beside = plain(m.smooth_noise_px[a], 2);
+        match m.smooth_px[a] {
+            s if s > 2.0 * m.smooth_noise_px[a] => format!("{} px (scatter alone gives {beside})", plain(s, 2)),
+            s if s.is_finite() => format!("no more than scatter gives ({beside} px)"),
+            _ => "too few windows to tell".into(),
+        }
+    };
+    format!(
+        "Left smooth over the field: along the direction of depth {}, across it {}. Single windows scatter by {} and {} px.",
+        part(0),
+        part(1),
+        plain(m.scatter_px[0], 2),
+        plain(m.scatter_px[1], 2)
+    )
 }
 
 fn row(out: &mut String, name: &str, value: &str) {
@@ -78,17 +103,30 @@ fn sheet_table(out: &mut String, c: &SheetCheck) {
     row(out, &at, &with_unit(c.offset_mm, c.offset_sigma_mm, "mm"));
     row(out, "tilt about x", &with_unit(c.tilt_deg[0], c.tilt_sigma_deg[0], "°"));
     row(out, "tilt about y", &with_unit(c.tilt_deg[1], c.tilt_sigma_deg[1], "°"));
-    let mean = c.after.as_ref().unwrap_or(&c.before).mean_px();
     row(
         out,
-        "mean disparity left, x and y",
-        &format!("{} and {} px", significant(mean[0], 2), significant(mean[1], 2)),
+        "of these sigmas, by the scatter of the windows",
+        &format!(
+            "{} mm, {}° and {}°",
+            plain(c.offset_sigma_windows_mm, 2),
+            plain(c.tilt_sigma_windows_deg[0], 2),
+            plain(c.tilt_sigma_windows_deg[1], 2)
+        ),
     );
-    row(out, "scatter of a window about the plane", &format!("{} px", plain(c.window_sigma_px, 2)));
+    let m = c.misalignment_after.as_ref().unwrap_or(&c.misalignment_before);
+    row(out, "median disparity left along x", &with_unit(m.median_px[0], m.median_sigma_px[0], "px"));
+    row(out, "median disparity left along y", &with_unit(m.median_px[1], m.median_sigma_px[1], "px"));
+    for (a, name) in ["along the direction of depth (the sheet)", "across it (the cameras)"].iter().enumerate() {
+        row(
+            out,
+            &format!("smooth disparity left {name}, root mean square"),
+            &format!("{} px; scatter alone gives {} px", plain(m.smooth_px[a], 2), plain(m.smooth_noise_px[a], 2)),
+        );
+    }
     row(
         out,
-        "disparity across the direction of depth (root mean square)",
-        &format!("{} px", plain(c.across_rms_px, 2)),
+        "scatter of single windows along the direction of depth, and across it",
+        &format!("{} and {} px", plain(m.scatter_px[0], 2), plain(m.scatter_px[1], 2)),
     );
     let thickness = if c.thickness_mm.is_finite() {
         format!("{} mm (full width at 1/e²)", plain(c.thickness_mm, 2))
@@ -96,16 +134,77 @@ fn sheet_table(out: &mut String, c: &SheetCheck) {
         "thinner than the particle images can show".into()
     };
     row(out, "thickness of the light", &thickness);
+    if let Some(p) = &c.profile {
+        row(
+            out,
+            "the light is brightest, and has its centre of gravity, from the plane found at z =",
+            &format!("{} and {} mm", plain(p.top_mm, 2), plain(p.middle_mm, 2)),
+        );
+    }
     row(
         out,
         "the coarse plane stands out from chance by",
         &format!("{} standard deviations", plain(c.significance, 3)),
     );
-    out.push_str(
-        "</tbody></table></div>\n<p class=\"note\">z of the sheet frame points towards the first camera. Sigmas are those of the scatter of the \
-         windows with the cameras held; the cameras' own uncertainty is in the calibration. A disparity across the direction of depth \
-         is no matter of the sheet: it shows errors of the cameras.</p>\n",
+    let held = if c.sigmas_hold_calibration {
+        "Sigmas hold the scatter of the windows and the calibration's covariance."
+    } else {
+        "Sigmas are those of the scatter of the windows alone: the calibration states no covariance for what they need."
+    };
+    let _ = write!(
+        out,
+        "</tbody></table></div>\n<p class=\"note\">z of the sheet frame points towards the first camera. {held} A window holds few particles, \
+         which lie anywhere in the thickness of the light, so that it scatters along the direction of depth in the right sheet, too: by the light's \
+         depth over the root of the number of particles. The median length of the arrows tells that; the smooth part and the medians with their signs \
+         tell how far the sheet is off. A smooth disparity across the direction of depth is no matter of the sheet: it shows errors of the \
+         cameras.</p>\n"
     );
+    if let Some(p) = &c.profile {
+        profile_figure(out, p);
+    }
+}
+
+/// The light along the normal.
+fn profile_figure(out: &mut String, p: &LightProfile) {
+    let lit = || (0..p.z_mm.len()).filter(|i| p.light[*i] > 0.02);
+    let reach = lit().map(|i| (p.z_mm[i] - p.top_mm).abs()).fold(0.0, f64::max).min(4.0 * width_mm(p)).max(1e-6);
+    let (low, high) = (p.top_mm - reach, p.top_mm + reach);
+    let (width, height) = (MAP_PX, 190.0);
+    let place = |z: f64, l: f64| {
+        [MARGIN_PX + (z - low) / (high - low) * (width - 2.0 * MARGIN_PX), height - 34.0 - 130.0 * l.max(0.0)]
+    };
+    let mut svg = open(width, height, "The light along the normal of the sheet");
+    let points = (0..p.z_mm.len()).filter(|i| (low..=high).contains(&p.z_mm[*i])).map(|i| place(p.z_mm[i], p.light[i]));
+    let ends = [place(high, 0.0), place(low, 0.0)];
+    path(&mut svg, "sheet", &path_data(points.chain(ends), true));
+    line(&mut svg, "axis", place(low, 0.0), place(high, 0.0));
+    for (z, class) in [(0.0, "axis"), (p.top_mm, "grid"), (p.middle_mm, "grid")] {
+        line(&mut svg, class, place(z, 0.0), place(z, 1.05));
+    }
+    let step = nice_below(0.5 * (high - low));
+    for k in -4..=4 {
+        let z = f64::from(k) * 0.5 * step;
+        if z > low && z < high {
+            let [x, y] = place(z, 0.0);
+            label(&mut svg, "tick", [x, y + 16.0], "middle", &plain(z, 3).replace('-', "−"));
+        }
+    }
+    label(&mut svg, "tick", [width - MARGIN_PX, height - 4.0], "end", "z, mm");
+    svg.push_str("</svg>");
+    let _ = writeln!(
+        out,
+        "<div class=\"two\"><figure>{svg}<figcaption><b>The light along the normal</b> of the plane found (z = 0), as both cameras' images correlate, all windows \
+         together; brightest at {} mm, centre of gravity at {} mm. Where the two are apart, the place of the light is no better defined than \
+         that.</figcaption></figure></div>",
+        plain(p.top_mm, 2).replace('-', "−"),
+        plain(p.middle_mm, 2).replace('-', "−")
+    );
+}
+
+/// Full width at half of the maximum, mm.
+fn width_mm(p: &LightProfile) -> f64 {
+    let step = p.z_mm.get(1).map_or(0.0, |z| z - p.z_mm[0]);
+    step * p.light.iter().filter(|l| **l > 0.5).count() as f64
 }
 
 fn map_figure(out: &mut String, map: &DisparityMap, title: &str, check: &SheetCheck) {

@@ -1,7 +1,7 @@
 //! Rows of numbers with their standard deviations, for the text and for the HTML alike.
 
 use super::number::{plain, with_unit};
-use crate::record::{Camera, Known, Record, Sheet, SheetSigma};
+use crate::record::{Camera, Known, Record, Sheet, SheetSigma, Window};
 
 /// A number as it is shown, and how it is known.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -82,6 +82,69 @@ const QUANTITIES: [Quantity; 10] = [
 
 const DEG: f64 = 180.0 / std::f64::consts::PI;
 
+/// Layers of a window: name, key, unit, how to get it.
+const LAYERS: [(&str, &str, &str, fn(&Window) -> (f64, f64)); 5] = [
+    ("window, distance", "distance_mm", "mm", |w| (w.distance_mm, w.sigma.distance_mm)),
+    ("window, thickness", "thickness_mm", "mm", |w| (w.thickness_mm, w.sigma.thickness_mm)),
+    ("window, index before it", "n_air", "", |w| (w.n_air, w.sigma.n_air)),
+    ("window, index of the glass", "n_glass", "", |w| (w.n_glass, w.sigma.n_glass)),
+    ("window, index behind it", "n_water", "", |w| (w.n_water, w.sigma.n_water)),
+];
+
+/// Turn of a window's normal against the lens axis about the camera's x (`axis` 0) or y, rad, with its standard deviation by the
+/// covariance of its turns w: `dn = w x n`.
+fn window_turn(record: &Record, camera: &Camera, w: &Window, axis: usize) -> (f64, f64) {
+    let [x, y, z] = w.normal_in_cam;
+    let by = |first: [f64; 3], last: [f64; 3], a: f64, sign: f64| {
+        let gradient: [f64; 3] = std::array::from_fn(|k| sign * (first[k] * z - a * last[k]) / (a * a + z * z));
+        gradient
+    };
+    let dz = [y, -x, 0.0];
+    let (value, gradient) = if axis == 0 {
+        ((-y).atan2(z), by([-z, 0.0, x], dz, y, -1.0))
+    } else {
+        (x.atan2(z), by([0.0, z, -y], dz, x, 1.0))
+    };
+    let c = &record.covariance;
+    let rows = ["rx_rad", "ry_rad", "rz_rad"].map(|k| c.index(&format!("{}.window.{k}", camera.name)));
+    let [Some(a), Some(b), Some(d)] = rows else { return (value, f64::NAN) };
+    let rows = [a, b, d];
+    let variance: f64 = (0..9).map(|i| gradient[i / 3] * gradient[i % 3] * c.matrix[rows[i / 3]][rows[i % 3]]).sum();
+    (value, variance.max(0.0).sqrt())
+}
+
+/// What stands before the cameras; nothing where no camera looks through a window.
+fn windows(record: &Record, table: &mut Table) {
+    if record.cameras.iter().all(|c| c.window.is_none()) {
+        return;
+    }
+    let none = || cell("no window");
+    for (name, key, unit, get) in LAYERS {
+        let cells = record.cameras.iter().map(|c| {
+            let Some(w) = &c.window else { return none() };
+            let ((value, sigma), key) = (get(w), format!("{}.window.{key}", c.name));
+            let told = note(record, &key);
+            let held = told.is_empty() && sigma == 0.0;
+            Cell {
+                text: with_unit(value, sigma, unit),
+                note: if held { "held".into() } else { told },
+                strong: prior_share(record, &key) > 0.5,
+            }
+        });
+        table.row(name, cells.collect());
+    }
+    for (axis, name) in ["window, turned about x", "window, turned about y"].iter().enumerate() {
+        let cells = record.cameras.iter().map(|c| {
+            let turn = |w: &Window| {
+                let (value, sigma) = window_turn(record, c, w, axis);
+                cell(with_unit(value * DEG, sigma * DEG, "°"))
+            };
+            c.window.as_ref().map_or_else(none, turn)
+        });
+        table.row(name, cells.collect());
+    }
+}
+
 /// Interior of all cameras, one column each.
 pub(super) fn cameras(record: &Record) -> Table {
     let mut table = Table { heads: record.cameras.iter().map(|c| c.name.clone()).collect(), rows: Vec::new() };
@@ -95,6 +158,7 @@ pub(super) fn cameras(record: &Record) -> Table {
         });
         table.row(name, cells.collect());
     }
+    windows(record, &mut table);
     let effective: [(&str, Get); 3] = [
         ("effective f", |c| (c.effective.f_px, c.sigma.effective.f_px)),
         ("effective cx", |c| (c.effective.cx_px, c.sigma.effective.cx_px)),

@@ -63,10 +63,18 @@ pub(super) fn refuse_contradictions(
         root.find(key).map_or_else(|| root.refuse(&message), |item| item.refuse(&message))
     };
     if solve.observations == Observations::Bitangent {
-        return Err(refuse("solve", "behind which discs have no ellipses as images; take observations = \"contour\""));
+        return Err(refuse(
+            "solve",
+            "behind which common tangents of two discs are not tangents of their images (refraction bends straight lines), so that bitangent features have \
+             no place on the target; take observations = \"contour\", which goes through glass and water exactly",
+        ));
     }
     if root.find("focus").is_some() {
-        return Err(refuse("focus", "behind which the focus relation does not hold; remove [focus]"));
+        return Err(refuse(
+            "focus",
+            "and the focus relation is that of a thin lens in one medium: behind glass and water the plane in focus is not a plane, and its tilt hangs \
+             on the window that is to be found; remove [focus]: the views in the sheet or along a traverse, which a window needs, tell what it would",
+        ));
     }
     if !views.iter().any(|v| v.sheet || v.plane_z_mm.is_some()) {
         return Err(refuse(

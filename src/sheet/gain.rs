@@ -174,15 +174,8 @@ impl StereoSheet {
 
     /// A change small enough to be straight and large enough to be felt.
     fn step_of(&self, parameter: Parameter) -> f64 {
-        let distance_mm = self.rig_from_sheet.translation_mm.norm();
-        let pose = |k: usize| if k < 3 { 1e-5 } else { 1e-5 * distance_mm };
-        match parameter {
-            Parameter::Intrinsic(c, 0 | 2 | 3) => 1e-5 * self.cameras[c].intrinsics().f_px,
-            Parameter::Intrinsic(_, 6..=8) => 1e-3,
-            Parameter::Window(_, 3 | 4) => 1e-5 * distance_mm,
-            Parameter::Intrinsic(..) | Parameter::Window(..) => 1e-5,
-            Parameter::Motion(k) | Parameter::Sheet(k) => pose(k),
-        }
+        let f_px = self.cameras.each_ref().map(|c| c.intrinsics().f_px);
+        parameter.step(f_px, self.rig_from_sheet.translation_mm.norm())
     }
 }
 

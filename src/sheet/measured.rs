@@ -3,15 +3,15 @@
 use super::{Placement, SheetEstimate, plane_geometry, sigmas};
 use crate::frames::{Rig, Sheet};
 use crate::rigid::Motion;
-use nalgebra::{Matrix3, SMatrix, Vector3, Vector4};
+use nalgebra::{Matrix6, SMatrix, Vector3, Vector4};
 
 impl SheetEstimate {
-    /// The sheet `z = a + b x + c y` of an older sheet's frame, with the covariance of (a, b, c) (mm, 1, 1); `second_center_mm` is
-    /// the second projection centre in the rig frame. Cameras and older frame are held; the new frame is placed as the older one was.
+    /// The sheet `z = a + b x + c y` of an older sheet's frame, with the covariance of (a, b, c) (mm, 1, 1) and of
+    /// `second_center_mm`, the second projection centre in the rig frame (mm). The older frame is held; the new one is placed as it was.
     pub fn from_plane(
         rig_from_older: &Motion<Rig, Sheet>,
         abc: &Vector3<f64>,
-        covariance: &Matrix3<f64>,
+        covariance: &Matrix6<f64>,
         second_center_mm: Option<Vector3<f64>>,
     ) -> Self {
         // Normal away from the first camera, and distance.
@@ -30,9 +30,11 @@ impl SheetEstimate {
             moved[(3, k)] = d.w;
         }
         let geometry = plane_geometry(n, at.w, second_center_mm, &Placement::of_frame(rig_from_older));
-        let by_plane = geometry.derivative.fixed_columns::<4>(0) * moved;
+        let mut by = SMatrix::<f64, 10, 6>::zeros();
+        by.fixed_columns_mut::<3>(0).copy_from(&(geometry.derivative.fixed_columns::<4>(0) * moved));
+        by.fixed_columns_mut::<3>(3).copy_from(&geometry.derivative.fixed_columns::<3>(4));
         let mut estimate = geometry.estimate;
-        estimate.sigmas = sigmas(&(by_plane * covariance * by_plane.transpose()));
+        estimate.sigmas = sigmas(&(by * covariance * by.transpose()));
         estimate
     }
 }
@@ -48,24 +50,33 @@ mod tests {
         let older = Motion::<Rig, Sheet>::new(turn, Vector3::new(5.0, -3.0, 450.0));
         let abc = Vector3::new(-0.7, 0.03, -0.02);
         let sigma = Vector3::new(0.01, 2e-4, 3e-4);
-        let covariance = Matrix3::from_diagonal(&sigma.map(|s| s * s));
-        let center = Some(Vector3::new(500.0, 10.0, 120.0));
-        let e = SheetEstimate::from_plane(&older, &abc, &covariance, center);
+        let center_sigma = Vector3::new(0.5, 0.2, 0.9);
+        let mut covariance = Matrix6::zeros();
+        (0..3).for_each(|k| covariance[(k, k)] = sigma[k] * sigma[k]);
+        (0..3).for_each(|k| covariance[(k + 3, k + 3)] = center_sigma[k] * center_sigma[k]);
+        let center = Vector3::new(500.0, 10.0, 120.0);
+        let e = SheetEstimate::from_plane(&older, &abc, &covariance, Some(center));
         assert!(e.distance_mm > 0.0 && e.normal.z > 0.0);
         for (x, y) in [(0.0, 0.0), (10.0, 3.0), (-4.0, 20.0)] {
             let p = older.apply(&Vector3::new(x, y, abc.x + abc.y * x + abc.z * y));
             assert!((e.normal.dot(&p) - e.distance_mm).abs() < 1e-10);
         }
-        let mut distance = 0.0;
-        let mut normal = 0.0;
-        for k in 0..3 {
-            let mut step = Vector3::zeros();
-            step[k] = sigma[k];
-            let side = |s: f64| SheetEstimate::from_plane(&older, &(abc + step * s), &covariance, center);
+        let (mut distance, mut normal, mut angle) = (0.0, 0.0, 0.0);
+        for k in 0..6 {
+            let (mut step, mut shift) = (Vector3::zeros(), Vector3::zeros());
+            if k < 3 {
+                step[k] = sigma[k];
+            } else {
+                shift[k - 3] = center_sigma[k - 3];
+            }
+            let side =
+                |s: f64| SheetEstimate::from_plane(&older, &(abc + step * s), &covariance, Some(center + shift * s));
             let (p, m) = (side(1.0), side(-1.0));
             distance += ((p.distance_mm - m.distance_mm) / 2.0).powi(2);
             normal += ((p.normal - m.normal) / 2.0).norm_squared();
+            angle += ((p.angle_to_baseline_rad - m.angle_to_baseline_rad) / 2.0).powi(2);
         }
+        assert!((e.sigmas[9] / angle.sqrt() - 1.0).abs() < 1e-3, "{} {}", e.sigmas[9], angle.sqrt());
         assert!((e.sigmas[0] / distance.sqrt() - 1.0).abs() < 1e-3, "{} {}", e.sigmas[0], distance.sqrt());
         assert!((e.sigmas[1].hypot(e.sigmas[2]) / normal.sqrt() - 1.0).abs() < 1e-3);
     }

@@ -39,6 +39,20 @@ impl Parameter {
     }
 }
 
+impl Parameter {
+    /// A change small enough to be straight and large enough to be felt, for cameras with these image distances and a sheet this far away.
+    pub(crate) fn step(self, f_px: [f64; 2], distance_mm: f64) -> f64 {
+        match self {
+            Parameter::Intrinsic(c, 0 | 2 | 3) => 1e-5 * f_px[c],
+            Parameter::Intrinsic(_, 6..=8) => 1e-3,
+            Parameter::Window(_, 3 | 4) => 1e-5 * distance_mm,
+            Parameter::Intrinsic(..) | Parameter::Window(..) => 1e-5,
+            Parameter::Motion(k) | Parameter::Sheet(k) if k < 3 => 1e-5,
+            Parameter::Motion(_) | Parameter::Sheet(_) => 1e-5 * distance_mm,
+        }
+    }
+}
+
 /// The camera after a change of one intrinsic; `None` where there is no such camera.
 pub(crate) fn stepped_camera(camera: &Camera, k: usize, h: f64) -> Option<Camera> {
     let old = camera.intrinsics();

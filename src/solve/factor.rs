@@ -8,19 +8,95 @@ fn borrowed(m: &DMatrix<f64>) -> MatRef<'_, f64> {
     MatRef::from_column_major_slice(m.as_slice(), m.nrows(), m.ncols())
 }
 
+/// Size up to which the factor is formed by plain loops; beyond, faer's blocked code is faster than its call is dear.
+const SMALL: usize = 48;
+
+/// Writes the lower Cholesky factor of the n x n matrix in `l` (column by column, its lower triangle is read) over it; false
+/// where it is not positive definite.
+pub(super) fn factorise(l: &mut [f64], n: usize) -> bool {
+    for j in 0..n {
+        let (done, rest) = l.split_at_mut(j * n);
+        let column = &mut rest[j..n];
+        for k in 0..j {
+            let left = &done[k * n + j..(k + 1) * n];
+            let factor = left[0];
+            column.iter_mut().zip(left).for_each(|(c, x)| *c -= factor * x);
+        }
+        if !(column[0] > 0.0 && column[0].is_finite()) {
+            return false;
+        }
+        let inverse = 1.0 / column[0].sqrt();
+        column.iter_mut().for_each(|c| *c *= inverse);
+    }
+    true
+}
+
+/// `L^-1 x` in place.
+pub(super) fn forward(l: &[f64], x: &mut [f64]) {
+    let n = x.len();
+    for k in 0..n {
+        let column = &l[k * n + k..(k + 1) * n];
+        let (head, tail) = x[k..].split_at_mut(1);
+        head[0] /= column[0];
+        tail.iter_mut().zip(&column[1..]).for_each(|(t, c)| *t -= head[0] * c);
+    }
+}
+
+/// `L^-T x` in place.
+pub(super) fn backward(l: &[f64], x: &mut [f64]) {
+    let n = x.len();
+    for k in (0..n).rev() {
+        let column = &l[k * n + k..(k + 1) * n];
+        let (head, tail) = x[k..].split_at_mut(1);
+        let sum: f64 = tail.iter().zip(&column[1..]).map(|(t, c)| t * c).sum();
+        head[0] = (head[0] - sum) / column[0];
+    }
+}
+
 /// Cholesky factor of a symmetric positive definite matrix (its lower triangle is read).
 #[derive(Debug)]
-pub(super) struct Cholesky(Llt<f64>);
+pub(super) enum Cholesky {
+    Small(DMatrix<f64>),
+    Large(Llt<f64>),
+}
 
 impl Cholesky {
     /// `None` where the matrix is not positive definite.
     pub(super) fn of(m: &DMatrix<f64>) -> Option<Self> {
-        Llt::new(borrowed(m), Side::Lower).ok().map(Cholesky)
+        if m.nrows() <= SMALL {
+            let mut l = m.clone();
+            return factorise(l.as_mut_slice(), m.nrows()).then_some(Cholesky::Small(l));
+        }
+        Llt::new(borrowed(m), Side::Lower).ok().map(Cholesky::Large)
     }
     /// Solution of `m x = rhs` for all columns.
     pub(super) fn solve(&self, rhs: &DMatrix<f64>) -> DMatrix<f64> {
-        let x = self.0.solve(borrowed(rhs));
-        DMatrix::from_fn(rhs.nrows(), rhs.ncols(), |i, j| x[(i, j)])
+        match self {
+            Cholesky::Small(l) => {
+                let mut out = rhs.clone();
+                let n = l.nrows().max(1);
+                for x in out.as_mut_slice().chunks_exact_mut(n) {
+                    forward(l.as_slice(), x);
+                    backward(l.as_slice(), x);
+                }
+                out
+            }
+            Cholesky::Large(l) => {
+                let x = l.solve(borrowed(rhs));
+                DMatrix::from_fn(rhs.nrows(), rhs.ncols(), |i, j| x[(i, j)])
+            }
+        }
+    }
+    /// `rhs^T m^-1 rhs`.
+    pub(super) fn square(&self, rhs: &DVector<f64>) -> f64 {
+        match self {
+            Cholesky::Small(l) => {
+                let mut x = rhs.clone();
+                forward(l.as_slice(), x.as_mut_slice());
+                x.norm_squared()
+            }
+            Cholesky::Large(_) => rhs.dot(&self.solve_vector(rhs)).max(0.0),
+        }
     }
     /// Solution for one right-hand side.
     pub(super) fn solve_vector(&self, rhs: &DVector<f64>) -> DVector<f64> {
@@ -60,6 +136,28 @@ pub fn symmetric_eigen(m: &DMatrix<f64>) -> Option<SymmetricEigen> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Both codes on the same matrices, on either side of the border.
+    #[test]
+    fn plain_loops_and_faer_agree() {
+        for n in [1, 2, 7, SMALL, SMALL + 1] {
+            let root = DMatrix::from_fn(n, n, |i, j| ((i * 7 + j * 13) as f64).sin() + if i == j { 3.0 } else { 0.0 });
+            let a = &root * root.transpose();
+            let rhs = DMatrix::from_fn(n, 3, |i, j| (i as f64 - 0.3 * j as f64).cos());
+            let faer = Llt::new(borrowed(&a), Side::Lower).ok().map(Cholesky::Large).unwrap().solve(&rhs);
+            let mut l = a.clone();
+            // The upper triangle is not read.
+            (0..n).for_each(|j| (0..j).for_each(|i| l[(i, j)] = f64::NAN));
+            assert!(factorise(l.as_mut_slice(), n));
+            let plain = Cholesky::Small(l).solve(&rhs);
+            assert!((&plain - &faer).norm() < 1e-11 * faer.norm(), "{n}");
+            assert!((&a * Cholesky::of(&a).unwrap().solve(&rhs) - &rhs).norm() < 1e-10);
+            let mut flat = a - DMatrix::identity(n, n) * 1e6;
+            assert!(!factorise(flat.as_mut_slice(), n));
+            flat.fill(f64::NAN);
+            assert!(!factorise(flat.as_mut_slice(), n));
+        }
+    }
 
     #[test]
     fn cholesky_and_eigen_agree_with_the_matrix() {

@@ -6,8 +6,8 @@
 //! free of units. Rounding leaves about 1e-15 in an exactly flat direction.
 
 use super::NormalEquations;
-use super::factor::{Cholesky, symmetric_eigen};
-use super::reduced::{Ridge, damped, eliminate};
+use super::factor::symmetric_eigen;
+use super::reduced::{Ridge, eliminate};
 use nalgebra::{DMatrix, DVector};
 
 /// Share of information below which a direction counts as undetermined.
@@ -85,9 +85,10 @@ impl Posterior {
 pub fn posterior(equations: &NormalEquations) -> Posterior {
     let n = equations.h_gg.nrows();
     // Blocks without damping where they allow it: the ridge would hide weak directions.
-    let (s, _, blocks) = eliminate(equations, &Ridge::Relative(0.0))
-        .or_else(|| eliminate(equations, &Ridge::Relative(1e-12)))
-        .unwrap_or_else(|| (DMatrix::zeros(n, n), DVector::zeros(n), vec![]));
+    let eliminated =
+        eliminate(equations, &Ridge::Relative(0.0)).or_else(|| eliminate(equations, &Ridge::Relative(1e-12)));
+    let (s, eliminated) =
+        eliminated.map_or_else(|| (DMatrix::zeros(n, n), None), |(s, _, eliminated)| (s, Some(eliminated)));
     let scale = DVector::from_fn(n, |i, _| {
         let d = equations.h_gg[(i, i)];
         if d > 0.0 { d.sqrt().recip() } else { 1.0 }
@@ -110,21 +111,13 @@ pub fn posterior(equations: &NormalEquations) -> Posterior {
         let v = eigen.vectors.column(i).component_mul(&scale);
         global.ger(1.0 / eigen.values[i], &v, &v, 1.0);
     }
-    let blocks = equations
-        .blocks
-        .iter()
-        .zip(blocks)
-        .map(|(block, eliminated)| {
-            let inverse =
-                Cholesky::of(&block.h_vv).or_else(|| Cholesky::of(&damped(&block.h_vv, |_, h| 1e-12 * h))).map_or_else(
-                    || DMatrix::from_element(block.h_vv.nrows(), block.h_vv.nrows(), f64::INFINITY),
-                    |f| f.solve(&DMatrix::identity(block.h_vv.nrows(), block.h_vv.nrows())),
-                );
-            let with_global = -(&eliminated.coupling * &global);
-            let own = inverse - &with_global * eliminated.coupling.transpose();
-            BlockPosterior { own, with_global, coupling: eliminated.coupling }
-        })
-        .collect();
+    let of = |block: super::reduced::EliminatedBlock| {
+        let coupling = block.coupling();
+        let with_global = -(&coupling * &global);
+        let own = block.inverse() - &with_global * coupling.transpose();
+        BlockPosterior { own, with_global, coupling }
+    };
+    let blocks = eliminated.iter().flat_map(|e| e.blocks().map(of)).collect();
     let null_directions = eigen.vectors.columns(0, nullity).into_owned();
     Posterior { global, blocks, nullity, null_directions, information_shares: eigen.values }
 }

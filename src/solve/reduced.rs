@@ -1,7 +1,14 @@
 //! Damped Schur elimination of the blocks and back substitution.
+//!
+//! With `H_vv = L L^T` of a block: `Y = L^-1 H_vg`, `y = L^-1 b_v`, then
+//! ```text
+//! S -= Y^T Y,   r -= Y^T y,   step_v = L^-T (y - Y step_g),   decrement^2 = sum |y|^2 + r^T S^-1 r
+//! ```
+//! `H_vv^-1 H_vg = L^-T Y` itself is formed only where the covariance asks for it.
 
-use super::factor::Cholesky;
+use super::factor::{Cholesky, backward, factorise, forward};
 use super::{Gradient, NormalEquations, Step};
+use crate::lanes::{self, GROUP, Kernel, Lanes};
 use nalgebra::{DMatrix, DVector};
 
 /// What is added to the diagonal of H.
@@ -39,48 +46,186 @@ impl Ridge<'_> {
 /// `m + diag(ridge(i, m_ii))`; an unknown that nothing sees gets a unit diagonal, so that its step is zero.
 pub(super) fn damped(m: &DMatrix<f64>, ridge: impl Fn(usize, f64) -> f64) -> DMatrix<f64> {
     let mut out = m.clone();
-    for i in 0..m.nrows() {
-        let d = m[(i, i)];
-        out[(i, i)] = if d > 0.0 { d + ridge(i, d) } else { 1.0 };
-    }
+    damp(out.as_mut_slice(), m.nrows(), ridge);
     out
 }
 
-/// `H_vv^-1` applied to the block's right-hand sides.
-pub(super) struct EliminatedBlock {
-    /// `H_vv^-1 H_vg`.
-    pub(super) coupling: DMatrix<f64>,
-    /// `H_vv^-1 b_v`.
-    pub(super) own: DVector<f64>,
-    factor: Cholesky,
+/// The same in place, column by column.
+fn damp(m: &mut [f64], n: usize, ridge: impl Fn(usize, f64) -> f64) {
+    for i in 0..n {
+        let d = m[i * n + i];
+        m[i * n + i] = if d > 0.0 { d + ridge(i, d) } else { 1.0 };
+    }
+}
+
+/// Number of global unknowns up to which products are formed in tiles of the lower triangle; beyond, blocked code is faster.
+const FEW: usize = 48;
+
+/// Distance of the columns of Y transposed: whole groups for the tiles.
+fn stride(global: usize) -> usize {
+    if global <= FEW { global.next_multiple_of(GROUP) } else { global }
+}
+
+/// Takes `Y^T Y` from the lower triangle of the n x n matrix `s`; `y` holds rows of Y, each filled up with zeros to whole groups. Every element is
+/// summed over the rows in their order, whatever the width.
+struct Take<'a> {
+    y: &'a [f64],
+    s: &'a mut [f64],
+    n: usize,
+}
+
+impl Kernel for Take<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let width = self.n.next_multiple_of(GROUP);
+        for j in (0..self.n).step_by(4) {
+            // Tiles from the group on that holds the diagonal.
+            for i in (j / L::N * L::N..self.n).step_by(L::N) {
+                let mut tile = [L::splat(0.0); 4];
+                for row in self.y.chunks_exact(width) {
+                    let (left, right) = (L::load(&row[i..]), &row[j..j + 4]);
+                    for b in 0..4 {
+                        tile[b] = tile[b] + left * L::splat(right[b]);
+                    }
+                }
+                for (b, tile) in tile.into_iter().enumerate().take(self.n - j) {
+                    let mut sums = [0.0; GROUP];
+                    tile.store(&mut sums);
+                    let (column, rows) = (j + b, i.max(j + b)..(i + L::N).min(self.n));
+                    rows.for_each(|r| self.s[column * self.n + r] -= sums[r - i]);
+                }
+            }
+        }
+    }
+}
+
+/// The blocks, eliminated; one after the other in each vector.
+pub(super) struct Eliminated {
+    sizes: Vec<usize>,
+    global: usize,
+    /// L, d x d, by columns.
+    factors: Vec<f64>,
+    /// Y transposed, n x d, by columns that [`stride`] parts.
+    coupled: Vec<f64>,
+    /// y, d.
+    own: Vec<f64>,
+}
+
+/// One block of [`Eliminated`].
+pub(super) struct EliminatedBlock<'a> {
+    factor: &'a [f64],
+    coupled: &'a [f64],
+    own: &'a [f64],
+    global: usize,
+}
+
+impl Eliminated {
+    pub(super) fn blocks(&self) -> impl Iterator<Item = EliminatedBlock<'_>> {
+        let mut at = [0; 3];
+        self.sizes.iter().map(move |&d| {
+            let [f, c, o] = at;
+            at = [f + d * d, c + d * stride(self.global), o + d];
+            EliminatedBlock {
+                factor: &self.factors[f..at[0]],
+                coupled: &self.coupled[c..at[1]],
+                own: &self.own[o..at[2]],
+                global: self.global,
+            }
+        })
+    }
+}
+
+impl EliminatedBlock<'_> {
+    /// Column k of Y transposed.
+    fn column(&self, k: usize) -> &[f64] {
+        &self.coupled[k * stride(self.global)..][..self.global]
+    }
+
+    /// `L^-T (y - Y global)`.
+    fn step(&self, y: &[f64], global: &DVector<f64>) -> DVector<f64> {
+        let dot = |k: usize| -> f64 { self.column(k).iter().zip(global.iter()).map(|(a, b)| a * b).sum() };
+        let mut x = DVector::from_fn(y.len(), |k, _| y[k] - dot(k));
+        backward(self.factor, x.as_mut_slice());
+        x
+    }
+
+    /// `H_vv^-1 H_vg`, d x n.
+    pub(super) fn coupling(&self) -> DMatrix<f64> {
+        let d = self.own.len();
+        let mut out = DMatrix::from_fn(d, self.global, |k, j| self.column(k)[j]);
+        out.as_mut_slice().chunks_exact_mut(d.max(1)).for_each(|x| backward(self.factor, x));
+        out
+    }
+
+    /// `H_vv^-1`.
+    pub(super) fn inverse(&self) -> DMatrix<f64> {
+        let d = self.own.len();
+        let mut out = DMatrix::identity(d, d);
+        out.as_mut_slice().chunks_exact_mut(d.max(1)).for_each(|x| {
+            forward(self.factor, x);
+            backward(self.factor, x);
+        });
+        out
+    }
 }
 
 /// The factored, damped equations.
 pub(super) struct Reduced<'a> {
     equations: &'a NormalEquations,
     ridge: Ridge<'a>,
-    blocks: Vec<EliminatedBlock>,
+    blocks: Eliminated,
     factor: Option<Cholesky>,
     rhs: DVector<f64>,
 }
 
-/// `S` and the right-hand side of the reduced system, with the eliminated blocks; `None` where a block is indefinite.
+/// `S` (lower triangle) and the right-hand side of the reduced system, with the eliminated blocks; `None` where a block is indefinite.
 pub(super) fn eliminate(
     equations: &NormalEquations,
     ridge: &Ridge,
-) -> Option<(DMatrix<f64>, DVector<f64>, Vec<EliminatedBlock>)> {
+) -> Option<(DMatrix<f64>, DVector<f64>, Eliminated)> {
+    let n = equations.h_gg.nrows();
     let mut s = damped(&equations.h_gg, |i, h| ridge.global(i, h));
     let mut rhs = equations.b_g.clone();
-    let mut blocks = Vec::with_capacity(equations.blocks.len());
-    for (v, block) in equations.blocks.iter().enumerate() {
-        let factor = Cholesky::of(&damped(&block.h_vv, |i, h| ridge.block(v, i, h)))?;
-        let coupling = factor.solve(&block.h_vg);
-        let own = factor.solve_vector(&block.b_v);
-        s.gemm_tr(-1.0, &block.h_vg, &coupling, 1.0);
-        rhs.gemv_tr(-1.0, &block.h_vg, &own, 1.0);
-        blocks.push(EliminatedBlock { coupling, own, factor });
+    let sizes: Vec<usize> = equations.blocks.iter().map(|b| b.b_v.len()).collect();
+    let (total, width): (usize, usize) = (sizes.iter().sum(), stride(n));
+    let mut factors = Vec::with_capacity(sizes.iter().map(|d| d * d).sum());
+    let mut coupled: Vec<f64> = Vec::with_capacity(total * width);
+    let mut own: Vec<f64> = Vec::with_capacity(total);
+    for (v, (block, &d)) in equations.blocks.iter().zip(&sizes).enumerate() {
+        let (f, c, o) = (factors.len(), coupled.len(), own.len());
+        factors.extend_from_slice(block.h_vv.as_slice());
+        let l = &mut factors[f..];
+        damp(l, d, |i, h| ridge.block(v, i, h));
+        if !factorise(l, d) {
+            return None;
+        }
+        for k in 0..d {
+            let at = coupled.len();
+            coupled.extend(block.h_vg.row(k).iter());
+            coupled.resize(at + width, 0.0);
+            let (before, column) = coupled.split_at_mut(at);
+            for m in 0..k {
+                let (factor, other) = (l[m * d + k], &before[c + m * width..c + (m + 1) * width]);
+                column.iter_mut().zip(other).for_each(|(x, y)| *x -= factor * y);
+            }
+            let inverse = 1.0 / l[k * d + k];
+            column.iter_mut().for_each(|x| *x *= inverse);
+        }
+        own.extend(block.b_v.iter());
+        forward(l, &mut own[o..]);
+        for k in 0..d {
+            let (column, y) = (&coupled[c + k * width..], own[o + k]);
+            rhs.iter_mut().zip(column).for_each(|(r, x)| *r -= x * y);
+        }
     }
-    Some((s, rhs, blocks))
+    if n <= FEW {
+        lanes::run(Take { y: &coupled, s: s.as_mut_slice(), n });
+    } else {
+        let all = nalgebra::DMatrixView::from_slice(&coupled, n, total);
+        s.gemm(-1.0, &all, &all.transpose(), 1.0);
+    }
+    Some((s, rhs, Eliminated { sizes, global: n, factors, coupled, own }))
 }
 
 impl<'a> Reduced<'a> {
@@ -91,13 +236,14 @@ impl<'a> Reduced<'a> {
         Some(Self { equations, ridge: *ridge, blocks, factor, rhs })
     }
 
+    fn global(&self, rhs: &DVector<f64>) -> DVector<f64> {
+        self.factor.as_ref().map_or_else(|| DVector::zeros(0), |f| f.solve_vector(rhs))
+    }
+
     /// Solution of the damped equations.
     pub(super) fn step(&self) -> Step {
-        let global = match &self.factor {
-            Some(f) => f.solve_vector(&self.rhs),
-            None => DVector::zeros(0),
-        };
-        let blocks = self.blocks.iter().map(|b| &b.own - &b.coupling * &global).collect();
+        let global = self.global(&self.rhs);
+        let blocks = self.blocks.blocks().map(|b| b.step(b.own, &global)).collect();
         Step { global, blocks }
     }
 
@@ -105,20 +251,24 @@ impl<'a> Reduced<'a> {
     pub(super) fn solve(&self, rhs: &Gradient) -> Option<Step> {
         let mut reduced = rhs.global.clone();
         let mut own = vec![];
-        for ((block, eliminated), b) in self.equations.blocks.iter().zip(&self.blocks).zip(&rhs.blocks) {
-            let x = eliminated.factor.solve_vector(b);
-            reduced.gemv_tr(-1.0, &block.h_vg, &x, 1.0);
-            own.push(x);
+        for (block, b) in self.blocks.blocks().zip(&rhs.blocks) {
+            let mut y = b.clone();
+            forward(block.factor, y.as_mut_slice());
+            for (k, y) in y.iter().enumerate() {
+                reduced.iter_mut().zip(block.column(k)).for_each(|(r, x)| *r -= x * y);
+            }
+            own.push(y);
         }
-        let global = self.factor.as_ref().map_or_else(|| DVector::zeros(0), |f| f.solve_vector(&reduced));
-        let blocks: Vec<_> = self.blocks.iter().zip(own).map(|(e, x)| x - &e.coupling * &global).collect();
+        let global = self.global(&reduced);
+        let blocks: Vec<_> = self.blocks.blocks().zip(&own).map(|(b, y)| b.step(y.as_slice(), &global)).collect();
         let finite = global.iter().chain(blocks.iter().flatten()).all(|x: &f64| x.is_finite());
         finite.then_some(Step { global, blocks })
     }
 
     /// `sqrt(b^T (H + lambda D)^-1 b)`.
     pub(super) fn decrement(&self) -> f64 {
-        self.b_dot(&self.step()).max(0.0).sqrt()
+        let views: f64 = self.blocks.own.iter().map(|y| y * y).sum();
+        (views + self.factor.as_ref().map_or(0.0, |f| f.square(&self.rhs))).sqrt()
     }
 
     fn b_dot(&self, step: &Step) -> f64 {
@@ -136,5 +286,45 @@ impl<'a> Reduced<'a> {
             sum += weighted(&b.h_vv, d, &|i, h| self.ridge.block(v, i, h));
         }
         0.5 * (self.b_dot(step) + sum)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rows of Y with many zeros where they are filled up.
+    fn rows(n: usize) -> Vec<f64> {
+        let width = n.next_multiple_of(GROUP);
+        (0..7 * width).map(|i| if i % width < n { ((i * 31) as f64).sin() } else { 0.0 }).collect()
+    }
+
+    #[derive(Clone)]
+    struct Taken(usize);
+    impl Kernel for Taken {
+        type Output = Vec<f64>;
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> Vec<f64> {
+            let mut s = vec![1.0; self.0 * self.0];
+            Take { y: &rows(self.0), s: &mut s, n: self.0 }.run::<L>();
+            s
+        }
+    }
+
+    #[test]
+    fn tiles_take_the_product_from_the_lower_triangle_alone() {
+        for n in [0, 1, 3, 8, 11, 22, FEW] {
+            let (all, y) = (lanes::run_all(&Taken(n)), rows(n));
+            for s in &all {
+                assert_eq!(*s, all[0]);
+            }
+            let width = n.next_multiple_of(GROUP).max(1);
+            for (at, s) in all[0].iter().enumerate() {
+                let (i, j) = (at % n, at / n);
+                let product: f64 = y.chunks_exact(width).map(|row| row[i] * row[j]).sum();
+                let wanted = if i >= j { 1.0 - product } else { 1.0 };
+                assert!((s - wanted).abs() < 1e-14, "{n}: {i} {j}");
+            }
+        }
     }
 }

@@ -32,6 +32,11 @@ pub struct Condition {
     pub bright: bool,
 }
 
+/// Of the smoke, px.
+fn wavelengths(semi_minor_px: f64) -> [f64; 8] {
+    std::array::from_fn(|i| semi_minor_px * (1.0 + 3.0 * i as f64 / 7.0))
+}
+
 /// What came out, in the order centre u, centre v, semi-major, semi-minor.
 pub struct Row {
     pub bias_px: [f64; 4],
@@ -74,7 +79,7 @@ impl Condition {
         let mut random = Random(seed);
         (0..8)
             .map(|i| {
-                let wavelength = self.semi_minor_px * (1.0 + 3.0 * f64::from(i) / 7.0);
+                let wavelength = wavelengths(self.semi_minor_px)[i];
                 let t = TAU * random.uniform();
                 let k = TAU / wavelength;
                 [k * t.cos(), k * t.sin(), TAU * random.uniform(), 0.3 / 8.0_f64.sqrt()]
@@ -101,8 +106,9 @@ impl Condition {
     }
 
     /// Cramer-Rao covariance of (u, v, a, b) with angle, blur, levels and light unknown, by differences of drawn images. Of the
-    /// light, what the scene is made of is unknown: the two slopes, or sine and cosine of every wave within their spread.
-    fn bound(&self, waves: &[[f64; 4]], hidden: &dyn Fn(f64, f64) -> bool) -> [f64; 4] {
+    /// light is known what kind it is: slanted, with slopes of its own on either side; or smoke, a random field of which the spectrum is
+    /// known (the eight wavelengths, equal strength, any direction and phase), not the waves of the scene.
+    fn bound(&self, waves: &[[f64; 4]], light: &[(Vec<f64>, f64)], hidden: &dyn Fn(f64, f64) -> bool) -> [f64; 4] {
         let spot = self.spot(0.0, 0.0);
         let span = self.step();
         let at = |d: [f64; 8]| {
@@ -121,7 +127,7 @@ impl Condition {
                 (column, 0.0)
             })
             .collect();
-        columns.extend(self.light_columns(&spot, waves));
+        columns.extend_from_slice(light);
         let quantised = if self.bits == 8 { 1.0 / 12.0 } else { 0.0 };
         let variance = (self.noise * span).powi(2) + quantised;
         let size = self.size();
@@ -139,7 +145,8 @@ impl Condition {
     }
 
     /// Derivatives of the image by the unknowns of the light, each with the weight of its prior.
-    fn light_columns(&self, spot: &Spot, waves: &[[f64; 4]]) -> Vec<(Vec<f64>, f64)> {
+    fn light_columns(&self) -> Vec<(Vec<f64>, f64)> {
+        let spot = &self.spot(0.0, 0.0);
         let (ground, disc) = self.levels();
         let middle = (self.size() / 2) as f64;
         let image = |f: &dyn Fn(f64, f64) -> f64, inside: f64, outside: f64| {
@@ -154,16 +161,19 @@ impl Condition {
                 .iter()
                 .flat_map(|(i, o)| [(image(&|x, _| x, *i, *o), 0.0), (image(&|_, y| y, *i, *o), 0.0)])
                 .collect(),
-            Light::Smoke => waves
-                .iter()
-                .flat_map(|w| {
-                    let phase = |x: f64, y: f64| w[0] * x + w[1] * y;
-                    let weight = 2.0 / (w[3] * w[3]);
-                    [
-                        (image(&|x, y| phase(x, y).sin(), disc, 0.0), weight),
-                        (image(&|x, y| phase(x, y).cos(), disc, 0.0), weight),
-                    ]
+            Light::Smoke => wavelengths(self.semi_minor_px)
+                .into_iter()
+                .flat_map(|wavelength| {
+                    let k = TAU / wavelength;
+                    // As many directions as make the sum over them isotropic across the disc.
+                    let directions = (1.2 * k * spot.a + 4.0).ceil();
+                    let weight = 2.0 * directions / (0.3 * 0.3 / 8.0);
+                    let turned = (0..directions as usize).map(move |i| i as f64 * PI / directions);
+                    turned.flat_map(move |t| {
+                        [(k * t.cos(), k * t.sin(), 0.0, weight), (k * t.cos(), k * t.sin(), 0.5 * PI, weight)]
+                    })
                 })
+                .map(|(x, y, phase, weight)| (image(&|u, v| (x * u + y * v + phase).sin(), disc, 0.0), weight))
                 .collect(),
         }
     }
@@ -185,6 +195,9 @@ impl Condition {
     pub fn run(&self, scenes: usize, shots: usize, seed: u64) -> Row {
         let mut random = Random(seed);
         let (mut errors, mut z2, mut bound) = (Vec::new(), 0.0, [0.0; 4]);
+        let light = self.light_columns();
+        // The smoke modulates the step, so the bound is another in each scene: the mean over some.
+        let bounds = if self.light == Light::Smoke { scenes.min(12) } else { 1 };
         for scene in 0..scenes {
             let spot = self.spot((scene as f64 * 0.618).fract() - 0.5, (scene as f64 * 0.414).fract() - 0.5);
             let waves = self.waves(seed * 1000 + scene as u64);
@@ -200,11 +213,10 @@ impl Condition {
                     *g = (*g + 3.0 * top * (-0.5 * (d / (0.4 * radius)).powi(2)).exp()).min(top);
                 }
             }
-            if scene == 0 || self.light == Light::Smoke {
+            if scene < bounds {
                 let hidden = |u: f64, v: f64| self.light == Light::Glare && (u - gu).hypot(v - gv) < 1.3 * radius;
-                let b = self.bound(&waves, &hidden);
-                let share = if self.light == Light::Smoke { scenes as f64 } else { 1.0 };
-                (0..4).for_each(|k| bound[k] += b[k] * b[k] / share);
+                let b = self.bound(&waves, &light, &hidden);
+                (0..4).for_each(|k| bound[k] += b[k] * b[k] / bounds as f64);
             }
             for _ in 0..shots {
                 let discs = self.find(&clean, &mut random);

@@ -18,8 +18,8 @@ const MOST_CALLS: usize = 48;
 const ODD: [u64; 7] = [0, 1, 42, u64::MAX, 1 << 63, 1 << 52, 7 << 48];
 const CAPACITIES: [usize; 8] = [0, 1, 2, 5, 16, 25, 200, 4000];
 /// Where the numbers of the keys begin.
-const PAGES: [i32; 22] =
-    [0, 0, 10, 20, 30, 50, 100, 110, 120, 130, 140, 200, 210, 300, 320, 400, 440, 460, 500, 520, 540, 600];
+const PAGES: [i32; 23] =
+    [0, 0, 10, 20, 30, 50, 100, 110, 120, 130, 140, 200, 210, 300, 320, 330, 400, 440, 460, 500, 520, 540, 600];
 const WORDS: [&str; 22] = [
     "",
     "left",
@@ -264,7 +264,7 @@ impl Host {
             }
             6 | 7 => drop(judged(spivcal_rig_set_number(rig, key, b.index(), b.number()))),
             8 => drop(judged(unsafe { spivcal_rig_set_text(rig, key, b.index(), word.as_ptr()) })),
-            9 => drop(judged(spivcal_rig_set_known(rig, b.index(), key % 12, b.number(), b.number()))),
+            9 => drop(judged(spivcal_rig_set_known(rig, b.index(), key % 26, b.number(), b.number()))),
             10 => {
                 let (view, disc) = (b.index(), b.index());
                 judged(spivcal_rig_set_scale(rig, key % 7, view, disc, b.number(), b.number()));
@@ -294,7 +294,9 @@ impl Host {
         for view in 0..1 + b.below(4) as u64 {
             made(|n| unsafe { spivcal_rig_add_view(rig, n) });
             for camera in 0..cameras {
-                let data = picture(b);
+                let mut data = picture(b);
+                // No picture is another one: those would be refused before the adjustment.
+                data[2 * view as usize + camera as usize] ^= 1;
                 let image = made(|h| unsafe { spivcal_image_create_u8(context, data.as_ptr(), 96, 64, 96, h) });
                 self.keep(IMAGE, image);
                 judged(spivcal_rig_set_image(rig, view, camera, image.unwrap_or(0)));
@@ -370,15 +372,16 @@ impl Host {
         let count = if b.below(10) == 0 { u64::MAX >> b.below(20) } else { b.below(N + 1) as u64 };
         let from: [Vec<f64>; 3] = std::array::from_fn(|_| (0..N).map(|_| b.number()).collect());
         let [x, y, z] = [0, 1, 2].map(|k| from[k].as_ptr());
-        let mut to = [[1.25e300; N + 1]; 3];
+        let mut to = [[1.25e300; N + 1]; 6];
         let mut status = [77; N + 1];
         let points = if b.below(3) == 0 { std::ptr::null_mut() } else { status.as_mut_ptr() };
-        let [p, q, r] = to.each_mut().map(|t| t.as_mut_ptr());
+        let [p, q, r, d, e, f] = to.each_mut().map(|t| t.as_mut_ptr());
         let answer = judged(unsafe {
-            match b.below(4) {
+            match b.below(5) {
                 0 => spivcal_calibration_project(calibration, camera, count, x, y, z, p, q, points),
                 1 => spivcal_calibration_unproject(calibration, camera, count, x, y, p, q, r, points),
                 2 => spivcal_calibration_sheet_from_pixel(calibration, camera, count, x, y, p, q, points),
+                3 => spivcal_calibration_sight_from_pixel(calibration, camera, count, x, y, p, q, r, d, e, f, points),
                 _ => spivcal_calibration_pixel_from_sheet(calibration, camera, count, x, y, p, q, points),
             }
         });

@@ -131,12 +131,15 @@ fn read_all(handle: u64) {
     let [u, v, z] = [[0.0, 100.0, 5000.0, -1e9], [0.0, 50.0, 5000.0, 1e9], [500.0, 0.0, -3.0, 1e9]];
     for camera in 0..3 {
         let (mut a, mut b, mut c, mut s) = ([0.0; 4], [0.0; 4], [0.0; 4], [0; 4]);
+        let mut lines = [[0.0; 4]; 3];
+        let [x, y, w] = lines.each_mut().map(|l| l.as_mut_ptr());
         let (a, b, c, s) = (a.as_mut_ptr(), b.as_mut_ptr(), c.as_mut_ptr(), s.as_mut_ptr());
         let (u, v, z) = (u.as_ptr(), v.as_ptr(), z.as_ptr());
         // SAFETY: every array has four elements.
         unsafe {
             judged(spivcal_calibration_project(handle, camera, 4, u, v, z, a, b, s));
             judged(spivcal_calibration_unproject(handle, camera, 4, u, v, a, b, c, s));
+            judged(spivcal_calibration_sight_from_pixel(handle, camera, 4, u, v, x, y, w, a, b, c, s));
             judged(spivcal_calibration_sheet_from_pixel(handle, camera, 4, u, v, a, b, s));
             judged(spivcal_calibration_pixel_from_sheet(handle, camera, 4, u, v, a, b, s));
         }

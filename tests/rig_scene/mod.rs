@@ -245,7 +245,8 @@ impl Parts {
                     _ => self.cam_from_rig * view.rig_from_target,
                 };
                 let own = if self.target.per_view() { view.shape_mm } else { self.shape_mm };
-                scene.model.images.push(image(&self.target, camera, &cam_from_target, &own, &self.offsets_mm, v, c));
+                let shape = (&own, &self.offsets_mm[..]);
+                scene.model.images.push(image(&self.target, camera, &cam_from_target, shape, (v, c), EDGE_POINTS));
             }
         }
         scene
@@ -292,6 +293,15 @@ impl Scene {
 
     /// The same scene with its discs moved by offsets (dx, dy, dz, dr), mm.
     pub(crate) fn with_offsets(&self, offsets: &[[f64; 4]]) -> Self {
+        self.seen_anew(offsets, EDGE_POINTS)
+    }
+
+    /// The same scene with so many edge points per disc, exact again.
+    pub(crate) fn with_edge_points(&self, points: i32) -> Self {
+        self.seen_anew(&self.truth.offsets_mm, points)
+    }
+
+    fn seen_anew(&self, offsets: &[[f64; 4]], points: i32) -> Self {
         let mut out = self.clone();
         out.truth.offsets_mm = offsets.to_vec();
         let e: Vec<Motion<Cam, Cam>> =
@@ -301,7 +311,7 @@ impl Scene {
             let view = &self.truth.views[v];
             let cam_from_target = e[c] * self.truth.camera_from_first[c] * view.first_from_target;
             let own = if self.model.target.per_view() { view.shape_mm } else { self.truth.shape_mm };
-            *seen = image(&self.model.target, &self.cameras[c], &cam_from_target, &own, offsets, v, c);
+            *seen = image(&self.model.target, &self.cameras[c], &cam_from_target, (&own, offsets), (v, c), points);
         }
         out
     }
@@ -378,10 +388,9 @@ fn image(
     target: &TargetModel,
     camera: &Camera,
     cam_from_target: &Motion<Cam, Target>,
-    shape: &[f64; 3],
-    offsets: &[[f64; 4]],
-    view: usize,
-    index: usize,
+    (shape, offsets): (&[f64; 3], &[[f64; 4]]),
+    (view, index): (usize, usize),
+    points: i32,
 ) -> ImageObservations {
     let disc = |j: usize| {
         let (mut center, mut radius) = target.nominal_disc(j, shape);
@@ -390,8 +399,8 @@ fn image(
             radius += o[3];
         }
         let mut edge = EdgePoints::default();
-        for k in 0..EDGE_POINTS {
-            let (s, c) = (std::f64::consts::TAU * f64::from(k) / f64::from(EDGE_POINTS)).sin_cos();
+        for k in 0..points {
+            let (s, c) = (std::f64::consts::TAU * f64::from(k) / f64::from(points)).sin_cos();
             let q: Vector2<f64> =
                 camera.project_xyz(&cam_from_target.apply(&(center + Vector3::new(c, s, 0.0) * radius))).unwrap();
             edge.u_px.push(q.x);

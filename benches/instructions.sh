@@ -1,0 +1,47 @@
+#!/usr/bin/env bash
+# Instructions of single calls against those recorded in benches/instructions.txt: fails where one has grown by more than a tenth.
+#   benches/instructions.sh            compares
+#   benches/instructions.sh --renew    records anew: after a change that is worth its price, or of the compiler
+#
+# A row is NAME COUNT; `export_problem --once NAME` makes the call inside of a function `measured`, where alone callgrind counts. A new
+# row needs a name in examples/export_problem/once.rs, a line with count 0 in the file, and --renew. valgrind shows
+# processors with AVX2 but without AVX-512, so that counts are alike on all machines that have AVX2.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+list=benches/instructions.txt
+if ! command -v valgrind >/dev/null 2>&1; then
+    echo "SKIPPED: instruction counts (valgrind is missing: apt-get install valgrind)"
+    exit 0
+fi
+if ! grep -qw avx2 /proc/cpuinfo 2>/dev/null; then
+    echo "SKIPPED: instruction counts (recorded on processors with AVX2)"
+    exit 0
+fi
+cargo build --quiet --release --example export_problem
+program=${CARGO_TARGET_DIR:-target}/release/examples/export_problem
+
+out=$(mktemp)
+trap 'rm -f "$out"' EXIT
+count() {
+    valgrind --tool=callgrind --callgrind-out-file="$out" --toggle-collect='*measured*' "$program" --once "$1" >/dev/null 2>&1
+    sed -n 's/^totals: *//p' "$out"
+}
+
+failed=0
+rows=$(grep -v '^#' "$list")
+head=$(grep '^#' "$list")
+renewed=$head
+while read -r name recorded; do
+    now=$(count "$name")
+    renewed+=$'\n'"$name $now"
+    echo "$name: $now instructions, recorded $recorded"
+    # A count near zero would mean that nothing was counted.
+    if [ "$now" -lt 10000 ]; then echo "FAILED: $name: nothing was counted" && failed=1; fi
+    if [ "${1:-}" != --renew ] && [ $((now * 10)) -gt $((recorded * 11)) ]; then
+        echo "FAILED: $name needs $now instructions, more than a tenth above the $recorded recorded (benches/instructions.sh --renew)"
+        failed=1
+    fi
+done <<<"$rows"
+if [ "${1:-}" = --renew ] && [ $failed = 0 ]; then echo "$renewed" >"$list"; fi
+exit $failed

@@ -1,0 +1,242 @@
+//! Rows of edge points as they are collected, whitened, weighted and multiplied out; see [`super`].
+
+use super::feet::{LaneCircle, dot, feet, feet_from, filled, padded};
+use super::{COLUMNS, Columns, Scratch};
+use crate::bundle::assemble::{SPACE, SeenImage};
+use crate::bundle::contour::SeenCircle;
+use crate::bundle::model::{DiscObservation, Loss};
+use crate::camera::{INTRINSICS, LaneCamera};
+use crate::lanes::{self, GROUP, Lanes, splats};
+use nalgebra::Vector3;
+
+/// Rows under way.
+pub(super) struct Rows<'a> {
+    pub(super) scratch: &'a mut Scratch,
+    /// Columns of a group, with residuals and what is added for the tiles.
+    width: usize,
+    /// Points collected.
+    pub(super) len: usize,
+}
+
+impl<'a> Rows<'a> {
+    #[inline(always)]
+    pub(super) fn new(scratch: &'a mut Scratch, width: usize) -> Self {
+        // Columns that only fill the last tile are never written: they stay zero as long as groups keep their width.
+        if scratch.width != width {
+            scratch.rows.clear();
+            scratch.width = width;
+        }
+        Self { scratch, width, len: 0 }
+    }
+
+    /// Room for another contour; returns where it begins.
+    #[inline(always)]
+    pub(super) fn grow(&mut self, points: usize) -> usize {
+        let first = self.len;
+        self.len += filled(points);
+        if self.scratch.rows.len() < self.len * self.width {
+            self.scratch.rows.resize(self.len * self.width, 0.0);
+        }
+        first
+    }
+
+    /// Eight numbers of one column.
+    #[inline(always)]
+    pub(super) fn group(&mut self, point: usize, column: usize) -> &mut [f64] {
+        let at = point / GROUP * self.width * GROUP + column * GROUP;
+        &mut self.scratch.rows[at..at + GROUP]
+    }
+
+    /// Columns of the group of a point, eight numbers each.
+    #[inline(always)]
+    fn groups(&mut self, point: usize) -> impl Iterator<Item = &mut [f64]> {
+        let at = point / GROUP * self.width * GROUP;
+        self.scratch.rows[at..at + self.width * GROUP].chunks_exact_mut(GROUP)
+    }
+
+    /// Whitened distances of a contour into one column; the feet start where two other columns say.
+    #[inline(always)]
+    pub(super) fn distances<L: Lanes>(
+        &mut self,
+        first: usize,
+        (column, near): (usize, Option<usize>),
+        camera: &LaneCamera<L>,
+        circle: &SeenCircle,
+        (seen, scale): (&DiscObservation, f64),
+    ) -> Option<()> {
+        let (edge, circle) = (&seen.edge, LaneCircle::<L>::of(circle)?);
+        for i in (0..filled(edge.u_px.len())).step_by(L::N) {
+            let q = [padded(&edge.u_px, i, None), padded(&edge.v_px, i, None)];
+            let point = first + i;
+            let foot = match near {
+                None => feet(camera, &circle, q)?,
+                Some(k) => {
+                    let cos = L::load(&self.group(point, k)[point % GROUP..]);
+                    let sin = L::load(&self.group(point, k + 1)[point % GROUP..]);
+                    feet_from(camera, &circle, q, [cos, sin])?
+                }
+            };
+            let sigma: L = padded(&edge.sigma_px, i, Some(f64::INFINITY));
+            let r = foot.distance * (L::splat(1.0) / (sigma * L::splat(scale)));
+            r.store(&mut self.group(point, column)[point % GROUP..]);
+        }
+        Some(())
+    }
+
+    /// Whitened rows of a contour, behind them its whitened distances, and where wanted cosines and sines of the feet from a column on.
+    #[inline(always)]
+    pub(super) fn fill<L: Lanes>(
+        &mut self,
+        first: usize,
+        (columns, feet_at): (&Columns, Option<usize>),
+        camera: &LaneCamera<L>,
+        (image, seen): (&SeenImage, &DiscObservation),
+    ) -> Option<()> {
+        let (edge, circle) = (&seen.edge, LaneCircle::<L>::of(&image.circle(seen.disc))?);
+        let scale = L::splat(image.observations.sigma_scale);
+        let d = image.model.target.disc_derivative(seen.disc);
+        // Movement of the centre and growth of the radius by each length of the target.
+        let mut shapes = [([L::splat(0.0); 3], L::splat(0.0)); 3];
+        for (k, shape) in shapes.iter_mut().enumerate() {
+            let shift = image.cam_from_target.rotation * Vector3::new(d[0][k], d[1][k], d[2][k]);
+            *shape = (splats([shift.x, shift.y, shift.z]), L::splat(d[3][k]));
+        }
+        for i in (0..filled(edge.u_px.len())).step_by(L::N) {
+            let foot = feet(camera, &circle, [padded(&edge.u_px, i, None), padded(&edge.v_px, i, None)])?;
+            let iw = L::splat(1.0) / (padded::<L>(&edge.sigma_px, i, Some(f64::INFINITY)) * scale);
+            let (g, by_intrinsics) = camera.derivative(&foot.image, [foot.normal[0] * iw, foot.normal[1] * iw]);
+            let p = foot.p;
+            let turn = [p[1] * g[2] - p[2] * g[1], p[2] * g[0] - p[0] * g[2], p[0] * g[1] - p[1] * g[0]];
+            let outwards = dot(g, foot.radial);
+            let mut row = [outwards; COLUMNS];
+            row[..INTRINSICS].copy_from_slice(&by_intrinsics);
+            row[INTRINSICS..INTRINSICS + 3].copy_from_slice(&turn);
+            row[INTRINSICS + 3..SPACE].copy_from_slice(&g);
+            for k in 0..3 {
+                row[SPACE + k] = dot(g, shapes[k].0) + outwards * shapes[k].1;
+            }
+            let point = first + i;
+            let mut groups = self.groups(point);
+            for (group, &k) in groups.by_ref().zip(columns.list()) {
+                row[k].store(&mut group[point % GROUP..]);
+            }
+            drop(groups);
+            (foot.distance * iw).store(&mut self.group(point, columns.len)[point % GROUP..]);
+            if let Some(at) = feet_at {
+                foot.direction[0].store(&mut self.group(point, at)[point % GROUP..]);
+                foot.direction[1].store(&mut self.group(point, at + 1)[point % GROUP..]);
+            }
+        }
+        Some(())
+    }
+
+    /// Takes out what ovals have in common, in the first `used` columns.
+    #[inline(always)]
+    pub(super) fn whiten(&mut self, first: usize, seen: &DiscObservation, used: usize) {
+        let Some(outline) = &seen.outline else { return };
+        let n = filled(seen.edge.u_px.len());
+        let mut basis = std::mem::take(&mut self.scratch.basis);
+        let shrink = outline.split(&mut basis, n);
+        for column in 0..used {
+            let mut sums = [[0.0; GROUP]; 2];
+            for i in (0..n).step_by(GROUP) {
+                let row = self.group(first + i, column);
+                for (sums, basis) in sums.iter_mut().zip(&basis) {
+                    let part = &basis[i..i + GROUP];
+                    (0..GROUP).for_each(|l| sums[l] += part[l] * row[l]);
+                }
+            }
+            let (a, b) = (shrink[0] * lanes::sum(&sums[0]), shrink[1] * lanes::sum(&sums[1]));
+            for i in (0..n).step_by(GROUP) {
+                let (u, v) = (&basis[0][i..i + GROUP], &basis[1][i..i + GROUP]);
+                let row = self.group(first + i, column);
+                (0..GROUP).for_each(|l| row[l] -= u[l] * a + v[l] * b);
+            }
+        }
+        self.scratch.basis = basis;
+    }
+
+    /// Sum of the loss over a contour with whitened distances in column `used - 1`; rows and distances are multiplied by the root of
+    /// their weights.
+    #[inline(always)]
+    pub(super) fn weigh(&mut self, first: usize, n: usize, used: usize, loss: Loss) -> f64 {
+        let mut sums = [0.0; GROUP];
+        for i in (0..filled(n)).step_by(GROUP) {
+            let mut roots = [1.0; GROUP];
+            let mut bent = false;
+            let r = self.group(first + i, used - 1);
+            for l in 0..GROUP {
+                let (rho, weight) = loss.apply(r[l] * r[l]);
+                sums[l] += rho;
+                if weight != 1.0 {
+                    (roots[l], bent) = (weight.sqrt(), true);
+                }
+            }
+            if bent {
+                for column in 0..used {
+                    self.group(first + i, column).iter_mut().zip(&roots).for_each(|(x, w)| *x *= w);
+                }
+            }
+        }
+        lanes::sum(&sums)
+    }
+
+    /// Multiplies what has been collected into the running sums and forgets it.
+    #[inline(always)]
+    pub(super) fn multiply<L: Lanes>(&mut self) {
+        if L::N == GROUP {
+            self.tiles::<L, 4>();
+        } else {
+            self.tiles::<L, 2>();
+        }
+        self.len = 0;
+    }
+
+    /// Tiles of `A` x 4 products stay in registers over all points.
+    #[inline(always)]
+    fn tiles<L: Lanes, const A: usize>(&mut self) {
+        let width = self.width;
+        let rows = &self.scratch.rows[..self.len * width];
+        for i in (0..width).step_by(A) {
+            for j in (0..i + A).step_by(4) {
+                for part in (0..GROUP).step_by(L::N) {
+                    let mut tile = [[L::splat(0.0); 4]; A];
+                    for group in rows.chunks_exact(width * GROUP) {
+                        let (left, right) = (&group[i * GROUP..(i + A) * GROUP], &group[j * GROUP..(j + 4) * GROUP]);
+                        let mut columns = [L::splat(0.0); 4];
+                        for b in 0..4 {
+                            columns[b] = L::load(&right[b * GROUP + part..]);
+                        }
+                        for a in 0..A {
+                            let left = L::load(&left[a * GROUP + part..]);
+                            for b in 0..4 {
+                                tile[a][b] = tile[a][b] + left * columns[b];
+                            }
+                        }
+                    }
+                    for a in 0..A {
+                        for b in 0..4 {
+                            let at = ((i + a) * width + j + b) * GROUP + part;
+                            let sum = &mut self.scratch.sums[at..at + L::N];
+                            (L::load(sum) + tile[a][b]).store(sum);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Clears the running sums.
+    #[inline(always)]
+    pub(super) fn clear(&mut self) {
+        self.scratch.sums.clear();
+        self.scratch.sums.resize(self.width * self.width * GROUP, 0.0);
+    }
+
+    /// Product of two columns.
+    #[inline(always)]
+    pub(super) fn product(&self, a: usize, b: usize) -> f64 {
+        let at = (a.max(b) * self.width + a.min(b)) * GROUP;
+        lanes::sum(&self.scratch.sums[at..at + GROUP])
+    }
+}

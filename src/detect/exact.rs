@@ -1,0 +1,744 @@
+//! The last word on one disc: geometry, blur and light fitted to every pixel by itself.
+//!
+//! What [`crate::detect::edge_model`] finds from sums over sectors is made exact here: each pixel has its own foot point, profile
+//! ([`crate::detect::profile`]) and light ([`crate::detect::surface`]). Gauss-Newton in geometry and blur, exact in the light.
+//!
+//! Smoke is a random field: waves on a lattice of wave vectors `k` in units of the semi-axes, whose heights are
+//! unknowns with the prior of a squared-exponential covariance, variance of a height `~ amp^2 exp(-(k l)^2 / 2)`.
+//! Amplitude and length are those with the largest restricted likelihood of the image,
+//!
+//! ```text
+//! -2 ln L = chi^2 + ln det(J^T W J + Lambda^-1) + ln det Lambda + sum ln variance
+//! ```
+//!
+//! with all unknowns, geometry and blur among them, integrated out: so the sigmas say what not knowing the smoke costs.
+//!
+//! | symbol | identifier | shape | unit | meaning |
+//! |---|---|---|---|---|
+//! | - | `sides` | 2 | | polynomials of the light, inside and outside |
+//! | amp, l | `Field::amplitude`, `Field::length` | 1 | grey, semi-axes | prior of the smoke |
+//! | k | `Field::waves` | n | 1 | wave vectors |
+//! | J^T W J | `gram` | n x n | | products of all columns, the grey values last |
+
+use crate::conic::{Ellipse, Frame, from_regular, to_regular};
+use crate::detect::band::{Band, LANES, Reach};
+use crate::detect::contour::Contour;
+use crate::detect::edge_model::{Dense, PRIOR_BLUR_PX};
+use crate::detect::light::Side;
+use crate::detect::profile::{Lanes, Profile};
+use crate::detect::refine::{Start, reach_px};
+use crate::detect::rim::Rim;
+use crate::detect::surface::{At, on_contour};
+use crate::detect::wide::{Work, wide};
+use crate::image::GrayView;
+use nalgebra::{SMatrix, SVector};
+use std::f64::consts::TAU;
+
+/// Blur and geometry.
+const FIXED: usize = 6;
+/// Pixels whose columns are stored before their products are taken.
+const CHUNK: usize = 64;
+/// Rounds at most.
+const MOST_ROUNDS: usize = 8;
+/// Waves longer than the length of the field over this are left out.
+const CUT: f64 = 3.0;
+/// Pixels from which the prior of a field is chosen.
+const PRIOR_PIXELS: usize = 3000;
+/// Longest contour around which a field is fitted, px: its price grows with the area.
+pub(crate) const MOST_CONTOUR_PX: f64 = 800.0;
+/// Gain in twice the logarithm of the likelihood that a field must bring.
+const WORTH: f64 = 16.0;
+/// Product of curvature and blur above which the local profile no longer holds.
+pub(crate) const SMALL: f64 = 0.33;
+/// How much `chi^2` must fall for a slope of the light: its two coefficients, 3.5 standard deviations, and 4 for having looked.
+pub(crate) const SLOPE: f64 = 13.0;
+
+/// Random light inside the disc.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Field {
+    pub(crate) length: f64,
+    pub(crate) amplitude: f64,
+    waves: Vec<[f64; 2]>,
+    /// Prior variances of the heights for an amplitude of one.
+    variances: Vec<f64>,
+}
+
+impl Field {
+    /// The lattice for a region of the half sizes given, in units of the semi-axes.
+    fn new(length: f64, half: [f64; 2]) -> Self {
+        let spacing = half.map(|h| TAU / (2.0 * h + 3.0 * length));
+        let most = spacing.map(|d| (CUT / length / d) as i32);
+        let mut field = Self { length, amplitude: 0.0, waves: vec![], variances: vec![] };
+        for i in 0..=most[0] {
+            for j in -most[1]..=most[1] {
+                if i == 0 && j <= 0 {
+                    continue;
+                }
+                let k = [f64::from(i) * spacing[0], f64::from(j) * spacing[1]];
+                let q = (k[0] * k[0] + k[1] * k[1]) * length * length;
+                if q < CUT * CUT {
+                    field.waves.push(k);
+                    field.variances.push((-0.5 * q).exp());
+                }
+            }
+        }
+        let sum: f64 = field.variances.iter().sum();
+        field.variances.iter_mut().for_each(|v| *v /= sum);
+        field
+    }
+}
+
+/// State of the fit of one disc.
+#[derive(Debug, Clone)]
+pub(crate) struct State {
+    pub(crate) ellipse: Ellipse,
+    pub(crate) blur_px: f64,
+    pub(crate) expected_blur_px: f64,
+    pub(crate) sides: [Side; 2],
+    pub(crate) field: Option<Field>,
+    /// Noise variance inside and outside, grey^2.
+    pub(crate) variance: [f64; 2],
+    /// Inside minus outside, grey.
+    pub(crate) step: f64,
+}
+
+impl State {
+    /// Whether the disc is so small against its blur that only the integrals along the contour hold.
+    fn exact_rim(&self) -> bool {
+        let e = &self.ellipse;
+        self.field.is_none() && self.blur_px * e.semi_major_px > SMALL * e.semi_minor_px * e.semi_minor_px
+    }
+}
+
+/// One sector's share in the result.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Share {
+    /// Weighted residuals times response, 1/px.
+    score: f64,
+    /// Information about the shift of the edge, 1/px^2.
+    pub(crate) information: f64,
+    /// Weighted squared residuals and their number.
+    pub(crate) squares: f64,
+    pub(crate) pixels: f64,
+}
+
+impl Share {
+    /// Takes in a pixel with the response `h` and the residual `left`, both over the noise.
+    #[inline]
+    pub(crate) fn push(&mut self, h: f64, left: f64) {
+        self.score += h * left;
+        self.information += h * h;
+        self.squares += left * left;
+        self.pixels += 1.0;
+    }
+
+    /// Outward shift of the edge beyond that of the ellipse, px.
+    pub(crate) fn shift_px(&self) -> f64 {
+        -self.score / self.information
+    }
+}
+
+/// Buffers reused from disc to disc, and the result.
+#[derive(Debug, Default)]
+pub(crate) struct Exact {
+    band: Band,
+    rim: Rim,
+    count: usize,
+    columns: Vec<f64>,
+    /// Step of the light at each pixel while the light is not known; empty otherwise.
+    held: Vec<f64>,
+    /// Derivative of the grey value by the distance from the edge, and share of the disc, of each pixel.
+    response: Vec<f64>,
+    inside: Vec<f64>,
+    /// Of the chunks, one in so many is looked at.
+    thinned: usize,
+    /// Added to the right side of blur and geometry, see [`Exact::price_of_room`].
+    tilt: [f64; FIXED],
+    gram: Vec<f64>,
+    dense: Dense,
+    /// Coefficients of the light and change of the fixed unknowns.
+    found: Vec<f64>,
+    /// Heights of the waves and coefficients of the sides as last solved; empty before.
+    light: Vec<f64>,
+    pub(crate) shares: Vec<Share>,
+    /// Sums of residuals far from the edge: squares and number of either side.
+    away: [[f64; 2]; 2],
+    /// Products of neighbouring residuals inside and their number.
+    neighbours: [f64; 2],
+    chi2: f64,
+}
+
+impl Exact {
+    /// Covariance of the regular coordinates.
+    pub(crate) fn covariance(&self) -> &SMatrix<f64, 5, 5> {
+        &self.dense.covariance
+    }
+
+    pub(crate) fn widen(&self) -> f64 {
+        self.dense.widen
+    }
+
+    /// Number of unknowns of the light.
+    fn lights(state: &State) -> usize {
+        let waves = state.field.as_ref().map_or(0, |f| 2 * f.waves.len());
+        waves + state.sides.iter().map(Side::count).sum::<usize>()
+    }
+
+    fn look(&mut self, view: &GrayView, state: &State, contour: &Contour, keep: &[bool], reach: Reach) -> bool {
+        self.band.collect(view, &state.ellipse, contour, reach);
+        self.count = self.band.compact(keep);
+        let ground = self.band.grey.first().copied().unwrap_or(0.0);
+        self.band.grey.iter_mut().for_each(|g| *g -= ground);
+        self.count > 2 * FIXED
+    }
+
+    /// Columns of `LANES` pixels from place `i` on, each times the root of its weight, into `at` of the chunk.
+    fn fill(&mut self, state: &State, frame: &Frame, i: usize, at: usize) {
+        let lanes = self.profile(state, i);
+        let lights = Self::lights(state);
+        for l in 0..LANES {
+            if i + l >= self.count {
+                (0..=lights + FIXED).for_each(|j| self.columns[at + l + j * CHUNK] = 0.0);
+            } else if state.exact_rim() {
+                self.fill_from_rim(state, &lanes, i + l, at + l);
+            } else {
+                self.fill_from_profile(state, frame, &lanes, i + l, at + l);
+            }
+        }
+    }
+
+    /// The local profile at `LANES` pixels from place `i` on.
+    fn profile(&self, state: &State, i: usize) -> Lanes<LANES> {
+        let (a, b) = (state.ellipse.semi_major_px, state.ellipse.semi_minor_px);
+        let take = |list: &[f64]| std::array::from_fn(|l| list[i + l]);
+        Profile { blur_px: state.blur_px, a, b }.at::<LANES>(
+            &take(&self.band.distance),
+            &take(&self.band.cos),
+            &take(&self.band.sin),
+        )
+    }
+
+    fn weight(state: &State, inside: f64) -> f64 {
+        1.0 / (state.variance[0] * inside + state.variance[1] * (1.0 - inside))
+    }
+
+    /// Keeps the step of the light that each pixel feels while another model of the light is tried.
+    fn hold_steps(&mut self, state: &State) {
+        self.held.clear();
+        for start in (0..self.count).step_by(LANES) {
+            let lanes = self.profile(state, start);
+            for l in 0..LANES.min(self.count - start) {
+                let p = start + l;
+                let response = self.response[p] / Self::weight(state, self.inside[p]).sqrt();
+                self.held.push(if lanes.slope[l].abs() > 1e-6 { response / lanes.slope[l] } else { state.step });
+            }
+        }
+    }
+
+    /// Difference of the light of the two sides on the contour, of the polynomials alone.
+    fn step_at(&self, state: &State, c: f64, s: f64) -> f64 {
+        if self.light.is_empty() {
+            return state.step;
+        }
+        let at = 2 * state.field.as_ref().map_or(0, |f| f.waves.len());
+        let edge = on_contour(c, s);
+        let inner = state.sides[0].count();
+        let sum = |c: &[f64]| c.iter().zip(&edge).map(|(c, e)| c * e).sum::<f64>();
+        sum(&self.light[at..at + inner]) - sum(&self.light[at + inner..])
+    }
+
+    /// The columns of the polynomials of both sides, from column `j` on.
+    fn fill_polynomials(&mut self, state: &State, pixel: &At, root: f64, at: usize, mut j: usize) {
+        let (blurred, bare) = (pixel.polynomials(), pixel.bare());
+        for (side, polynomial) in state.sides.iter().enumerate() {
+            for m in 0..polynomial.count() {
+                let value = if side == 0 { blurred[m] } else { bare[m] - blurred[m] };
+                self.columns[at + j * CHUNK] = root * value;
+                j += 1;
+            }
+        }
+    }
+
+    fn fill_from_rim(&mut self, state: &State, lanes: &Lanes<LANES>, p: usize, at: usize) {
+        let (a, b) = (state.ellipse.semi_major_px, state.ellipse.semi_minor_px);
+        let (x, y) = (self.band.x[p], self.band.y[p]);
+        let seen = self.rim.seen(x, y);
+        let pixel = At {
+            place: [x / a, y / b],
+            blur_px: state.blur_px,
+            inside: seen.inside,
+            gradient: [seen.gradient[0] / a, seen.gradient[1] / b],
+            bend: [seen.bend[0] / (a * a), seen.bend[1] / (a * b), seen.bend[2] / (b * b)],
+            ..At::default()
+        };
+        let root = Self::weight(state, seen.inside.clamp(0.0, 1.0)).sqrt();
+        self.fill_polynomials(state, &pixel, root, at, 0);
+        let j = Self::lights(state);
+        self.columns[at + j * CHUNK] = root * seen.by_blur;
+        for (m, x) in seen.by_geometry.iter().enumerate() {
+            self.columns[at + (j + 1 + m) * CHUNK] = root * x;
+        }
+        self.columns[at + (j + FIXED) * CHUNK] = root * self.band.grey[p];
+        self.response[p] = root * lanes.slope[p % LANES] * self.step_at(state, self.band.cos[p], self.band.sin[p]);
+        self.inside[p] = seen.inside;
+    }
+
+    fn fill_from_profile(&mut self, state: &State, frame: &Frame, lanes: &Lanes<LANES>, p: usize, at: usize) {
+        let (a, b, l) = (state.ellipse.semi_major_px, state.ellipse.semi_minor_px, p % LANES);
+        let (c, s) = (self.band.cos[p], self.band.sin[p]);
+        let foot = frame.on_contour(c, s);
+        let (normal, slope, curvature) = (foot.climb, lanes.slope[l], self.band.curvature[p]);
+        let tangent = [-normal[1] * b / a, normal[0] * a / b];
+        let (across, along) = (-slope * lanes.depth[l] / state.blur_px, curvature * slope);
+        let bend = |i: usize, j: usize| across * normal[i] * normal[j] + along * tangent[i] * tangent[j];
+        let pixel = At {
+            place: [self.band.x[p] / a, self.band.y[p] / b],
+            normal,
+            tangent,
+            blur_px: state.blur_px,
+            curvature,
+            inside: lanes.inside[l],
+            gradient: normal.map(|n| n * slope),
+            bend: [bend(0, 0), bend(0, 1), bend(1, 1)],
+            slope,
+            depth: lanes.depth[l],
+            density: lanes.density[l],
+            distance: self.band.distance[p],
+            narrow: lanes.narrow[l],
+        };
+        let root = Self::weight(state, pixel.inside).sqrt();
+        let held = if self.light.is_empty() { self.held.get(p).copied() } else { None };
+        let mut response = held.unwrap_or_else(|| self.step_at(state, c, s)) * slope;
+        let mut j = 0;
+        for k in state.field.as_ref().map_or(&[][..], |f| &f.waves[..]) {
+            let ([x, y], [dx, dy]) = pixel.wave(*k);
+            self.columns[at + j * CHUNK] = root * x;
+            self.columns[at + (j + 1) * CHUNK] = root * y;
+            if !self.light.is_empty() {
+                response += self.light[j] * dx + self.light[j + 1] * dy;
+            }
+            j += 2;
+        }
+        self.fill_polynomials(state, &pixel, root, at, j);
+        let j = Self::lights(state);
+        let step = if slope.abs() > 1e-9 { response / slope } else { state.step };
+        self.columns[at + j * CHUNK] = root * step * lanes.by_blur[l];
+        for (m, row) in foot.row.iter().enumerate() {
+            self.columns[at + (j + 1 + m) * CHUNK] = root * response * row;
+        }
+        self.columns[at + (j + FIXED) * CHUNK] = root * self.band.grey[p];
+        self.response[p] = root * response;
+        self.inside[p] = pixel.inside;
+    }
+
+    /// Sets up what all pixels share.
+    fn prepare(&mut self, state: &State, frame: &Frame) {
+        let n = Self::lights(state) + FIXED + 1;
+        self.columns.clear();
+        self.columns.resize(n * CHUNK, 0.0);
+        for list in [&mut self.response, &mut self.inside] {
+            list.clear();
+            list.resize(self.band.len(), 0.0);
+        }
+        if state.exact_rim() {
+            self.rim.set(frame, state.blur_px);
+            self.rim.step = self.rim.angles().map(|(c, s)| self.step_at(state, c, s)).collect();
+        }
+    }
+
+    /// Products of all columns.
+    fn sum_up(&mut self, state: &State) {
+        let n = Self::lights(state) + FIXED + 1;
+        let frame = Frame::new(&state.ellipse);
+        self.gram.clear();
+        self.gram.resize(n * n, 0.0);
+        self.prepare(state, &frame);
+        let total = self.band.len();
+        for start in (0..total).step_by(CHUNK) {
+            let end = (start + CHUNK).min(total);
+            if (start / CHUNK) % self.thinned.max(1) != 0 {
+                continue;
+            }
+            for i in (start..end).step_by(LANES) {
+                self.fill(state, &frame, i, i - start);
+            }
+            wide(Products { columns: &self.columns, used: end - start, n, gram: &mut self.gram });
+        }
+    }
+
+    /// Solves with the prior of the field and the blur; returns minus twice the logarithm of the likelihood, without its constant.
+    fn solve(&mut self, state: &State) -> Option<f64> {
+        let lights = Self::lights(state);
+        let (n, m) = (lights + FIXED, lights + FIXED + 1);
+        self.dense.clear(n);
+        for i in 0..n {
+            self.dense.matrix[i * n..=i * n + i].copy_from_slice(&self.gram[i * m..=i * m + i]);
+            self.dense.right[i] = self.gram[n * m + i];
+        }
+        let g = |i: usize, j: usize| self.gram[(lights + 1 + i.max(j)) * m + lights + 1 + i.min(j)];
+        self.dense.alone = SMatrix::from_fn(g);
+        let mut at = 0;
+        let mut log_prior = 0.0;
+        if let Some(field) = &state.field {
+            for v in &field.variances {
+                let variance = v * field.amplitude * field.amplitude;
+                for _ in 0..2 {
+                    self.dense.matrix[at * n + at] += 1.0 / variance;
+                    log_prior += variance.ln();
+                    at += 1;
+                }
+            }
+        }
+        for side in &state.sides {
+            for sigma in side.prior_sigmas().into_iter().take(side.count()) {
+                self.dense.matrix[at * n + at] += sigma.powi(-2);
+                at += 1;
+            }
+        }
+        let weight = PRIOR_BLUR_PX.powi(-2);
+        self.dense.matrix[at * n + at] += weight;
+        self.dense.right[at] += weight * (state.expected_blur_px - state.blur_px);
+        for (i, t) in self.tilt.iter().enumerate() {
+            self.dense.right[lights + i] -= t;
+        }
+        if !self.dense.solve(n) {
+            return None;
+        }
+        self.found.clear();
+        self.found.extend_from_slice(&self.dense.right);
+        let explained: f64 = (0..n).map(|i| self.found[i] * self.gram[n * m + i]).sum();
+        self.chi2 = self.gram[n * m + n] - explained;
+        let log_det: f64 = (0..n).map(|i| 2.0 * self.dense.matrix[i * n + i].ln()).sum();
+        Some(self.chi2 + log_det + log_prior)
+    }
+
+    /// What each sector and each side leave unexplained.
+    fn shares(&mut self, state: &State, sectors: usize) {
+        let lights = Self::lights(state);
+        let frame = Frame::new(&state.ellipse);
+        self.shares.clear();
+        self.shares.resize(sectors, Share::default());
+        self.away = [[0.0; 2]; 2];
+        self.neighbours = [0.0; 2];
+        self.prepare(state, &frame);
+        let mut before: Option<(f64, f64)> = None;
+        for start in (0..self.count).step_by(LANES) {
+            self.fill(state, &frame, start, 0);
+            for l in 0..LANES.min(self.count - start) {
+                let p = start + l;
+                let column = &self.columns[l..];
+                let model: f64 = self.found.iter().enumerate().map(|(j, x)| x * column[j * CHUNK]).sum();
+                let left = column[(lights + FIXED) * CHUNK] - model;
+                let (q, h) = (self.inside[p], self.response[p]);
+                let share = &mut self.shares[self.band.sector[p] as usize];
+                share.push(h, left);
+                let far = if q > 0.995 { Some(0) } else { (q < 0.005).then_some(1) };
+                if let Some(side) = far {
+                    self.away[side][0] += left * left / Self::weight(state, q);
+                    self.away[side][1] += 1.0;
+                }
+                let here = (q > 0.9).then_some((self.band.x[p], left));
+                if let (Some((x, r)), Some((x1, r1))) = (before, here) {
+                    if (x1 - x).abs() < 1.01 {
+                        self.neighbours[0] += r * r1;
+                        self.neighbours[1] += 1.0;
+                    }
+                }
+                before = here;
+            }
+        }
+    }
+
+    /// Fits with noise and light as the image asks: the poorest polynomials that explain it, or a field where `state` asks for one.
+    /// Returns the sectors that counted, of the contour as it was cut last.
+    pub(crate) fn settle(
+        &mut self,
+        view: &GrayView,
+        state: &mut State,
+        contour: &mut Contour,
+        keep: &[bool],
+        start: &Start,
+        floor: f64,
+    ) -> Option<Vec<bool>> {
+        let reach = |state: &State| {
+            let (wanted, b) = (reach_px(state.blur_px), state.ellipse.semi_minor_px);
+            let inner = wanted.min(start.inner_px).min(0.85 * b);
+            let whole = state.field.is_some() || state.exact_rim() && start.inner_px > 0.89 * b;
+            Reach { inner_px: if whole { 2.0 * state.ellipse.semi_major_px } else { inner }, outer_px: wanted }
+        };
+        let cut = |contour: &mut Contour, e: &Ellipse| contour.cut(e, start.neighbours);
+        let mut kept = self.fit(view, state, contour, keep, &reach, &cut)?;
+        for _ in 0..4 {
+            let before = (state.variance, state.sides);
+            if state.field.is_none() {
+                self.judge_slopes(state);
+            }
+            let found = match self.noise() {
+                [Some(a), Some(b)] => [a, b],
+                [Some(a), None] | [None, Some(a)] => [a, a],
+                [None, None] => state.variance,
+            };
+            // A field follows the noise a little; its own noise is found with it.
+            let least = floor.max(found[0].max(found[1]) / 16.0);
+            let found = found.map(|x| x.max(least));
+            let alike = |side: usize| (0.8..1.25).contains(&(found[side] / before.0[side]));
+            let richer = (0..2).any(|i| state.sides[i].degree != before.1[i].degree);
+            if state.field.is_some() || !richer && alike(0) && alike(1) {
+                break;
+            }
+            state.variance = found;
+            kept = self.fit(view, state, contour, keep, &reach, &cut)?;
+        }
+        Some(kept)
+    }
+
+    /// Gives either side a slope or takes it away, as the pixels ask. Light that rises outside rises inside as well.
+    fn judge_slopes(&mut self, state: &mut State) {
+        let (dense, found, light) = (self.dense.clone(), self.found.clone(), self.light.clone());
+        let free: [bool; 2] = [0, 1].map(|i| state.sides[i].degree < 2);
+        let mut chi2 = |degrees: [usize; 2]| {
+            let mut tried = state.clone();
+            for i in 0..2 {
+                if free[i] {
+                    tried.sides[i] = Side { degree: degrees[i], ..tried.sides[i] };
+                }
+            }
+            self.light.clear();
+            self.sum_up(&tried);
+            self.solve(&tried).map_or(f64::INFINITY, |_| self.chi2)
+        };
+        let (plain, inside, outside, both) = (chi2([0, 0]), chi2([1, 0]), chi2([0, 1]), chi2([1, 1]));
+        (self.dense, self.found, self.light) = (dense, found, light);
+        let rises = [plain - inside, plain - outside].map(|x| x > SLOPE);
+        let rises = [rises[0] || outside - both > SLOPE, rises[1] || inside - both > SLOPE];
+        for i in (0..2).filter(|i| free[*i]) {
+            state.sides[i].degree = usize::from(rises[i] || rises[1]);
+        }
+    }
+
+    /// Fits until the geometry stands still. `keep` says which sectors of the contour count; the contour is cut anew each round.
+    pub(crate) fn fit(
+        &mut self,
+        view: &GrayView,
+        state: &mut State,
+        contour: &mut Contour,
+        keep: &[bool],
+        reach: &dyn Fn(&State) -> Reach,
+        cut: &dyn Fn(&mut Contour, &Ellipse),
+    ) -> Option<Vec<bool>> {
+        self.light.clear();
+        let mut kept;
+        let (mut round, mut chosen) = (0, 0);
+        self.held.clear();
+        self.tilt = [0.0; FIXED];
+        loop {
+            cut(contour, &state.ellipse);
+            let count = contour.len();
+            kept = (0..count)
+                .map(|k| keep[((2 * k + 1) * keep.len() / (2 * count)).min(keep.len() - 1)])
+                .collect::<Vec<_>>();
+            if !self.look(view, state, contour, &kept, reach(state)) {
+                return None;
+            }
+            if round == 0 && state.field.is_some() {
+                chosen = 1;
+                self.choose_field(state);
+            }
+            self.sum_up(state);
+            self.solve(state)?;
+            let lights = Self::lights(state);
+            let change = &self.found[lights..];
+            let largest = change.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
+            let first = self.light.is_empty();
+            self.light = self.found[..lights].to_vec();
+            round += 1;
+            if !first && (largest < 0.01 || round >= MOST_ROUNDS) {
+                if state.field.is_none() || chosen == 3 {
+                    break;
+                }
+                if chosen == 2 {
+                    if self.count > PRIOR_PIXELS {
+                        // Room grows with the area, what the contour says with its length and the contrast: no longer felt.
+                        break;
+                    }
+                    chosen = 3;
+                    round = round.min(MOST_ROUNDS - 3);
+                    self.tilt = self.price_of_room(view, state, contour, &kept, reach, cut)?;
+                    continue;
+                }
+                // The prior was chosen where the contour was first thought to be.
+                chosen = 2;
+                round = round.min(MOST_ROUNDS - 3);
+                self.hold_steps(state);
+                self.choose_field(state);
+                self.sum_up(state);
+                self.solve(state)?;
+                self.held.clear();
+                let lights = Self::lights(state);
+                self.light = self.found[..lights].to_vec();
+                continue;
+            }
+            let limit = (0.5 * state.blur_px + 0.2) / largest.max(1e-12);
+            let factor = limit.min(1.0);
+            let mut q = to_regular(&state.ellipse);
+            (0..5).for_each(|i| q[i] += factor * change[1 + i]);
+            state.ellipse = from_regular(&q)?;
+            state.blur_px = (state.blur_px + factor * change[0]).max(0.15);
+        }
+        self.shares(state, contour.len());
+        Some(kept)
+    }
+
+    /// Half the derivatives of `ln det` of the light's block by blur and geometry: a larger disc has more room for light, and explains
+    /// more by that alone; the likelihood with the light integrated out takes it back.
+    fn price_of_room(
+        &mut self,
+        view: &GrayView,
+        state: &State,
+        contour: &mut Contour,
+        keep: &[bool],
+        reach: &dyn Fn(&State) -> Reach,
+        cut: &dyn Fn(&mut Contour, &Ellipse),
+    ) -> Option<[f64; FIXED]> {
+        const STEP_PX: f64 = 0.05;
+        let mut tilt = [0.0; FIXED];
+        let fixed = reach(state);
+        for (i, t) in tilt.iter_mut().enumerate() {
+            for sign in [1.0, -1.0] {
+                let mut moved = state.clone();
+                if i == 0 {
+                    moved.blur_px += sign * STEP_PX;
+                } else {
+                    let mut q = to_regular(&state.ellipse);
+                    q[i - 1] += sign * STEP_PX;
+                    moved.ellipse = from_regular(&q)?;
+                }
+                cut(contour, &moved.ellipse);
+                let keep: Vec<bool> =
+                    (0..contour.len()).map(|k| keep[(k * keep.len() / contour.len()).min(keep.len() - 1)]).collect();
+                if !self.look(view, &moved, contour, &keep, fixed) {
+                    return None;
+                }
+                self.sum_up(&moved);
+                self.solve(&moved)?;
+                let (lights, n) = (Self::lights(&moved), Self::lights(&moved) + FIXED);
+                let log_det: f64 = (0..lights).map(|j| 2.0 * self.dense.matrix[j * n + j].ln()).sum();
+                *t += 0.5 * sign * log_det / (2.0 * STEP_PX);
+            }
+        }
+        Some(tilt)
+    }
+
+    /// The last change, applied.
+    pub(crate) fn finished(&self, state: &State) -> Option<(Ellipse, SVector<f64, 5>, f64)> {
+        let lights = Self::lights(state);
+        let mut q = to_regular(&state.ellipse);
+        let change = SVector::<f64, 5>::from_fn(|i, _| self.found[lights + 1 + i]);
+        q += change;
+        Some((from_regular(&q)?, change, state.blur_px + self.found[lights]))
+    }
+
+    /// Whether what is left inside looks like light rather than noise: alike from pixel to pixel.
+    pub(crate) fn smoke_left(&self, perimeter_px: f64) -> bool {
+        let [product, n] = self.neighbours;
+        if perimeter_px > MOST_CONTOUR_PX {
+            return false;
+        }
+        if n < 12.0 {
+            return self.misfit() > 2.0;
+        }
+        product > 0.25 * n && product > 3.0 * n.sqrt()
+    }
+
+    /// Mean squared residual over the noise.
+    pub(crate) fn misfit(&self) -> f64 {
+        let sum = |f: &dyn Fn(&Share) -> f64| self.shares.iter().map(f).sum::<f64>();
+        sum(&|s| s.squares) / sum(&|s| s.pixels).max(1.0)
+    }
+
+    /// Noise variances of either side where enough pixels show them, grey^2.
+    pub(crate) fn noise(&self) -> [Option<f64>; 2] {
+        self.away.map(|[squares, n]| (n > 12.0).then(|| squares / n))
+    }
+
+    /// Length and amplitude with the largest likelihood; no field where none is worth it.
+    fn choose_field(&mut self, state: &mut State) {
+        let e = &state.ellipse;
+        let reach = 2.5 * state.blur_px;
+        let half = [1.0 + reach / e.semi_major_px, 1.0 + reach / e.semi_minor_px];
+        let least = 1.8 * state.blur_px / (e.semi_major_px * e.semi_minor_px).sqrt();
+        let plain = State { field: None, ..state.clone() };
+        self.light.clear();
+        // A few thousand pixels fix the prior.
+        self.thinned = self.count.div_ceil(PRIOR_PIXELS);
+        self.sum_up(&plain);
+        let Some(without) = self.solve(&plain) else { return self.thinned = 1 };
+        let mut best: Option<(f64, Field)> = None;
+        for length in [0.27, 0.36, 0.48, 0.64, 0.85, 1.15] {
+            if length < least {
+                continue;
+            }
+            let mut tried = State { field: Some(Field::new(length, half)), ..state.clone() };
+            self.sum_up(&tried);
+            let mut evaluate = |amplitude: f64, best: &mut Option<(f64, Field)>| {
+                if let Some(f) = &mut tried.field {
+                    f.amplitude = amplitude;
+                }
+                let value = self.solve(&tried).unwrap_or(f64::INFINITY);
+                if best.as_ref().is_none_or(|b| value < b.0) {
+                    *best = tried.field.clone().map(|f| (value, f));
+                }
+                value
+            };
+            let (mut middle, mut ratio) = (0.15 * state.step.abs(), 2.0);
+            let mut value = evaluate(middle, &mut best);
+            for _ in 0..2 {
+                for factor in [ratio, 1.0 / ratio] {
+                    let mut moved = false;
+                    for _ in 0..4 {
+                        let next = evaluate(middle * factor, &mut best);
+                        if next >= value {
+                            break;
+                        }
+                        (middle, value, moved) = (middle * factor, next, true);
+                    }
+                    if moved {
+                        break;
+                    }
+                }
+                ratio = 2.0_f64.sqrt();
+            }
+        }
+        self.thinned = 1;
+        state.field = best.filter(|b| b.0 + WORTH < without).map(|b| b.1);
+    }
+}
+
+/// Adds the products of the first `used` entries of all pairs of columns to the lower triangle.
+struct Products<'a> {
+    columns: &'a [f64],
+    used: usize,
+    n: usize,
+    gram: &'a mut [f64],
+}
+
+impl Work for Products<'_> {
+    type Out = ();
+    #[inline(always)]
+    fn run(self) {
+        let Self { columns, used, n, gram } = self;
+        for i in 0..n {
+            let ci = &columns[i * CHUNK..i * CHUNK + used];
+            for j in 0..=i {
+                let cj = &columns[j * CHUNK..j * CHUNK + used];
+                let mut sums = [0.0; LANES];
+                for (x, y) in ci.chunks_exact(LANES).zip(cj.chunks_exact(LANES)) {
+                    for l in 0..LANES {
+                        sums[l] += x[l] * y[l];
+                    }
+                }
+                gram[i * n + j] += sums.iter().sum::<f64>();
+            }
+        }
+    }
+}

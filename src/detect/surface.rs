@@ -1,0 +1,129 @@
+//! Columns of the model at single pixels: what the light on either side contributes to a grey value.
+//!
+//! A light `F` (as the image shows it, blur included) that reaches up to the edge of a disc with the blurred profile `P` appears as
+//!
+//! ```text
+//! F P + s^2 grad F . grad P + s^4/2 grad grad F : grad grad P + ...
+//! ```
+//!
+//! (the exact product rule of the heat equation). Polynomials of the second degree end there. A wave `exp(i k . x)` sees the profile at a
+//! complex place: completing the square,
+//!
+//! ```text
+//! (exp(i k . x) 1_disc) * G = F(p) P(p + i s^2 k),   distance of the complex place = d + s w,
+//! w = i q - t^2 / (2 (R/s + d/s + i q)),   q = s k . n,   t = s |k x n|,   P(d + s w) = P + phi sum_n (-w)^n / n! He_(n-1)(z)
+//! ```
+//!
+//! | symbol | identifier | unit | meaning |
+//! |---|---|---|---|
+//! | X, Y | `place` | 1 | place of the pixel in units of the semi-axes |
+//! | n | `normal` | 1 | outward normal at the foot point, in the frame of the axes |
+//! | z | `depth` | 1 | distance in units of the blur |
+//! | k | `wave` | 1 | wave vector in units of the semi-axes |
+//!
+//! Not valid for waves shorter than four blurs.
+
+use crate::detect::light::Side;
+
+/// One pixel as the columns need it.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct At {
+    pub(crate) place: [f64; 2],
+    /// Normal and tangent, divided by the semi-axes, 1/px.
+    pub(crate) normal: [f64; 2],
+    pub(crate) tangent: [f64; 2],
+    pub(crate) blur_px: f64,
+    pub(crate) curvature: f64,
+    pub(crate) inside: f64,
+    /// Gradient of P in the frame of the axes, times the semi-axes.
+    pub(crate) gradient: [f64; 2],
+    /// Second derivatives XX, XY, YY of P, each times the semi-axes.
+    pub(crate) bend: [f64; 3],
+    /// dP/dd, 1/px.
+    pub(crate) slope: f64,
+    pub(crate) depth: f64,
+    pub(crate) density: f64,
+    /// Distance from the edge, px.
+    pub(crate) distance: f64,
+    /// Blur over the width of the profile.
+    pub(crate) narrow: f64,
+}
+
+/// The polynomials of a [`Side`] on the contour, at an eccentric angle.
+#[inline]
+pub(crate) fn on_contour(c: f64, s: f64) -> [f64; Side::MOST] {
+    [1.0, 0.0, c, s, c * c - s * s, 2.0 * c * s]
+}
+
+impl At {
+    /// The polynomials of a [`Side`] times the profile.
+    #[inline]
+    pub(crate) fn polynomials(&self) -> [f64; Side::MOST] {
+        let ([x, y], [gx, gy]) = (self.place, self.gradient);
+        let s2 = self.blur_px * self.blur_px;
+        let (first, second) = (s2, s2 * s2);
+        let [xx, xy, yy] = self.bend;
+        let p = self.inside;
+        [
+            p,
+            (x * x + y * y - 1.0) * p + 2.0 * (x * gx + y * gy) * first + (xx + yy) * second,
+            x * p + gx * first,
+            y * p + gy * first,
+            (x * x - y * y) * p + 2.0 * (x * gx - y * gy) * first + (xx - yy) * second,
+            2.0 * x * y * p + 2.0 * (y * gx + x * gy) * first + 2.0 * xy * second,
+        ]
+    }
+
+    /// The polynomials themselves.
+    #[inline]
+    pub(crate) fn bare(&self) -> [f64; Side::MOST] {
+        let [x, y] = self.place;
+        [1.0, x * x + y * y - 1.0, x, y, x * x - y * y, 2.0 * x * y]
+    }
+
+    /// Cosine and sine wave times the profile, and the derivatives of both by the distance (1/px), the light held.
+    #[inline]
+    pub(crate) fn wave(&self, k: [f64; 2]) -> ([f64; 2], [f64; 2]) {
+        let (sin, cos) = (k[0] * self.place[0] + k[1] * self.place[1]).sin_cos();
+        let (mut a, mut b) = (self.inside, 0.0);
+        let (mut da, mut db) = (0.0, 0.0);
+        if self.density > 1e-9 {
+            let z = self.depth;
+            let q = self.blur_px * (k[0] * self.normal[0] + k[1] * self.normal[1]);
+            let t = self.blur_px * (k[0] * self.tangent[0] + k[1] * self.tangent[1]);
+            // Radius of curvature over blur, seen from the pixel: t^2 / (2 (radius + i q)) is how much the complex distance falls short.
+            let radius = 1.0 / (self.curvature * self.blur_px) + self.distance / self.blur_px;
+            let short = 0.5 * t * t / (radius * radius + q * q).max(1.0);
+            let (re, im) = (self.narrow * (-short * radius), self.narrow * (q + short * q));
+            // Minus the shift to the power n over n!, times He_(n-1) for the profile and He_n for its derivative.
+            let z2 = z * z;
+            let he = [
+                1.0,
+                z,
+                z2 - 1.0,
+                z * (z2 - 3.0),
+                z2 * (z2 - 6.0) + 3.0,
+                z * (z2 * (z2 - 10.0) + 15.0),
+                z2 * (z2 * (z2 - 15.0) + 45.0) - 15.0,
+                z * (z2 * (z2 * (z2 - 21.0) + 105.0) - 105.0),
+            ];
+            let (mut pr, mut pi) = (1.0, 0.0);
+            let (mut sr, mut si, mut dr, mut di) = (0.0, 0.0, 0.0, 0.0);
+            for n in 1..he.len() {
+                let inverse = -1.0 / n as f64;
+                (pr, pi) = (inverse * (pr * re - pi * im), inverse * (pr * im + pi * re));
+                sr += pr * he[n - 1];
+                si += pi * he[n - 1];
+                dr += pr * he[n];
+                di += pi * he[n];
+            }
+            let f = self.density;
+            a += f * sr;
+            b = -f * si;
+            let inverse = f * self.narrow / self.blur_px;
+            da = self.slope - inverse * dr;
+            db = inverse * di;
+        }
+        ([cos * a + sin * b, sin * a - cos * b], [cos * da + sin * db, sin * da - cos * db])
+    }
+}

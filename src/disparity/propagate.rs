@@ -1,0 +1,220 @@
+//! What errors of the calibration do to the light's plane.
+//!
+//! The plane (a, b, c) is a function of the matched raw pixels, which scatter (S), and of the cameras, whose numbers p have the
+//! covariance P. The sheet that was started from moves with its own numbers q, which are correlated with p:
+//! ```text
+//! J     = d(a, b, c)/dp      matches and weights held, the cameras moved by central differences
+//! C     = J P J^T + S        covariance of the plane in the rig frame
+//! e     = offset and tilts of the light against the starting sheet
+//! C_e   = G_p P_pp G_p^T + G_p P_pq G_q^T + ... + G S G^T,   G = de/d(a, b, c),   G_p = G J,   G_q = de/dq
+//! steps of the new sheet = T (a, b, c);   their covariance with any number x of the calibration: T J P_px
+//! ```
+//!
+//! | symbol | identifier | shape | meaning |
+//! |---|---|---|---|
+//! | J | `by_number` | 3 x n | plane by the numbers of both cameras and the motion between them |
+//! | G, G_q | `by_plane`, `by_start` | 3 x 3, 3 x 6 | offset (mm) and tilts (rad) by the plane and by the starting sheet |
+//! | T | `step_by_plane` | 6 x 3 | left step of the sheet against the rig |
+//!
+//! Source: method section 5 (sigmas with the cameras held are too small). Not valid along directions that the calibration leaves
+//! undetermined: then there is no covariance of the plane.
+
+use super::plane::{Match, PlaneFit, see, weighted_plane};
+use crate::dewarp::SheetMap;
+use crate::frames::{Cam, Rig, Sheet};
+use crate::record::{Covariance, Record};
+use crate::rigid::Motion;
+use crate::sheet::{Parameter, STEP_NAMES, stepped_camera, stepped_motion, stepped_window};
+use nalgebra::{DMatrix, Matrix3, Matrix6, Matrix6x3, SMatrix, SVector, Vector3};
+
+/// Row names of the sheet in a covariance.
+const SHEET: &str = "sheet.rig_from_sheet.";
+
+/// Covariances with the calibration's share in them.
+pub(super) struct Propagated {
+    /// Of (a, b, c) and the second projection centre in the rig frame.
+    pub(super) plane_and_center: Matrix6<f64>,
+    /// Of offset (mm) and tilts about x and y (rad) against the starting sheet.
+    pub(super) against_start: Matrix3<f64>,
+    /// The calibration's covariance with the rows of the new sheet instead of the old.
+    pub(super) covariance: Covariance,
+}
+
+/// Offset at a point of the starting sheet (mm), and tilts about its x and y (rad), of another sheet.
+pub(super) fn against(start: &Motion<Rig, Sheet>, now: &Motion<Rig, Sheet>, reference_mm: [f64; 2]) -> Vector3<f64> {
+    let m = start.inverse() * *now;
+    let n = m.rotation.column(2);
+    let (b, c) = (-n.x / n.z, -n.y / n.z);
+    let a = m.translation_mm.z - b * m.translation_mm.x - c * m.translation_mm.y;
+    // z rises with y by a turn about x, and falls with x by one about y.
+    Vector3::new(a + b * reference_mm[0] + c * reference_mm[1], c.atan(), (-b).atan())
+}
+
+/// Derivative of [`against`] by (a, b, c) of the plane in the frame `now`.
+pub(super) fn against_by_plane(
+    start: &Motion<Rig, Sheet>,
+    now: &Motion<Rig, Sheet>,
+    reference_mm: [f64; 2],
+) -> Matrix3<f64> {
+    let steps = Vector3::new(1e-4, 1e-6, 1e-6);
+    let mut out = Matrix3::zeros();
+    for k in 0..3 {
+        let at = |h: f64| {
+            let mut abc = Vector3::zeros();
+            abc[k] = h;
+            against(start, &(*now * Motion::<Sheet, Sheet>::identity().retract(&(tilted() * abc))), reference_mm)
+        };
+        out.set_column(k, &((at(steps[k]) - at(-steps[k])) / (2.0 * steps[k])));
+    }
+    out
+}
+
+/// Step of a sheet in its own frame by the plane `z = a + b x + c y` that it goes to, to first order.
+fn tilted() -> Matrix6x3<f64> {
+    let mut out = Matrix6x3::zeros();
+    (out[(0, 2)], out[(1, 1)], out[(5, 0)]) = (1.0, -1.0, 1.0);
+    out
+}
+
+fn sheet_pose(record: &Record) -> Option<Motion<Rig, Sheet>> {
+    record.sheet.as_ref().map(|s| s.rig_from_sheet.motion())
+}
+
+/// Maps of a record's sheet after a change of one number of its cameras.
+fn stepped_maps(record: &Record, parameter: Parameter, h: f64) -> Option<[SheetMap; 2]> {
+    let sheet = sheet_pose(record)?;
+    let one = |c: usize| -> Option<SheetMap> {
+        let camera = record.cameras.get(c)?;
+        let mut model = camera.model().ok()?;
+        let mut pose = camera.cam_from_rig.motion::<Cam, Rig>();
+        match parameter {
+            Parameter::Intrinsic(i, k) if i == c => model = stepped_camera(&model, k, h)?,
+            Parameter::Window(i, k) if i == c => model = stepped_window(&model, k, h)?,
+            Parameter::Motion(k) if c == 1 => pose = stepped_motion(&pose, k, h),
+            _ => {}
+        }
+        Some(SheetMap::new(model, pose * sheet, camera.image_size_px))
+    };
+    Some([one(0)?, one(1)?])
+}
+
+/// Rows of the starting sheet in the covariance, one per step; `None` where it has none.
+fn start_rows(start: &Record) -> Option<[usize; 6]> {
+    let sheet = start.sheet.as_ref()?;
+    let prefix = match (sheet.method.as_str(), sheet.views.as_slice()) {
+        ("target plane", [view]) => format!("view{view}.rig_from_target."),
+        _ => SHEET.to_string(),
+    };
+    let mut rows = [0; 6];
+    for (row, name) in rows.iter_mut().zip(STEP_NAMES) {
+        *row = start.covariance.index(&format!("{prefix}{name}"))?;
+    }
+    Some(rows)
+}
+
+/// Covariances of the plane of `now`, found from `matches`, against the sheet of `start`; `None` where the calibration states no
+/// covariance or does not determine what is needed.
+pub(super) fn propagate(
+    start: &Record,
+    now: &Record,
+    matches: &[Match],
+    fit: &PlaneFit,
+    reference_mm: [f64; 2],
+) -> Option<Propagated> {
+    let names = [start.cameras.first()?.name.as_str(), start.cameras.get(1)?.name.as_str()];
+    let own = |(i, n): (usize, &String)| Some((i, Parameter::of(n, names)?));
+    let mut numbers: Vec<(usize, Parameter)> = start.covariance.names.iter().enumerate().filter_map(own).collect();
+    numbers.retain(|(_, p)| !matches!(p, Parameter::Sheet(_)));
+    if numbers.is_empty() {
+        return None;
+    }
+    let (pose, start_pose, q) = (sheet_pose(now)?, sheet_pose(start)?, start_rows(start)?);
+    let f_px = [0, 1].map(|c| now.cameras[c].f_px);
+    let center = now.cameras[1].cam_from_rig.motion::<Cam, Rig>();
+    let mut by_number = DMatrix::zeros(3, numbers.len());
+    let mut center_by_number = DMatrix::zeros(3, numbers.len());
+    for (k, (_, parameter)) in numbers.iter().enumerate() {
+        let h = parameter.step(f_px, pose.translation_mm.norm());
+        let at = |h: f64| -> Option<Vector3<f64>> {
+            let maps = stepped_maps(now, *parameter, h)?;
+            let seen: Option<Vec<_>> = matches.iter().map(|m| see([&maps[0], &maps[1]], m)).collect();
+            weighted_plane(&seen?, &fit.weights)
+        };
+        by_number.set_column(k, &((at(h)? - at(-h)?) / (2.0 * h)));
+        // C = -R^T t: a left step moves it by -R^T v.
+        if let Parameter::Motion(k_step @ 3..6) = parameter {
+            center_by_number.set_column(k, &(-center.rotation.row(k_step - 3).transpose()));
+        }
+    }
+    let c = &start.covariance.matrix;
+    let among =
+        |rows: &[usize], columns: &[usize]| DMatrix::from_fn(rows.len(), columns.len(), |i, j| c[rows[i]][columns[j]]);
+    let p: Vec<usize> = numbers.iter().map(|(i, _)| *i).collect();
+    let all: Vec<usize> = p.iter().chain(&q).copied().collect();
+    let both = among(&all, &all);
+    if both.iter().any(|v| !v.is_finite()) {
+        return None;
+    }
+    // Plane and second centre by the numbers.
+    let by: DMatrix<f64> =
+        DMatrix::from_fn(6, p.len(), |i, k| if i < 3 { by_number[(i, k)] } else { center_by_number[(i - 3, k)] });
+    let shared = &by * among(&p, &p) * by.transpose();
+    let mut plane_and_center = Matrix6::from_fn(|i, j| shared[(i, j)]);
+    for (i, j) in (0..3).flat_map(|i| (0..3).map(move |j| (i, j))) {
+        plane_and_center[(i, j)] += fit.covariance[(i, j)];
+    }
+    let by_plane = against_by_plane(&start_pose, &pose, reference_mm);
+    let by_start = against_by_start(&start_pose, &pose, reference_mm);
+    let by_p = by_plane * &by_number;
+    let gradient =
+        DMatrix::from_fn(3, all.len(), |i, k| if k < p.len() { by_p[(i, k)] } else { by_start[(i, k - p.len())] });
+    let known = &gradient * both * gradient.transpose();
+    let against_start = Matrix3::from_fn(|i, j| known[(i, j)]) + by_plane * fit.covariance * by_plane.transpose();
+    let covariance = with_sheet(&start.covariance, &p, &by_number, &pose, &plane_and_center);
+    Some(Propagated { plane_and_center, against_start, covariance })
+}
+
+/// Derivative of [`against`] by left steps of the starting sheet.
+fn against_by_start(
+    start: &Motion<Rig, Sheet>,
+    now: &Motion<Rig, Sheet>,
+    reference_mm: [f64; 2],
+) -> SMatrix<f64, 3, 6> {
+    let mut out = SMatrix::<f64, 3, 6>::zeros();
+    for k in 0..6 {
+        let h = if k < 3 { 1e-7 } else { 1e-4 };
+        let at = |h: f64| {
+            let mut step = SVector::<f64, 6>::zeros();
+            step[k] = h;
+            against(&start.retract(&step), now, reference_mm)
+        };
+        out.set_column(k, &((at(h) - at(-h)) / (2.0 * h)));
+    }
+    out
+}
+
+/// The covariance of the calibration with rows of the new sheet.
+fn with_sheet(
+    old: &Covariance,
+    p: &[usize],
+    by_number: &DMatrix<f64>,
+    pose: &Motion<Rig, Sheet>,
+    plane_and_center: &Matrix6<f64>,
+) -> Covariance {
+    let step_by_plane = pose.adjoint() * tilted();
+    let own = step_by_plane * plane_and_center.fixed_view::<3, 3>(0, 0) * step_by_plane.transpose();
+    let kept: Vec<usize> = (0..old.names.len()).filter(|i| !old.names[*i].starts_with(SHEET)).collect();
+    let beside = DMatrix::from_fn(p.len(), kept.len(), |i, j| old.matrix[p[i]][kept[j]]);
+    let cross = step_by_plane * by_number * beside;
+    let n = kept.len();
+    let entry = |i: usize, j: usize| match (i < n, j < n) {
+        (true, true) => old.matrix[kept[i]][kept[j]],
+        (false, false) => 0.5 * (own[(i - n, j - n)] + own[(j - n, i - n)]),
+        (false, true) => cross[(i - n, j)],
+        (true, false) => cross[(j - n, i)],
+    };
+    Covariance {
+        names: kept.iter().map(|i| old.names[*i].clone()).chain(STEP_NAMES.map(|s| format!("{SHEET}{s}"))).collect(),
+        matrix: (0..n + 6).map(|i| (0..n + 6).map(|j| entry(i, j)).collect()).collect(),
+    }
+}
