@@ -302,7 +302,7 @@ impl Exact {
         let total = self.band.len();
         for start in (0..total).step_by(CHUNK) {
             let end = (start + CHUNK).min(total);
-            if (start / CHUNK) % self.thinned.max(1) != 0 {
+            if !(start / CHUNK).is_multiple_of(self.thinned.max(1)) {
                 continue;
             }
             for i in (start..end).step_by(LANES) {
