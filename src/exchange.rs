@@ -231,12 +231,9 @@ impl Cameras {
             let near = behind::without_window(c, &window)?;
             self.notes.push(format!(
                 "{}: looks through a flat window, which this format cannot hold; the nearest camera without one is written, fitted over \
-                 the whole image within {:.1} mm of the sheet: {:.3} px rms and {:.3} px at most off, more beyond; to keep the window, \
-                 work with calibration.json, or write --to soloff",
+                 the whole image within {:.1} mm of the sheet, and worse beyond; to keep the window, work with calibration.json, or write --to soloff",
                 near.name,
-                near.depth_mm(),
-                near.loss.rms_px,
-                near.loss.max_px
+                near.depth_mm()
             ));
             self.cameras.push(near);
         }

@@ -88,7 +88,26 @@ impl OpenCvCamera {
 }
 
 /// The camera of this library that sees given points at given pixels, from a start.
+///
+/// Fitted twice, by parameters that are weak in different places; the second fit begins where the first ends and can only be better.
 pub(super) fn fit_scheimpflug(
+    start: &Camera,
+    pose: &Motion<Cam, Sheet>,
+    seen: &[super::refit::Seen],
+) -> Result<(Camera, Motion<Cam, Sheet>, Loss)> {
+    let (camera, pose, _) = along_lens_axis(start, pose, seen)?;
+    along_pinhole(&camera, &pose, seen)
+}
+
+fn degenerate() -> Insufficient {
+    Insufficient::Degenerate(
+        "no camera of this library sees the points as the file says; check the image size and the pixel pitch".into(),
+    )
+}
+
+/// [`fit_scheimpflug`] by pose, intrinsics and tilts: reaches a tilt from a start without distortion, and creeps where tilt, axis point and pose
+/// move together.
+fn along_lens_axis(
     start: &Camera,
     pose: &Motion<Cam, Sheet>,
     seen: &[super::refit::Seen],
@@ -105,13 +124,45 @@ pub(super) fn fit_scheimpflug(
     let [turn, shift] = [1e-6, 1e-6 * far];
     let steps = [turn, turn, turn, shift, shift, shift, 1e-6, 0.01, 0.01, 1e-6, turn, turn, 1e-4, 1e-2];
     let project = |p: &[f64], x: &Vector3<f64>| of(p)?.project_xyz(&moved(pose, p).apply(x)).ok();
-    let degenerate = || {
-        Insufficient::Degenerate(
-            "no camera of this library sees the points as the file says; check the image size and the pixel pitch"
-                .into(),
-        )
-    };
     let (p, loss) = refit(seen, &first, &steps, &project).ok_or_else(degenerate)?;
     let camera = of(&p).ok_or_else(degenerate)?;
     Ok((camera, moved(pose, &p), loss))
+}
+
+/// [`fit_scheimpflug`] by other parameters: the pose of the effective pinhole, its (f, cx, cy), the aspect, the axis point and k1, k2. What is weak, the axis
+/// point, stands alone, but moves nothing from a start without distortion; with (du, dv) = axis less effective point, dv over the aspect,
+/// ```text
+/// f = sqrt(f_e^2 + du^2 + dv^2),   beta = asin(du / f),   alpha = atan2(dv, f_e)
+/// ```
+fn along_pinhole(
+    start: &Camera,
+    pose: &Motion<Cam, Sheet>,
+    seen: &[super::refit::Seen],
+) -> Result<(Camera, Motion<Cam, Sheet>, Loss)> {
+    let (i, e) = (start.intrinsics(), start.effective_pinhole());
+    let pinhole_from =
+        |camera: &Camera| Motion::<Cam, Cam>::new(camera.cam_from_pinhole().transpose(), Vector3::zeros());
+    let pinhole_pose = pinhole_from(start) * *pose;
+    let of = |p: &[f64]| {
+        let (f_e, aspect) = (p[6] * e.f_px, p[9]);
+        let (du, dv) = (p[10] - p[7], (p[11] - p[8]) / aspect);
+        let f_px = (f_e * f_e + du * du + dv * dv).sqrt();
+        let mut out = Intrinsics::pinhole(f_px, p[10], p[11]);
+        (out.aspect, out.alpha_rad, out.beta_rad) = (aspect, dv.atan2(f_e), (du / f_px).asin());
+        out.k = [p[12], p[13], i.k[2]];
+        Camera::new(out).ok()
+    };
+    let placed = |camera: &Camera, p: &[f64]| pinhole_from(camera).inverse() * moved(&pinhole_pose, p);
+    let [cx, cy, k1, k2] = [i.cx_px, i.cy_px, i.k[0], i.k[1]];
+    let first = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, e.cx_px, e.cy_px, i.aspect, cx, cy, k1, k2];
+    let far = pose.translation_mm.norm();
+    let [turn, shift] = [1e-6, 1e-6 * far];
+    let steps = [turn, turn, turn, shift, shift, shift, 1e-6, 0.01, 0.01, 1e-6, 0.1, 0.1, 1e-4, 1e-2];
+    let project = |p: &[f64], x: &Vector3<f64>| {
+        let camera = of(p)?;
+        camera.project_xyz(&placed(&camera, p).apply(x)).ok()
+    };
+    let (p, loss) = refit(seen, &first, &steps, &project).ok_or_else(degenerate)?;
+    let camera = of(&p).ok_or_else(degenerate)?;
+    Ok((camera, placed(&camera, &p), loss))
 }

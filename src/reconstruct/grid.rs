@@ -6,6 +6,8 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// Part of a spacing by which positions may be off the grid (exports round them).
 const OFF_GRID: f64 = 0.1;
+/// Gaps of less than this part of the largest are rounding.
+const ROUNDED: f64 = 5e-3;
 /// Vectors among the sixteen around that a local plane needs.
 const FEWEST_AROUND: usize = 6;
 /// Range of the weights of a local plane, spacings.
@@ -46,9 +48,12 @@ fn axis(table: &FieldTable, name: &str, values: &[f64]) -> Result<(f64, f64, usi
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     let mut gaps: Vec<f64> = sorted.windows(2).map(|w| w[1] - w[0]).collect();
-    let largest = gaps.iter().copied().fold(0.0, f64::max);
-    gaps.retain(|g| *g > OFF_GRID * largest);
     gaps.sort_by(f64::total_cmp);
+    // One position far off makes one or two large gaps, which say nothing of the spacing; rounding makes tiny ones.
+    let largest = gaps.last().copied().unwrap_or(0.0);
+    let third = gaps.len().checked_sub(3).map_or(largest, |i| gaps[i]);
+    let typical = if third > ROUNDED * largest { third } else { largest };
+    gaps.retain(|g| *g > OFF_GRID * typical);
     let (Some(middle), Some(last)) = (gaps.get(gaps.len() / 2).copied().filter(|g| *g > 0.0), sorted.last()) else {
         let what = format!("all vectors have the same {name}: a field needs at least two rows and two columns");
         return Err(not_a_grid(table, what));
