@@ -28,7 +28,12 @@ fn main() {
             }
             seed += 1;
             let c = Condition { semi_minor_px, ratio, blur_px, light, bits, noise: 0.015, bright };
-            let (scenes, shots) = if semi_minor_px > 50.0 { (4, 8) } else { (20, 8) };
+            let (scenes, shots) = match (light, semi_minor_px > 50.0) {
+                // What smoke does to a scene it does to all its images.
+                (Light::Smoke, false) => (100, 1),
+                (_, false) => (20, 8),
+                (_, true) => (4, 8),
+            };
             let row = c.run(scenes, shots, seed);
             let name = match light {
                 Light::Even => "even",

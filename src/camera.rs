@@ -35,12 +35,14 @@
 //! Not valid, and refused by [`Refusal`]: behind the camera; where the ray no longer meets the sensor (`h <= 0`);
 //! beyond the radius where `r g(r^2)` stops growing (at most 1e3); where numbers overflow.
 
+mod bulk;
 mod convert;
 mod design;
 mod lanes;
 mod radial;
 mod window;
 
+pub(crate) use bulk::BulkCamera;
 pub use convert::{EffectivePinhole, HalconTilt, OpenCvTilted};
 pub use design::Drawing;
 pub(crate) use lanes::{LaneCamera, LaneImage};

@@ -13,10 +13,10 @@ mod profile;
 mod quick;
 mod refine;
 mod rim;
+mod rough;
 mod sectors;
 mod surface;
 mod trace;
-mod wide;
 
 pub use find::find_discs;
 

@@ -21,11 +21,13 @@
 //! (1997) 1441, for the polynomial map; Willert, Meas. Sci. Technol. 8 (1997) 1465. Not valid for a camera that looks along
 //! the sheet, where `d_z = 0`: such pixels have no place (`NaN`).
 
+mod bulk;
 mod grid;
 mod kernel;
 mod map;
 mod placement;
 mod resample;
+mod rows;
 mod soloff;
 
 pub use grid::SheetGrid;

@@ -29,6 +29,7 @@
 //! (1981) 1153. Not valid where both cameras look along one line (no w) and where a vector is longer than its field is smooth.
 
 mod calibration;
+mod components;
 mod grid;
 mod noise;
 mod read;
@@ -36,6 +37,7 @@ mod text;
 mod vectors;
 
 pub use calibration::perturbed_maps;
+pub use components::{Components, PlanarPair, three_components};
 pub use grid::PlanarField;
 pub use read::{FieldFormat, FieldTable, FieldUnit, parse_field};
 pub use vectors::{Options, Reference, VectorField, flag, reconstruct};

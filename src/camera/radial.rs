@@ -35,6 +35,11 @@ impl RadialLimit {
         self.radius
     }
 
+    /// What becomes of that radius.
+    pub(super) fn image(&self) -> f64 {
+        self.image
+    }
+
     /// First positive root of the growth polynomial, by bisection between its extrema.
     pub(super) fn of(k: &[f64; 3]) -> Self {
         // Extrema of p: 3 k1 + 10 k2 s + 21 k3 s^2 = 0, in the cancellation-free form.

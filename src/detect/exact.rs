@@ -15,10 +15,12 @@
 //!
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
-//! | - | `sides` | 2 | | polynomials of the light, inside and outside |
 //! | amp, l | `Field::amplitude`, `Field::length` | 1 | grey, semi-axes | prior of the smoke |
 //! | k | `Field::waves` | n | 1 | wave vectors |
 //! | J^T W J | `gram` | n x n | | products of all columns, the grey values last |
+
+mod field;
+pub(crate) use field::Field;
 
 use crate::conic::{Ellipse, Frame, from_regular, to_regular};
 use crate::detect::band::{Band, LANES, Reach};
@@ -29,10 +31,10 @@ use crate::detect::profile::{Lanes, Profile};
 use crate::detect::refine::{Start, reach_px};
 use crate::detect::rim::Rim;
 use crate::detect::surface::{At, on_contour};
-use crate::detect::wide::{Work, wide};
 use crate::image::GrayView;
+use crate::lanes::{self, Kernel, Lanes as Width};
+use field::PRIOR_PIXELS;
 use nalgebra::{SMatrix, SVector};
-use std::f64::consts::TAU;
 
 /// Blur and geometry.
 const FIXED: usize = 6;
@@ -40,53 +42,12 @@ const FIXED: usize = 6;
 const CHUNK: usize = 64;
 /// Rounds at most.
 const MOST_ROUNDS: usize = 8;
-/// Waves longer than the length of the field over this are left out.
-const CUT: f64 = 3.0;
-/// Pixels from which the prior of a field is chosen.
-const PRIOR_PIXELS: usize = 3000;
 /// Longest contour around which a field is fitted, px: its price grows with the area.
 pub(crate) const MOST_CONTOUR_PX: f64 = 800.0;
-/// Gain in twice the logarithm of the likelihood that a field must bring.
-const WORTH: f64 = 16.0;
 /// Product of curvature and blur above which the local profile no longer holds.
 pub(crate) const SMALL: f64 = 0.33;
 /// How much `chi^2` must fall for a slope of the light: its two coefficients, 3.5 standard deviations, and 4 for having looked.
 pub(crate) const SLOPE: f64 = 13.0;
-
-/// Random light inside the disc.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct Field {
-    pub(crate) length: f64,
-    pub(crate) amplitude: f64,
-    waves: Vec<[f64; 2]>,
-    /// Prior variances of the heights for an amplitude of one.
-    variances: Vec<f64>,
-}
-
-impl Field {
-    /// The lattice for a region of the half sizes given, in units of the semi-axes.
-    fn new(length: f64, half: [f64; 2]) -> Self {
-        let spacing = half.map(|h| TAU / (2.0 * h + 3.0 * length));
-        let most = spacing.map(|d| (CUT / length / d) as i32);
-        let mut field = Self { length, amplitude: 0.0, waves: vec![], variances: vec![] };
-        for i in 0..=most[0] {
-            for j in -most[1]..=most[1] {
-                if i == 0 && j <= 0 {
-                    continue;
-                }
-                let k = [f64::from(i) * spacing[0], f64::from(j) * spacing[1]];
-                let q = (k[0] * k[0] + k[1] * k[1]) * length * length;
-                if q < CUT * CUT {
-                    field.waves.push(k);
-                    field.variances.push((-0.5 * q).exp());
-                }
-            }
-        }
-        let sum: f64 = field.variances.iter().sum();
-        field.variances.iter_mut().for_each(|v| *v /= sum);
-        field
-    }
-}
 
 /// State of the fit of one disc.
 #[derive(Debug, Clone)]
@@ -170,14 +131,12 @@ pub(crate) struct Exact {
 
 impl Exact {
     /// Covariance of the regular coordinates.
-    pub(crate) fn covariance(&self) -> &SMatrix<f64, 5, 5> {
-        &self.dense.covariance
+    pub(crate) fn covariance(&self) -> SMatrix<f64, 5, 5> {
+        self.dense.covariance
     }
-
     pub(crate) fn widen(&self) -> f64 {
         self.dense.widen
     }
-
     /// Number of unknowns of the light.
     fn lights(state: &State) -> usize {
         let waves = state.field.as_ref().map_or(0, |f| 2 * f.waves.len());
@@ -220,19 +179,6 @@ impl Exact {
 
     fn weight(state: &State, inside: f64) -> f64 {
         1.0 / (state.variance[0] * inside + state.variance[1] * (1.0 - inside))
-    }
-
-    /// Keeps the step of the light that each pixel feels while another model of the light is tried.
-    fn hold_steps(&mut self, state: &State) {
-        self.held.clear();
-        for start in (0..self.count).step_by(LANES) {
-            let lanes = self.profile(state, start);
-            for l in 0..LANES.min(self.count - start) {
-                let p = start + l;
-                let response = self.response[p] / Self::weight(state, self.inside[p]).sqrt();
-                self.held.push(if lanes.slope[l].abs() > 1e-6 { response / lanes.slope[l] } else { state.step });
-            }
-        }
     }
 
     /// Difference of the light of the two sides on the contour, of the polynomials alone.
@@ -356,13 +302,13 @@ impl Exact {
         let total = self.band.len();
         for start in (0..total).step_by(CHUNK) {
             let end = (start + CHUNK).min(total);
-            if (start / CHUNK) % self.thinned.max(1) != 0 {
+            if !(start / CHUNK).is_multiple_of(self.thinned.max(1)) {
                 continue;
             }
             for i in (start..end).step_by(LANES) {
                 self.fill(state, &frame, i, i - start);
             }
-            wide(Products { columns: &self.columns, used: end - start, n, gram: &mut self.gram });
+            lanes::run(Products { columns: &self.columns, used: end - start, n, gram: &mut self.gram });
         }
     }
 
@@ -589,46 +535,6 @@ impl Exact {
         Some(kept)
     }
 
-    /// Half the derivatives of `ln det` of the light's block by blur and geometry: a larger disc has more room for light, and explains
-    /// more by that alone; the likelihood with the light integrated out takes it back.
-    fn price_of_room(
-        &mut self,
-        view: &GrayView,
-        state: &State,
-        contour: &mut Contour,
-        keep: &[bool],
-        reach: &dyn Fn(&State) -> Reach,
-        cut: &dyn Fn(&mut Contour, &Ellipse),
-    ) -> Option<[f64; FIXED]> {
-        const STEP_PX: f64 = 0.05;
-        let mut tilt = [0.0; FIXED];
-        let fixed = reach(state);
-        for (i, t) in tilt.iter_mut().enumerate() {
-            for sign in [1.0, -1.0] {
-                let mut moved = state.clone();
-                if i == 0 {
-                    moved.blur_px += sign * STEP_PX;
-                } else {
-                    let mut q = to_regular(&state.ellipse);
-                    q[i - 1] += sign * STEP_PX;
-                    moved.ellipse = from_regular(&q)?;
-                }
-                cut(contour, &moved.ellipse);
-                let keep: Vec<bool> =
-                    (0..contour.len()).map(|k| keep[(k * keep.len() / contour.len()).min(keep.len() - 1)]).collect();
-                if !self.look(view, &moved, contour, &keep, fixed) {
-                    return None;
-                }
-                self.sum_up(&moved);
-                self.solve(&moved)?;
-                let (lights, n) = (Self::lights(&moved), Self::lights(&moved) + FIXED);
-                let log_det: f64 = (0..lights).map(|j| 2.0 * self.dense.matrix[j * n + j].ln()).sum();
-                *t += 0.5 * sign * log_det / (2.0 * STEP_PX);
-            }
-        }
-        Some(tilt)
-    }
-
     /// The last change, applied.
     pub(crate) fn finished(&self, state: &State) -> Option<(Ellipse, SVector<f64, 5>, f64)> {
         let lights = Self::lights(state);
@@ -660,58 +566,6 @@ impl Exact {
     pub(crate) fn noise(&self) -> [Option<f64>; 2] {
         self.away.map(|[squares, n]| (n > 12.0).then(|| squares / n))
     }
-
-    /// Length and amplitude with the largest likelihood; no field where none is worth it.
-    fn choose_field(&mut self, state: &mut State) {
-        let e = &state.ellipse;
-        let reach = 2.5 * state.blur_px;
-        let half = [1.0 + reach / e.semi_major_px, 1.0 + reach / e.semi_minor_px];
-        let least = 1.8 * state.blur_px / (e.semi_major_px * e.semi_minor_px).sqrt();
-        let plain = State { field: None, ..state.clone() };
-        self.light.clear();
-        // A few thousand pixels fix the prior.
-        self.thinned = self.count.div_ceil(PRIOR_PIXELS);
-        self.sum_up(&plain);
-        let Some(without) = self.solve(&plain) else { return self.thinned = 1 };
-        let mut best: Option<(f64, Field)> = None;
-        for length in [0.27, 0.36, 0.48, 0.64, 0.85, 1.15] {
-            if length < least {
-                continue;
-            }
-            let mut tried = State { field: Some(Field::new(length, half)), ..state.clone() };
-            self.sum_up(&tried);
-            let mut evaluate = |amplitude: f64, best: &mut Option<(f64, Field)>| {
-                if let Some(f) = &mut tried.field {
-                    f.amplitude = amplitude;
-                }
-                let value = self.solve(&tried).unwrap_or(f64::INFINITY);
-                if best.as_ref().is_none_or(|b| value < b.0) {
-                    *best = tried.field.clone().map(|f| (value, f));
-                }
-                value
-            };
-            let (mut middle, mut ratio) = (0.15 * state.step.abs(), 2.0);
-            let mut value = evaluate(middle, &mut best);
-            for _ in 0..2 {
-                for factor in [ratio, 1.0 / ratio] {
-                    let mut moved = false;
-                    for _ in 0..4 {
-                        let next = evaluate(middle * factor, &mut best);
-                        if next >= value {
-                            break;
-                        }
-                        (middle, value, moved) = (middle * factor, next, true);
-                    }
-                    if moved {
-                        break;
-                    }
-                }
-                ratio = 2.0_f64.sqrt();
-            }
-        }
-        self.thinned = 1;
-        state.field = best.filter(|b| b.0 + WORTH < without).map(|b| b.1);
-    }
 }
 
 /// Adds the products of the first `used` entries of all pairs of columns to the lower triangle.
@@ -722,10 +576,10 @@ struct Products<'a> {
     gram: &'a mut [f64],
 }
 
-impl Work for Products<'_> {
-    type Out = ();
+impl Kernel for Products<'_> {
+    type Output = ();
     #[inline(always)]
-    fn run(self) {
+    fn run<L: Width>(self) {
         let Self { columns, used, n, gram } = self;
         for i in 0..n {
             let ci = &columns[i * CHUNK..i * CHUNK + used];

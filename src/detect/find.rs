@@ -9,11 +9,11 @@ use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_o
 use crate::detect::plane::{self, Source, Steep, check_finite, smooth_and_field};
 use crate::detect::refine::{Scratch, Start, refine};
 use crate::detect::trace::{Line, Tracer};
-use crate::detect::wide::wide;
 use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason, Shape};
 use crate::error::{Invalid, Result};
 use crate::frames::Pixel;
 use crate::image::GrayView;
+use crate::lanes;
 use crate::target::{MarkKind, Polarity};
 use rayon::prelude::*;
 
@@ -21,6 +21,8 @@ use rayon::prelude::*;
 const TEXTURE: f64 = 0.15;
 /// A disc with less than this part of the typical radius is dust.
 const DUST: f64 = 0.25;
+/// Images with more candidates than this show prints, not smoke.
+const MOST_SMOKY: usize = 24;
 /// Pyramid levels looked at.
 const LEVELS: u32 = 3;
 
@@ -96,6 +98,7 @@ fn refine_all<'a>(
             contrast: candidate.contrast,
             inner_px: around.inner_px,
             neighbours: &around.neighbours,
+            smoke: wanted.len() <= MOST_SMOKY,
         };
         (*candidate, refine(view, &start, options, scratch))
     };
@@ -160,7 +163,7 @@ fn look(view: &GrayView, noise: f32, options: &DetectOptions) -> Seen {
         let mut steep = Vec::new();
         for v in 0..field.height - 1 {
             // Gradients are rare, zeros of the field are everywhere: the noise crosses zero all the time.
-            wide(Steep { row: smooth.row(v), gradient, found: &mut steep });
+            lanes::run(Steep { row: smooth.row(v), gradient, found: &mut steep });
             for &u in &steep {
                 if tracer.fresh_crossing(u, v) {
                     tracer.follow(u, v, &mut line);

@@ -3,9 +3,9 @@
 //! The difference `s - m` (s: binomial blur, sigma 1 px; m: mean of `s` over 9 x 9 px) changes sign at every edge, however uneven
 //! the light: its zero line is the first guess of a contour.
 
-use crate::detect::wide::{Work, wide};
 use crate::error::{Invalid, Result};
 use crate::image::{GrayView, Samples};
+use crate::lanes::{self, Kernel, Lanes as Width};
 
 /// Half width of the window of the local mean, px.
 const MEAN_RADIUS: usize = 4;
@@ -135,15 +135,15 @@ pub(crate) fn range(view: &GrayView) -> f32 {
 /// An image blurred by the binomial (1 4 6 4 1)/16 in both directions, and the same minus its mean over the window around each pixel;
 /// borders are repeated. One pass: each row is finished while those that it needs are at hand.
 pub(crate) fn smooth_and_field(source: Source) -> (Plane, Plane) {
-    wide(SmoothAndField(source))
+    lanes::run(SmoothAndField(source))
 }
 
 struct SmoothAndField<'a>(Source<'a>);
 
-impl Work for SmoothAndField<'_> {
-    type Out = (Plane, Plane);
+impl Kernel for SmoothAndField<'_> {
+    type Output = (Plane, Plane);
     #[inline(always)]
-    fn run(self) -> (Plane, Plane) {
+    fn run<L: Width>(self) -> (Plane, Plane) {
         let source = self.0;
         let (width, height) = (source.width(), source.height());
         let (mut smooth, mut field) = (Vec::with_capacity(width * height), Vec::with_capacity(width * height));
@@ -223,9 +223,6 @@ impl BoxMean {
         // Sums of three rows exist from three above the image to three below.
         let first = if v == 0 { -3 } else { v as isize - 1 };
         for middle in first..v as isize {
-            if v == 0 && middle + 1 > 0 {
-                break;
-            }
             let (a, b, c) = (row(middle - 1), row(middle), row(middle + 1));
             let out = &mut self.threes[middle.rem_euclid(8) as usize][..n];
             for i in 0..n {
@@ -258,10 +255,10 @@ pub(crate) struct Steep<'a> {
     pub(crate) found: &'a mut Vec<usize>,
 }
 
-impl Work for Steep<'_> {
-    type Out = ();
+impl Kernel for Steep<'_> {
+    type Output = ();
     #[inline(always)]
-    fn run(self) {
+    fn run<L: Width>(self) {
         const STRIDE: usize = 32;
         self.found.clear();
         let n = self.row.len() - 1;
@@ -285,4 +282,63 @@ fn repeat_ends(line: &mut [f32], pad: usize) {
     let (first, last) = (line[pad], line[n - pad - 1]);
     line[..pad].fill(first);
     line[n - pad..].fill(last);
+}
+
+#[cfg(test)]
+#[allow(clippy::expect_used)]
+mod tests {
+    use super::*;
+
+    /// The pass over rows in rings against sums written out for each pixel.
+    #[test]
+    fn one_pass_is_the_plain_blur_and_the_plain_mean() {
+        for (width, height) in [(12, 12), (37, 15), (70, 23)] {
+            let mut state = 7u32;
+            let grey: Vec<u8> = (0..width * height)
+                .map(|_| {
+                    state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    (state >> 24) as u8
+                })
+                .collect();
+            let view = GrayView::new(Samples::U8(&grey), width, height, width).expect("an image");
+            let (smooth, field) = smooth_and_field(Source::View(&view));
+            let last = |x: isize, n: usize| x.clamp(0, n as isize - 1) as usize;
+            let blurred = |u: isize, v: isize| {
+                let w = [1.0, 4.0, 6.0, 4.0, 1.0];
+                let mut sum = 0.0;
+                for (j, wj) in w.iter().enumerate() {
+                    for (i, wi) in w.iter().enumerate() {
+                        let (x, y) = (last(u + i as isize - 2, width), last(v + j as isize - 2, height));
+                        sum += wi * wj * f64::from(grey[y * width + x]);
+                    }
+                }
+                sum / 256.0
+            };
+            for v in 0..height as isize {
+                for u in 0..width as isize {
+                    let mut mean = 0.0;
+                    for j in -4..=4 {
+                        for i in -4..=4 {
+                            let (x, y) = (last(u + i, width), last(v + j, height));
+                            mean += blurred(x as isize, y as isize) / 81.0;
+                        }
+                    }
+                    let own = blurred(u, v);
+                    let (s, f) = (smooth.at(u as usize, v as usize), field.at(u as usize, v as usize));
+                    assert!((f64::from(s) - own).abs() < 1e-4, "({u}, {v}): {s} against {own}");
+                    assert!((f64::from(f) - (own - mean)).abs() < 3e-4, "({u}, {v}): {f} against {}", own - mean);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn steep_places_are_those_of_a_plain_loop_at_any_width() {
+        let row: Vec<f32> = (0..1000).map(|i| ((i * i) % 97) as f32 * if i % 300 < 40 { 1.0 } else { 0.01 }).collect();
+        let plain: Vec<usize> = (0..999).filter(|i| (row[i + 1] - row[*i]).abs() > 3.0).collect();
+        let mut found = vec![];
+        lanes::run(Steep { row: &row, gradient: 3.0, found: &mut found });
+        assert!(plain.len() > 50);
+        assert_eq!(found, plain);
+    }
 }

@@ -17,8 +17,8 @@ use crate::detect::edge_model::{Dense, PRIOR_BLUR_PX};
 use crate::detect::exact::{SLOPE, SMALL, Share};
 use crate::detect::profile::Profile;
 use crate::detect::refine::reach_px;
-use crate::detect::wide::{Work, wide};
 use crate::image::{GrayView, Samples};
+use crate::lanes::{self, Kernel, Lanes as Width};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 /// Pixels of a block: enough for the compiler to see loops.
@@ -50,6 +50,8 @@ struct Run {
     g: f64,
     gu: f64,
     gg: f64,
+    /// Sum of the squared differences of neighbours: light that varies smoothly leaves it alone.
+    dd: f64,
 }
 
 /// State of the fit.
@@ -87,10 +89,10 @@ pub(crate) struct Quick {
 /// [`Quick::sum_up`] in the widest vectors.
 struct SumUp<'a>(&'a mut Quick, &'a Clean);
 
-impl Work for SumUp<'_> {
-    type Out = ();
+impl Kernel for SumUp<'_> {
+    type Output = ();
     #[inline(always)]
-    fn run(self) {
+    fn run<L: Width>(self) {
         self.0.sum_up(self.1);
     }
 }
@@ -153,7 +155,7 @@ impl Quick {
                 return None;
             }
             state.variance = self.noise(floor)?;
-            wide(SumUp(self, state));
+            lanes::run(SumUp(self, state));
             self.add_runs(state);
             self.solve_light(state)?;
             let change = &self.found[LIGHTS..];
@@ -231,12 +233,15 @@ impl Quick {
             }
             let at = v * view.stride();
             let (ground, first) = (self.ground, from as f64);
-            let (mut g, mut gu, mut gg) = (0.0, 0.0, 0.0);
+            let (mut g, mut gu, mut gg, mut dd, mut before) = (0.0, 0.0, 0.0, 0.0, f64::NAN);
             let mut take = |i: usize, x: f64| {
                 let x = x - ground;
                 g += x;
                 gu += x * i as f64;
                 gg += x * x;
+                let step = x - before;
+                dd += if i == 0 { 0.0 } else { step * step };
+                before = x;
             };
             match view.samples() {
                 Samples::U8(s) => s[at + from..at + to].iter().enumerate().for_each(|(i, x)| take(i, f64::from(*x))),
@@ -254,6 +259,7 @@ impl Quick {
                 g,
                 gu: gu + first * g,
                 gg,
+                dd,
             });
         }
     }
@@ -309,7 +315,13 @@ impl Quick {
                 continue;
             }
             let x = m.cholesky()?.solve(&r);
-            found[side] = Some((squares - r.dot(&x)).max(0.0) / (m[(0, 0)] - 3.0));
+            let about_plane = (squares - r.dot(&x)).max(0.0) / (m[(0, 0)] - 3.0);
+            let (sum, pairs) = self.runs[side].iter().fold((0.0, 0.0), |(s, n), x| (s + x.dd, n + x.n - 1.0));
+            let of_neighbours = 0.5 * sum / f64::max(pairs, 1.0);
+            if about_plane > of_neighbours.max(floor) * (1.25 + 5.0 * (2.0 / f64::max(pairs, 1.0)).sqrt()) {
+                return None;
+            }
+            found[side] = Some(about_plane);
         }
         let [a, b] = found;
         let (a, b) = (a.or(b)?, b.or(a)?);

@@ -20,6 +20,7 @@ use crate::detect::edge_model::{EdgeModel, Solution};
 use crate::detect::exact::{Exact, Field, MOST_CONTOUR_PX, Share, State};
 use crate::detect::light::{self, Light, Side};
 use crate::detect::quick::{Clean, Quick};
+use crate::detect::rough::roughness_px2;
 use crate::detect::sectors::{Lens, Sectors};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::{GrayView, Samples};
@@ -30,8 +31,6 @@ use nalgebra::{SMatrix, SVector};
 const MOST_ROUNDS: usize = 10;
 /// A change of the geometry below this ends the rounds, px: what is left of it is of third order in the ratio to the blur.
 const STILL_PX: f64 = 0.02;
-/// Harmonics along the contour that a smooth lens may explain: 3 to this.
-const SMOOTH: usize = 5;
 
 /// Buffers reused from disc to disc.
 #[derive(Debug, Default)]
@@ -58,6 +57,8 @@ pub(crate) struct Start<'a> {
     pub(crate) inner_px: f64,
     /// Other edges around.
     pub(crate) neighbours: &'a [Ellipse],
+    /// Whether a random field of light may be fitted, which takes thousands of times as long as a clean disc.
+    pub(crate) smoke: bool,
 }
 
 /// Refines one disc, or says why it is none.
@@ -315,65 +316,6 @@ fn drop_sectors(s: &mut Scratch) -> f64 {
     s.sectors.keep.iter().filter(|k| **k).count() as f64 / count as f64
 }
 
-/// Distances of the edge points from the ellipse without the low harmonics along the contour that a smooth lens explains, and the
-/// degrees of freedom that are left.
-fn without_smooth_bends(ellipse: &Ellipse, edge: &EdgePoints) -> (Vec<f64>, f64) {
-    const N: usize = 2 * SMOOTH + 1;
-    let n = edge.u_px.len();
-    let (s, c) = ellipse.angle_rad.sin_cos();
-    let frame = Frame::new(ellipse);
-    let mut distance = Vec::with_capacity(n);
-    let mut rows = Vec::with_capacity(n);
-    let (mut matrix, mut right) = (SMatrix::<f64, N, N>::zeros(), SVector::<f64, N>::zeros());
-    for i in 0..n {
-        let p = crate::frames::Pixel::new(edge.u_px[i], edge.v_px[i]);
-        let d = frame.foot(p.u_px, p.v_px, None).distance;
-        let (du, dv) = (p.u_px - ellipse.center_px.u_px, p.v_px - ellipse.center_px.v_px);
-        let (x, y) = ((c * du + s * dv) / ellipse.semi_major_px, (c * dv - s * du) / ellipse.semi_minor_px);
-        let r = x.hypot(y);
-        let (c1, s1) = (x / r, y / r);
-        // A polynomial displacement of low degree is one of low harmonics when multiplied by the length of the tangent.
-        let share = ellipse.semi_minor_px / (ellipse.semi_major_px * s1).hypot(ellipse.semi_minor_px * c1);
-        let (mut cm, mut sm) = (1.0, 0.0);
-        let mut row = SVector::<f64, N>::zeros();
-        row[0] = share;
-        for m in 1..=SMOOTH {
-            (cm, sm) = (cm * c1 - sm * s1, sm * c1 + cm * s1);
-            (row[2 * m - 1], row[2 * m]) = (share * cm, share * sm);
-        }
-        matrix += row * row.transpose();
-        right += row * d;
-        distance.push(d);
-        rows.push(row);
-    }
-    let plain = (n as f64 - 5.0).max(1.0);
-    if n < 4 * N {
-        return (distance, plain);
-    }
-    match matrix.cholesky() {
-        Some(factor) => {
-            let x = factor.solve(&right);
-            (distance.iter().zip(&rows).map(|(d, r)| d - r.dot(&x)).collect(), n as f64 - N as f64)
-        }
-        None => (distance, plain),
-    }
-}
-
-/// Variance that, added to those of the edge points, makes their chi-square the number of degrees of freedom, px^2.
-fn roughness_px2(ellipse: &Ellipse, edge: &EdgePoints) -> f64 {
-    let (distance, freedom) = without_smooth_bends(ellipse, edge);
-    let chi2 = |x: f64| distance.iter().zip(&edge.sigma_px).map(|(r, s)| r * r / (s * s + x)).sum::<f64>();
-    if chi2(0.0) <= freedom {
-        return 0.0;
-    }
-    let (mut low, mut high) = (0.0, distance.iter().map(|r| r * r).sum::<f64>() / freedom);
-    for _ in 0..40 {
-        let middle = 0.5 * (low + high);
-        if chi2(middle) > freedom { low = middle } else { high = middle }
-    }
-    high
-}
-
 /// Edge points, the ellipse, the honest sigmas.
 fn finish(
     view: &GrayView,
@@ -519,12 +461,12 @@ fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: &mut Scratc
     };
     let floor = quantisation(view).max((1e-4 * model.step).powi(2));
     let perimeter_px = model.ellipse.perimeter_px();
-    if smoke && perimeter_px > MOST_CONTOUR_PX {
+    if smoke && (perimeter_px > MOST_CONTOUR_PX || !start.smoke) {
         return None;
     }
     let before = state.clone();
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-    if smoke || s.exact.smoke_left(perimeter_px) {
+    if start.smoke && (smoke || s.exact.smoke_left(perimeter_px)) {
         let mut smoky = State { field: Some(Field::default()), ..before };
         smoky.sides[0] = Side::plain(0, model.step.abs());
         // Noise inside cannot be told from smoke before the smoke is known.
@@ -554,7 +496,7 @@ fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: &mut Scratc
     }
     let (ellipse, change, blur_px) = s.exact.finished(&state)?;
     let edge = edges(&s.fine, &s.exact.shares, Some(&kept), &change, s.exact.widen());
-    let covariance = covariance_from_regular(&to_regular(&ellipse), s.exact.covariance());
+    let covariance = covariance_from_regular(&to_regular(&ellipse), &s.exact.covariance());
     Some((Found { ellipse, blur_px, covariance: Some(covariance) }, edge))
 }
 

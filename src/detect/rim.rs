@@ -112,3 +112,108 @@ impl Rim {
         out
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::conic::{Ellipse, from_regular, to_regular};
+    use crate::detect::profile::Profile;
+    use crate::frames::Pixel;
+
+    fn ellipse(a: f64, b: f64) -> Ellipse {
+        Ellipse { center_px: Pixel::new(0.0, 0.0), semi_major_px: a, semi_minor_px: b, angle_rad: 0.0 }
+    }
+
+    fn rim(e: &Ellipse, blur_px: f64) -> Rim {
+        let mut rim = Rim::default();
+        rim.set(&Frame::new(e), blur_px);
+        rim.step = rim.angles().map(|_| 1.0).collect();
+        rim
+    }
+
+    /// The disc cut into thin strips, each blurred as an interval.
+    fn by_strips(a: f64, b: f64, s: f64, x: f64, y: f64) -> f64 {
+        let n = 4000;
+        // Strips of equal steps of the angle: the ends of the disc need no finer ones.
+        let h = std::f64::consts::PI / f64::from(n);
+        (0..n)
+            .map(|i| {
+                let (sin, cos) = (-std::f64::consts::FRAC_PI_2 + (f64::from(i) + 0.5) * h).sin_cos();
+                let (at, half) = (b * sin, a * cos);
+                let gauss = (-0.5 * ((y - at) / s).powi(2)).exp() / (s * std::f64::consts::TAU.sqrt());
+                (tail((x - half) / s) - tail((x + half) / s)) * gauss * b * cos * h
+            })
+            .sum()
+    }
+
+    /// `Prob(N > z)` by Simpson's rule.
+    fn tail(z: f64) -> f64 {
+        if z < 0.0 {
+            return 1.0 - tail(-z);
+        }
+        let n = 400;
+        let h = 9.0 / f64::from(n);
+        let f = |i: i32| (-0.5 * (z + h * f64::from(i)).powi(2)).exp() / std::f64::consts::TAU.sqrt();
+        (0..=n).map(|i| f(i) * if i == 0 || i == n { 1.0 } else { f64::from(2 + 2 * (i % 2)) }).sum::<f64>() * h / 3.0
+    }
+
+    #[test]
+    fn the_integral_along_the_contour_is_the_blurred_disc() {
+        for (a, b, s) in [(4.8, 4.0, 1.7), (9.0, 3.0, 1.2), (3.0, 2.5, 2.0)] {
+            let rim = rim(&ellipse(a, b), s);
+            for (x, y) in [(0.0, 0.0), (1.0, 2.0), (a, 0.0), (a + 2.0, 1.0), (0.3, b), (-3.0, -b - 1.0)] {
+                let (found, truth) = (rim.seen(x, y).inside, by_strips(a, b, s, x, y));
+                assert!((found - truth).abs() < 2e-6, "{a} {b} {s} at ({x}, {y}): {found} against {truth}");
+            }
+        }
+    }
+
+    #[test]
+    fn derivatives_are_those_of_the_value() {
+        let (e, s, h) = (ellipse(4.8, 4.0), 1.7, 1e-4);
+        let value = |e: &Ellipse, s: f64, x: f64, y: f64| rim(e, s).seen(x, y).inside;
+        for (x, y) in [(3.0, 2.0), (5.5, 0.4), (0.2, -3.9)] {
+            let seen = rim(&e, s).seen(x, y);
+            let by_blur = (value(&e, s + h, x, y) - value(&e, s - h, x, y)) / (2.0 * h);
+            assert!((seen.by_blur - by_blur).abs() < 1e-6);
+            let by_x = (value(&e, s, x + h, y) - value(&e, s, x - h, y)) / (2.0 * h);
+            assert!((seen.gradient[0] - by_x).abs() < 1e-6);
+            let bend = (rim(&e, s).seen(x, y + h).gradient[0] - rim(&e, s).seen(x, y - h).gradient[0]) / (2.0 * h);
+            assert!((seen.bend[1] - bend).abs() < 1e-6);
+            for i in 0..3 {
+                let moved = |d: f64| {
+                    let mut q = to_regular(&e);
+                    q[i] += d;
+                    let m = from_regular(&q).unwrap_or(e);
+                    value(&ellipse(m.semi_major_px, m.semi_minor_px), s, x - m.center_px.u_px, y - m.center_px.v_px)
+                };
+                let truth = (moved(h) - moved(-h)) / (2.0 * h);
+                assert!((seen.by_geometry[i] - truth).abs() < 1e-6, "{i}: {} against {truth}", seen.by_geometry[i]);
+            }
+        }
+    }
+
+    /// The local profile against the exact disc: what it leaves out grows with the fourth power of curvature times blur.
+    #[test]
+    fn the_local_profile_holds_up_to_a_third() {
+        for (a, b, s, limit) in [(4.8, 4.0, 0.85, 5e-4), (4.8, 4.0, 1.1, 1.5e-3), (30.0, 12.0, 1.0, 2e-4)] {
+            let (e, profile) = (ellipse(a, b), Profile { blur_px: s, a, b });
+            let (frame, exact) = (Frame::new(&e), rim(&e, s));
+            for i in 0..24 {
+                let (sin, cos) = (0.26 * f64::from(i)).sin_cos();
+                let foot = frame.on_contour(cos, sin);
+                for z in [-1.5, -0.5, 0.0, 0.7, 2.0] {
+                    let d = z * s;
+                    let lanes = profile.at(&[d], &[cos], &[sin]);
+                    let truth = exact.seen(foot.u + d * foot.normal_u, foot.v + d * foot.normal_v).inside;
+                    assert!((lanes.inside[0] - truth).abs() < limit, "{a} {b} {s}, z {z}: {} {truth}", lanes.inside[0]);
+                    let by = |d: f64, s: f64| Profile { blur_px: s, a, b }.at(&[d], &[cos], &[sin]).inside[0];
+                    let slope = (by(d + 1e-4, s) - by(d - 1e-4, s)) / 2e-4;
+                    assert!((lanes.slope[0] - slope).abs() < 1e-3);
+                    let by_blur = (by(d, s + 1e-4) - by(d, s - 1e-4)) / 2e-4;
+                    assert!((lanes.by_blur[0] - by_blur).abs() < 5e-3, "{} {by_blur}", lanes.by_blur[0]);
+                }
+            }
+        }
+    }
+}

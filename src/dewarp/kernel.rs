@@ -17,6 +17,7 @@
 //! Sources: Keys, IEEE Trans. ASSP 29 (1981) 1153; Unser, Aldroubi, Eden, IEEE Trans. SP 41 (1993) 834; Thevenaz, Blu, Unser,
 //! IEEE Trans. MI 19 (2000) 739; kernels for PIV: Astarita, Cardone, Exp. Fluids 38 (2005) 233.
 
+use super::rows::Weights;
 use crate::image::GrayView;
 
 /// How grey levels between pixels are found.
@@ -37,6 +38,8 @@ pub enum Kernel {
 
 /// Most taps of a kernel.
 const MOST_TAPS: usize = 8;
+/// Columns that are filtered side by side.
+const STRIP: usize = 16;
 /// Poles of the quintic B-spline's prefilter.
 const POLES: [f64; 2] = [-0.430_575_347_099_973_8, -0.043_096_288_203_264_65];
 
@@ -53,7 +56,7 @@ impl Kernel {
     }
 
     /// First sample and weights at the position `x`.
-    fn weights(self, x: f64) -> (isize, [f64; MOST_TAPS]) {
+    pub(super) fn weights(self, x: f64) -> (isize, [f64; MOST_TAPS]) {
         let mut w = [0.0; MOST_TAPS];
         if self == Kernel::Nearest {
             w[0] = 1.0;
@@ -113,6 +116,7 @@ pub struct Sampler {
     width: usize,
     height: usize,
     coefficients: Vec<f32>,
+    weights: Option<Weights>,
 }
 
 impl Sampler {
@@ -120,8 +124,10 @@ impl Sampler {
     pub fn new(view: &GrayView<'_>, kernel: Kernel) -> Self {
         let (width, height) = (view.width(), view.height());
         let mut coefficients = Vec::with_capacity(width * height);
+        let mut row = vec![];
         for v in 0..height {
-            coefficients.extend((0..width).map(|u| view.get(u, v)));
+            view.row(v, &mut row);
+            coefficients.extend_from_slice(&row);
         }
         if kernel == Kernel::BSpline {
             let mut line = vec![0.0; width.max(height)];
@@ -130,18 +136,37 @@ impl Sampler {
                 prefilter(&mut line[..width]);
                 row.iter_mut().zip(&line).for_each(|(x, l)| *x = *l as f32);
             }
-            for u in 0..width {
-                (0..height).for_each(|v| line[v] = f64::from(coefficients[v * width + u]));
-                prefilter(&mut line[..height]);
-                (0..height).for_each(|v| coefficients[v * width + u] = line[v] as f32);
+            // Columns side by side, so that every line of the cache is read once.
+            let mut strip = vec![0.0; STRIP * height];
+            for first in (0..width).step_by(STRIP) {
+                let n = STRIP.min(width - first);
+                for v in 0..height {
+                    let row = &coefficients[v * width + first..][..n];
+                    row.iter().enumerate().for_each(|(k, x)| strip[k * height + v] = f64::from(*x));
+                }
+                strip.chunks_exact_mut(height).take(n).for_each(prefilter);
+                for v in 0..height {
+                    let row = &mut coefficients[v * width + first..][..n];
+                    row.iter_mut().enumerate().for_each(|(k, x)| *x = strip[k * height + v] as f32);
+                }
             }
         }
-        Self { kernel, width, height, coefficients }
+        Self { kernel, width, height, coefficients, weights: Weights::of(kernel) }
     }
 
     /// Width and height, px.
     pub fn size_px(&self) -> [usize; 2] {
         [self.width, self.height]
+    }
+
+    /// Samples, or coefficients of the B-spline, rows packed.
+    pub(super) fn coefficients(&self) -> &[f32] {
+        &self.coefficients
+    }
+
+    /// Weights for rows of positions.
+    pub(super) fn weights(&self) -> Option<&Weights> {
+        self.weights.as_ref()
     }
 
     /// Grey level at (u, v), px.
@@ -239,6 +264,58 @@ mod tests {
                     f(u, v)
                 );
             }
+        }
+    }
+
+    /// Rows of positions against single ones: to the rounding of `f32`, and equal bits for all widths of the processor.
+    #[test]
+    fn rows_agree_with_single_positions() {
+        use super::super::rows::Row;
+        use crate::lanes::{self, Lanes, run_all};
+        #[derive(Clone)]
+        struct Bits {
+            sampler: Sampler,
+            u: Vec<f64>,
+            v: Vec<f64>,
+        }
+        impl lanes::Kernel for Bits {
+            type Output = (Vec<u32>, Vec<bool>);
+            #[inline(always)]
+            fn run<L: Lanes>(self) -> Self::Output {
+                let (mut levels, mut valid) = (vec![0.0; self.u.len()], vec![false; self.u.len()]);
+                let row = Row {
+                    sampler: &self.sampler,
+                    u_px: &self.u,
+                    v_px: &self.v,
+                    levels: &mut levels,
+                    valid: &mut valid,
+                };
+                lanes::Kernel::run::<L>(row);
+                (levels.iter().map(|x| x.to_bits()).collect(), valid)
+            }
+        }
+        let (w, h) = (60, 47);
+        let data: Vec<f32> = (0..w * h).map(|i| 30000.0 + 30000.0 * (0.8 * i as f32).sin()).collect();
+        for kernel in ALL {
+            let sampler = Sampler::new(&GrayView::new(Samples::F32(&data), w, h, w).unwrap(), kernel);
+            let place = |i: usize, n: usize, step: f64| (0.5 + 0.53 * (step * i as f64).sin()) * n as f64;
+            let mut u: Vec<f64> = (0..4000).map(|i| place(i, w, 0.377)).collect();
+            let mut v: Vec<f64> = (0..4000).map(|i| place(i, h, 0.611)).collect();
+            (u[0], v[0], u[1], v[1]) = (f64::NAN, 3.0, -0.5, 46.5);
+            (u[2], v[2], u[3], v[3]) = (30.0, 20.0, 29.999_999_999_999_996, 19.5);
+            let all = run_all(&Bits { sampler: sampler.clone(), u: u.clone(), v: v.clone() });
+            all.iter().for_each(|one| assert!(*one == all[0]));
+            let (mut inside, mut worst) = (0, 0.0_f32);
+            for i in 0..u.len() {
+                let on = (-0.5..=59.5).contains(&u[i]) && (-0.5..=46.5).contains(&v[i]);
+                assert_eq!(all[0].1[i], on, "{kernel:?} {} {}", u[i], v[i]);
+                let wanted = if on { sampler.at(u[i], v[i]) } else { 0.0 };
+                worst = worst.max((f32::from_bits(all[0].0[i]) - wanted).abs());
+                inside += usize::from(on);
+            }
+            println!("{kernel:?}: {inside} inside, largest difference {worst}");
+            // Of levels up to 60000, and coefficients of the B-spline some times as large.
+            assert!(inside > 2000 && worst < 0.1, "{kernel:?}: {worst}");
         }
     }
 

@@ -1,5 +1,6 @@
 //! The exact map of one camera, in bulk, structure of arrays.
 
+use super::bulk::{hits, images};
 use crate::camera::{Camera, Refusal};
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Sheet};
@@ -250,14 +251,34 @@ impl SheetMap {
     /// [`Invalid::Value`] where the lists differ in length.
     pub fn pixel_of_sheet(&self, x_mm: &[f64], y_mm: &[f64], z_mm: &[f64]) -> Result<Pixels> {
         same_length("points", x_mm.len(), &[y_mm, z_mm])?;
-        let mut out = Pixels { u_px: Vec::with_capacity(x_mm.len()), v_px: Vec::with_capacity(x_mm.len()) };
-        for i in 0..x_mm.len() {
-            let q = self.project(&Vector3::new(x_mm[i], y_mm[i], z_mm[i]));
-            let q = q.unwrap_or(Vector2::repeat(f64::NAN));
-            out.u_px.push(q.x);
-            out.v_px.push(q.y);
-        }
+        let mut out = Pixels::default();
+        self.pixel_of_sheet_into(x_mm, y_mm, z_mm, &mut out)?;
         Ok(out)
+    }
+
+    /// [`SheetMap::pixel_of_sheet`] into lists that are there already; they are made as long as the points. Inside a pool of threads all of
+    /// them take part, with equal bits.
+    ///
+    /// # Errors
+    /// [`Invalid::Value`] where the lists differ in length.
+    pub fn pixel_of_sheet_into(&self, x_mm: &[f64], y_mm: &[f64], z_mm: &[f64], out: &mut Pixels) -> Result<()> {
+        same_length("points", x_mm.len(), &[y_mm, z_mm])?;
+        out.u_px.resize(x_mm.len(), 0.0);
+        out.v_px.resize(x_mm.len(), 0.0);
+        self.images_into([x_mm, y_mm, z_mm], [&mut out.u_px, &mut out.v_px]);
+        Ok(())
+    }
+
+    /// Images of points, lists of one length.
+    pub(super) fn images_into(&self, from: [&[f64]; 3], to: [&mut [f64]; 2]) {
+        if self.camera.window().is_none() {
+            return images(self, from, to);
+        }
+        for i in 0..from[0].len() {
+            let q = self.project(&Vector3::new(from[0][i], from[1][i], from[2][i]));
+            let q = q.unwrap_or(Vector2::repeat(f64::NAN));
+            (to[0][i], to[1][i]) = (q.x, q.y);
+        }
     }
 
     /// As [`SheetMap::pixel_of_sheet`], with derivatives by x, y and z.
@@ -295,8 +316,29 @@ impl SheetMap {
     /// # Errors
     /// [`Invalid::Value`] where the lists differ in length.
     pub fn sheet_of_pixel(&self, u_px: &[f64], v_px: &[f64], z_mm: &[f64]) -> Result<SheetPoints> {
-        let SheetJets { x_mm, y_mm, .. } = self.sheet_of_pixel_jets(u_px, v_px, z_mm)?;
-        Ok(SheetPoints { x_mm, y_mm })
+        let mut out = SheetPoints::default();
+        self.sheet_of_pixel_into(u_px, v_px, z_mm, &mut out)?;
+        Ok(out)
+    }
+
+    /// [`SheetMap::sheet_of_pixel`] into lists that are there already; as [`SheetMap::pixel_of_sheet_into`].
+    ///
+    /// # Errors
+    /// [`Invalid::Value`] where the lists differ in length.
+    pub fn sheet_of_pixel_into(&self, u_px: &[f64], v_px: &[f64], z_mm: &[f64], out: &mut SheetPoints) -> Result<()> {
+        same_length("pixels", u_px.len(), &[v_px, z_mm])?;
+        out.x_mm.resize(u_px.len(), 0.0);
+        out.y_mm.resize(u_px.len(), 0.0);
+        if self.camera.window().is_none() {
+            hits(self, &self.center_mm, [u_px, v_px, z_mm], [&mut out.x_mm, &mut out.y_mm]);
+            return Ok(());
+        }
+        for i in 0..u_px.len() {
+            let p = self.sheet_from_pixel(&Vector2::new(u_px[i], v_px[i]), z_mm[i]);
+            let p = p.unwrap_or(Vector2::repeat(f64::NAN));
+            (out.x_mm[i], out.y_mm[i]) = (p.x, p.y);
+        }
+        Ok(())
     }
 
     /// As [`SheetMap::sheet_of_pixel`], with derivatives by u and v, and along the ray by z.
@@ -376,6 +418,36 @@ mod tests {
             assert!((p - Vector2::new(x, y)).norm() < 1e-10, "{p:?}");
             assert!((m.hit(&q, z).unwrap().xy_mm - p).norm() < 1e-11);
         }
+    }
+
+    /// In bulk, of any length and on any number of threads, as one by one.
+    #[test]
+    fn many_points_go_where_single_ones_do() {
+        let m = map();
+        let list =
+            |n: usize, scale: f64, step: f64| -> Vec<f64> { (0..n).map(|i| scale * (step * i as f64).sin()).collect() };
+        for n in [0, 1, 7, 8, 21, 20_000] {
+            let [x, y, z] = [list(n, 60.0, 0.37), list(n, 40.0, 0.61), list(n, 3.0, 0.9)];
+            let pixels = m.pixel_of_sheet(&x, &y, &z).unwrap();
+            let back = m.sheet_of_pixel(&pixels.u_px, &pixels.v_px, &z).unwrap();
+            let jets = m.sheet_of_pixel_jets(&pixels.u_px, &pixels.v_px, &z).unwrap();
+            for i in 0..n {
+                let q = m.pixel_from_sheet(&Vector3::new(x[i], y[i], z[i])).unwrap();
+                assert!((q.x - pixels.u_px[i]).hypot(q.y - pixels.v_px[i]) < 1e-11, "{i} of {n}");
+                assert!((back.x_mm[i] - x[i]).hypot(back.y_mm[i] - y[i]) < 1e-10, "{i} of {n}");
+                assert!((back.x_mm[i] - jets.x_mm[i]).hypot(back.y_mm[i] - jets.y_mm[i]) < 1e-11, "{i} of {n}");
+            }
+            for threads in [1, 3] {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                assert_eq!(pool.install(|| m.pixel_of_sheet(&x, &y, &z)).unwrap(), pixels);
+                let found = pool.install(|| m.sheet_of_pixel(&pixels.u_px, &pixels.v_px, &z)).unwrap();
+                assert_eq!(found, back);
+            }
+        }
+        let nowhere = m.pixel_of_sheet(&[f64::NAN, 0.0], &[0.0, 0.0], &[0.0, 1e6]).unwrap();
+        assert!(nowhere.u_px.iter().chain(&nowhere.v_px).all(|x| x.is_nan()), "{nowhere:?}");
+        let nowhere = m.sheet_of_pixel(&[f64::NAN, 500.0], &[0.0, 400.0], &[0.0, 1e6]).unwrap();
+        assert!(nowhere.x_mm.iter().chain(&nowhere.y_mm).all(|x| x.is_nan()), "{nowhere:?}");
     }
 
     #[test]

@@ -3,9 +3,11 @@
 use super::grid::SheetGrid;
 use super::kernel::{Kernel, Sampler};
 use super::map::SheetMap;
+use super::rows::Row;
 use crate::error::{Invalid, Result};
 use crate::image::{GrayImage, GrayView, Pixels, Samples};
-use nalgebra::{Vector2, Vector3};
+use crate::lanes::run;
+use nalgebra::Vector2;
 use rayon::prelude::*;
 
 /// A dewarped image.
@@ -23,6 +25,21 @@ pub(super) fn inside(q: &Vector2<f64>, size_px: [usize; 2]) -> bool {
     within(q.x, size_px[0]) && within(q.y, size_px[1])
 }
 
+/// Images of a row of the grid; `NaN` where a point has none.
+fn positions(map: &SheetMap, grid: &SheetGrid, j: usize, z_mm: f64) -> [Vec<f64>; 2] {
+    let n = grid.width_px;
+    let (mut x_mm, mut y_mm) = (Vec::with_capacity(n), Vec::with_capacity(n));
+    for i in 0..n {
+        let [x, y] = grid.point_mm(i as f64, j as f64);
+        x_mm.push(x);
+        y_mm.push(y);
+    }
+    let mut out = [vec![0.0; n], vec![0.0; n]];
+    let [u, v] = &mut out;
+    map.images_into([&x_mm, &y_mm, &vec![z_mm; n]], [u, v]);
+    out
+}
+
 /// Grey levels and validity on the grid in the plane z = `z_mm`, rows packed.
 ///
 /// Rows are worked on by the threads of the pool in which this is called; the bits do not depend on their number.
@@ -31,14 +48,8 @@ pub(crate) fn resample(sampler: &Sampler, map: &SheetMap, grid: &SheetGrid, z_mm
     let (mut levels, mut valid) = (vec![0.0; n], vec![false; n]);
     levels.par_chunks_mut(grid.width_px).zip(valid.par_chunks_mut(grid.width_px)).enumerate().for_each(
         |(j, (levels, valid))| {
-            for i in 0..grid.width_px {
-                let [x, y] = grid.point_mm(i as f64, j as f64);
-                let Some(q) = map.project(&Vector3::new(x, y, z_mm)) else { continue };
-                if inside(&q, sampler.size_px()) {
-                    levels[i] = sampler.at(q.x, q.y);
-                    valid[i] = true;
-                }
-            }
+            let [u_px, v_px] = positions(map, grid, j, z_mm);
+            run(Row { sampler, u_px: &u_px, v_px: &v_px, levels, valid });
         },
     );
     (levels, valid)

@@ -228,7 +228,11 @@ fn no_meeting(why: NoMeeting) -> i32 {
 }
 
 fn on(calibration: u64, camera: u64, call: impl FnOnce(&PlacedCamera) -> Outcome) -> i32 {
-    enter(calibration, Kind::Calibration, |object| call(one(&state_of(object)?.cameras, camera)?))
+    // A copy that no pointer of the caller can reach: its numbers need not be read again after every result.
+    enter(calibration, Kind::Calibration, |object| {
+        let camera = *one(&state_of(object)?.cameras, camera)?;
+        call(&camera)
+    })
 }
 
 fn on_sheet(calibration: u64, camera: u64, call: impl FnOnce(&SheetMap) -> Outcome) -> i32 {

@@ -22,6 +22,7 @@ impl PlacedCamera {
     ///
     /// # Errors
     /// [`Refusal`] where the point has no image.
+    #[inline]
     pub fn pixel_from_rig(&self, p_in_rig: &Vector3<f64>) -> std::result::Result<Vector2<f64>, Refusal> {
         self.camera.project_xyz(&self.cam_from_rig.apply(p_in_rig))
     }
@@ -31,6 +32,7 @@ impl PlacedCamera {
     ///
     /// # Errors
     /// [`Refusal`] where no ray reaches the pixel.
+    #[inline]
     pub fn ray_in_rig(&self, pixel: &Vector2<f64>) -> std::result::Result<Vector3<f64>, Refusal> {
         let xy = self.camera.ideal_of_pixel(pixel)?;
         Ok((self.cam_from_rig.rotation.transpose() * Vector3::new(xy.x, xy.y, 1.0)).normalize())
@@ -40,6 +42,7 @@ impl PlacedCamera {
     ///
     /// # Errors
     /// [`Refusal`] where no ray reaches the pixel.
+    #[inline]
     pub fn sight_in_rig(&self, pixel: &Vector2<f64>) -> std::result::Result<(Vector3<f64>, Vector3<f64>), Refusal> {
         let sight = self.camera.line_of_sight(pixel)?;
         let rig_from_cam = self.cam_from_rig.inverse();

@@ -15,7 +15,7 @@ pub enum Light {
     Slanted,
     /// Smoke in the disc alone: eight waves, 30 % together; the shortest half a disc long.
     Smoke,
-    /// A saturated spot of a quarter of the radius on the contour.
+    /// A saturated spot of a quarter of the radius on the contour; where it adds more than about half the noise nothing is seen.
     Glare,
 }
 
@@ -214,7 +214,7 @@ impl Condition {
                 }
             }
             if scene < bounds {
-                let hidden = |u: f64, v: f64| self.light == Light::Glare && (u - gu).hypot(v - gv) < 1.3 * radius;
+                let hidden = |u: f64, v: f64| self.light == Light::Glare && (u - gu).hypot(v - gv) < 1.6 * radius;
                 let b = self.bound(&waves, &light, &hidden);
                 (0..4).for_each(|k| bound[k] += b[k] * b[k] / bounds as f64);
             }

@@ -1,0 +1,247 @@
+//! Images of points and ideal points of pixels, several at a time and without derivatives, for a camera without a window.
+//!
+//! The formulas of the room's head and of [`super::radial`] in the same order, divisions by constants replaced by their reciprocals:
+//! equal to the plain path to rounding. `NaN` where that refuses.
+
+use super::{Camera, Radial};
+use crate::lanes::{Lanes, splats};
+
+/// A relative step of Newton's method after which no further one is felt: its error goes with the square.
+const NEAR: f64 = 1e-10;
+
+/// A camera, each of its numbers in every lane.
+pub(crate) struct BulkCamera<L> {
+    outward: bool,
+    straight: bool,
+    f: [L; 2],
+    center: [L; 2],
+    /// 1 / f
+    per_f: [L; 2],
+    k: [L; 3],
+    radius: L,
+    radius_squared: L,
+    /// Image of the largest radius.
+    image: L,
+    /// h = 1 - h_by . xd
+    h_by: [L; 2],
+    /// tx h = x_by . xd
+    x_by: [L; 2],
+    /// ty h = y_by yd
+    y_by: L,
+    /// Back: h = 1 + back_h . t, xd h = back_x . t, yd h = back_y ty
+    back_h: [L; 2],
+    back_x: [L; 2],
+    back_y: L,
+}
+
+impl<L: Lanes> BulkCamera<L> {
+    /// `None` for a camera behind a window.
+    #[inline(always)]
+    pub(crate) fn of(camera: &Camera) -> Option<Self> {
+        if camera.window.is_some() {
+            return None;
+        }
+        let (i, t) = (&camera.intrinsics, &camera.tilt);
+        let m = i.pupil_ratio;
+        let [radius, image] = [camera.limit.radius(), camera.limit.image()].map(|x| x.min(f64::MAX));
+        let f = [i.f_px, i.aspect * i.f_px];
+        Some(Self {
+            outward: i.radial == Radial::IdealToDistorted,
+            straight: i.k == [0.0; 3],
+            f: splats(f),
+            center: splats([i.cx_px, i.cy_px]),
+            per_f: f.map(|f| L::splat(1.0 / f)),
+            k: splats(i.k),
+            radius: L::splat(radius),
+            radius_squared: L::splat((radius * radius).min(f64::MAX)),
+            image: L::splat(image),
+            h_by: splats([t.tb / m, t.ta / (t.cb * m)]),
+            x_by: splats([1.0 / t.cb, t.ta * t.tb]),
+            y_by: L::splat(1.0 / t.ca),
+            back_h: splats([t.sb / m, t.sa * t.cb / m]),
+            back_x: splats([t.cb, -t.sa * t.sb]),
+            back_y: L::splat(t.ca),
+        })
+    }
+
+    /// Images of points of the camera frame, px.
+    #[inline(always)]
+    pub(crate) fn image(&self, p: [L; 3]) -> [L; 2] {
+        let (zero, one) = (L::splat(0.0), L::splat(1.0));
+        let iz = one / p[2];
+        let (x, y) = (p[0] * iz, p[1] * iz);
+        let ([xd, yd], lens) = if self.outward { self.polynomial(x, y) } else { self.inverse(x, y) };
+        let h = one - (xd * self.h_by[0] + yd * self.h_by[1]);
+        let ih = one / h;
+        let u = self.center[0] + self.f[0] * ((xd * self.x_by[0] + yd * self.x_by[1]) * ih);
+        let v = self.center[1] + self.f[1] * (yd * self.y_by * ih);
+        // Comparisons with NaN are false, 1 / Z of an infinite Z is zero; the last one refuses what overflows.
+        let before = L::and(zero.below(iz), lens);
+        let bounded = L::and(zero.below(h), (u * u + v * v).below(L::splat(f64::INFINITY)));
+        let valid = L::and(before, bounded);
+        let none = L::splat(f64::NAN);
+        [L::select(valid, u, none), L::select(valid, v, none)]
+    }
+
+    /// Ideal points (x, y) of pixels.
+    #[inline(always)]
+    pub(crate) fn ideal(&self, u: L, v: L) -> [L; 2] {
+        let (zero, one) = (L::splat(0.0), L::splat(1.0));
+        let (tx, ty) = ((u - self.center[0]) * self.per_f[0], (v - self.center[1]) * self.per_f[1]);
+        let h = one + (tx * self.back_h[0] + ty * self.back_h[1]);
+        let ih = one / h;
+        let (xd, yd) = ((tx * self.back_x[0] + ty * self.back_x[1]) * ih, ty * self.back_y * ih);
+        let ([x, y], lens) = if self.outward { self.inverse(xd, yd) } else { self.polynomial(xd, yd) };
+        let valid = L::and(L::and(zero.below(h), h.below(L::splat(f64::INFINITY))), lens);
+        let none = L::splat(f64::NAN);
+        [L::select(valid, x, none), L::select(valid, y, none)]
+    }
+
+    #[inline(always)]
+    fn gain(&self, s: L) -> L {
+        let [k1, k2, k3] = self.k;
+        L::splat(1.0) + s * (k1 + s * (k2 + s * k3))
+    }
+
+    #[inline(always)]
+    fn growth(&self, s: L) -> L {
+        let [k1, k2, k3] = self.k;
+        L::splat(1.0) + s * (L::splat(3.0) * k1 + s * (L::splat(5.0) * k2 + s * (L::splat(7.0) * k3)))
+    }
+
+    #[inline(always)]
+    fn polynomial(&self, x: L, y: L) -> ([L; 2], L::Mask) {
+        let s = x * x + y * y;
+        let gain = self.gain(s);
+        ([x * gain, y * gain], s.below(self.radius_squared))
+    }
+
+    /// The safeguarded Newton's method of the plain path. A lane that has arrived stands still, so that no lane feels the others.
+    #[inline(always)]
+    fn inverse(&self, x: L, y: L) -> ([L; 2], L::Mask) {
+        let (zero, half, one) = (L::splat(0.0), L::splat(0.5), L::splat(1.0));
+        let s = x * x + y * y;
+        if self.straight {
+            return ([x, y], s.below(L::splat(f64::INFINITY)));
+        }
+        let target = s.sqrt();
+        let valid = target.below(self.image);
+        let mut r = target / self.gain(s.at_most(self.radius_squared)).at_least(half);
+        let (mut low, mut high) = (zero, self.radius);
+        // 1 where a lane has not arrived.
+        let mut moving = L::select(L::and(valid, zero.below(target)), one, zero);
+        for _ in 0..64 {
+            let s = r * r;
+            let excess = r * self.gain(s) - target;
+            let above = zero.below(excess);
+            high = L::select(above, r, high);
+            low = L::select(above, low, r);
+            let newton = r - excess / self.growth(s);
+            let step = newton - r;
+            let far = (L::splat(NEAR) * r).below(step.at_least(-step));
+            let inside = L::and(low.below(newton), newton.below(high));
+            let next = L::select(far, L::select(inside, newton, half * (low + high)), newton);
+            r = L::select(half.below(moving), next, r);
+            moving = L::select(far, moving, zero);
+            if L::all(moving.below(half)) {
+                break;
+            }
+        }
+        let q = L::select(zero.below(target), r / target, one);
+        ([x * q, y * q], valid)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Intrinsics;
+    use crate::lanes::{GROUP, Kernel, run_all};
+    use nalgebra::{Vector2, Vector3};
+
+    #[derive(Clone)]
+    struct Both {
+        camera: Camera,
+        points: [[f64; 3]; GROUP],
+        pixels: [[f64; 2]; GROUP],
+    }
+    impl Kernel for Both {
+        type Output = Vec<[u64; 4]>;
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> Vec<[u64; 4]> {
+            let camera = BulkCamera::<L>::of(&self.camera).unwrap();
+            let mut out = vec![[0; 4]; GROUP];
+            for first in (0..GROUP).step_by(L::N) {
+                let list = |f: &dyn Fn(usize) -> f64| L::load(&(0..L::N).map(|i| f(first + i)).collect::<Vec<_>>());
+                let [u, v] = camera.image([0, 1, 2].map(|k| list(&|i| self.points[i][k])));
+                let [x, y] = camera.ideal(list(&|i| self.pixels[i][0]), list(&|i| self.pixels[i][1]));
+                for (k, lanes) in [u, v, x, y].into_iter().enumerate() {
+                    let mut place = [0.0; GROUP];
+                    lanes.store(&mut place);
+                    (0..L::N).for_each(|n| out[first + n][k] = place[n].to_bits());
+                }
+            }
+            out
+        }
+    }
+
+    fn cameras() -> Vec<Camera> {
+        let mut all = vec![];
+        for radial in [Radial::IdealToDistorted, Radial::DistortedToIdeal] {
+            for k in [[0.0; 3], [-0.25, 1.2, -3.0], [0.4, 0.0, 0.0]] {
+                let mut i = Intrinsics::pinhole(2000.0, 500.0, 390.0);
+                (i.aspect, i.alpha_rad, i.beta_rad, i.k, i.pupil_ratio) = (1.02, 0.2, -0.35, k, 1.1);
+                i.radial = radial;
+                all.push(Camera::new(i).unwrap());
+            }
+        }
+        all
+    }
+
+    fn agree(got: [u64; 2], wanted: Option<Vector2<f64>>, scale: f64) {
+        let got = got.map(f64::from_bits);
+        match wanted {
+            None => assert!(got.iter().all(|x| x.is_nan()), "{got:?}"),
+            Some(w) => {
+                let gap = (Vector2::from(got) - w).norm();
+                assert!(gap < 2e-15 * (scale + w.norm()), "{got:?} {w:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn lanes_agree_with_the_plain_camera_and_each_other() {
+        for camera in cameras() {
+            for round in 0..20 {
+                let t = |k: usize| (k + GROUP * round) as f64;
+                let mut points: [[f64; 3]; GROUP] =
+                    std::array::from_fn(|k| [140.0 * t(k).sin(), 110.0 * (2.0 * t(k)).cos(), 480.0 + t(k)]);
+                let mut pixels: [[f64; 2]; GROUP] =
+                    std::array::from_fn(|k| [500.0 + 600.0 * (3.0 * t(k)).sin(), 390.0 + 500.0 * (0.7 * t(k)).cos()]);
+                match round {
+                    0 => (points[0], pixels[0]) = ([0.0, 0.0, 500.0], [500.0, 390.0]),
+                    1 => {
+                        points[1] = [f64::NAN, 0.0, 500.0];
+                        points[2][2] = -480.0;
+                        points[3] = [500.0, 0.0, 1.0];
+                        points[4] = [0.0, f64::INFINITY, 500.0];
+                        points[5] = [0.0, 0.0, f64::INFINITY];
+                        pixels[1] = [f64::NAN, 0.0];
+                        pixels[2] = [1e6, 1e6];
+                        pixels[3] = [-1e6, 0.0];
+                        pixels[4] = [f64::INFINITY, 0.0];
+                    }
+                    _ => {}
+                }
+                let all = run_all(&Both { camera, points, pixels });
+                for widths in &all {
+                    assert_eq!(*widths, all[0]);
+                }
+                for (k, [u, v, x, y]) in all[0].iter().enumerate() {
+                    agree([*u, *v], camera.project_xyz(&Vector3::from(points[k])).ok(), 2000.0);
+                    agree([*x, *y], camera.ideal_of_pixel(&Vector2::from(pixels[k])).ok(), 1.0);
+                }
+            }
+        }
+    }
+}

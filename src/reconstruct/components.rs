@@ -1,0 +1,184 @@
+//! Three components of many vectors in closed form, for maps that do not change from one pair of images to the next.
+//!
+//! In the dewarped image of camera c a displacement (u, v, w) of the sheet frame is seen as `d_c = (u, v) - w s_c`, s_c the slope of its
+//! ray ([`crate::dewarp`]). Four equations of equal weight for three unknowns:
+//! ```text
+//! e = s_2 - s_1,   g = d_2 - d_1          g = -w e
+//! w = -(g . e) / |e|^2
+//! (u, v) = (d_1 + d_2) / 2 + w (s_1 + s_2) / 2
+//! residual = |g + w e| / sqrt(2)          root of the sum of squares of what the four equations leave
+//! ```
+//! With sigma the standard deviation of a component of a planar displacement, `sigma_w = sigma sqrt(2) / |e|` and `sigma_u = sigma sqrt(1/2 + 2 (m_x / |e|)^2)`, m = (s_1 + s_2) / 2.
+//!
+//! | symbol | identifier | unit | frame | meaning |
+//! |---|---|---|---|---|
+//! | s_c | `slopes` | 1 | Sheet | slopes dx/dz, dy/dz of the rays of camera c |
+//! | d_c | `planar` | any | Sheet | planar displacement along x and y |
+//!
+//! To first order in the displacement over the distance; [`super::reconstruct`] is exact. Source: Prasad, Exp. Fluids 29 (2000) 103. Not valid where both
+//! cameras look along one line: `NaN`.
+
+use crate::error::{Invalid, Result};
+use crate::lanes::{GROUP, Kernel, Lanes, run};
+
+/// Slopes of the rays, or planar displacements, of both cameras: along x and along y each.
+pub type PlanarPair<'a> = [[&'a [f64]; 2]; 2];
+
+/// Displacements in the unit of the planar ones.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Components {
+    /// Along x.
+    pub u: Vec<f64>,
+    /// Along y.
+    pub v: Vec<f64>,
+    /// Along z, positive towards the first camera.
+    pub w: Vec<f64>,
+    /// Root of the sum of squares of what four equations leave.
+    pub residual: Vec<f64>,
+}
+
+/// Three components of planar displacements, all lists of one length; `out` is made as long.
+///
+/// ```
+/// use spivcal::reconstruct::{Components, three_components};
+/// // Cameras under 45 degrees from both sides see (1, 2, 3) as (1 + 3, 2) and (1 - 3, 2).
+/// let slopes = [[&[-1.0][..], &[0.0]], [&[1.0], &[0.0]]];
+/// let planar = [[&[4.0][..], &[2.0]], [&[-2.0], &[2.0]]];
+/// let mut out = Components::default();
+/// three_components(slopes, planar, &mut out)?;
+/// assert_eq!([out.u[0], out.v[0], out.w[0], out.residual[0]], [1.0, 2.0, 3.0, 0.0]);
+/// # Ok::<(), spivcal::Error>(())
+/// ```
+///
+/// # Errors
+/// [`Invalid::Value`] where the lists differ in length.
+pub fn three_components(slopes: PlanarPair<'_>, planar: PlanarPair<'_>, out: &mut Components) -> Result<()> {
+    let lists: Vec<&[f64]> = slopes.iter().chain(&planar).flatten().copied().collect();
+    let n = lists[0].len();
+    if let Some(l) = lists.iter().find(|l| l.len() != n) {
+        let what = format!("lists of one length, as the first with {n}");
+        return Err(Invalid::value("number of vectors", l.len() as f64, what).into());
+    }
+    for list in [&mut out.u, &mut out.v, &mut out.w, &mut out.residual] {
+        list.resize(n, 0.0);
+    }
+    let to = [&mut out.u[..], &mut out.v[..], &mut out.w[..], &mut out.residual[..]];
+    run(All { slopes, planar, to });
+    Ok(())
+}
+
+struct All<'a> {
+    slopes: PlanarPair<'a>,
+    planar: PlanarPair<'a>,
+    to: [&'a mut [f64]; 4],
+}
+
+/// Eight numbers to four: slopes and planar displacements of both cameras.
+#[inline(always)]
+fn solved<L: Lanes>(s: [[L; 2]; 2], d: [[L; 2]; 2]) -> [L; 4] {
+    let half = L::splat(0.5);
+    let e = [s[1][0] - s[0][0], s[1][1] - s[0][1]];
+    let g = [d[1][0] - d[0][0], d[1][1] - d[0][1]];
+    let size = e[0] * e[0] + e[1] * e[1];
+    // 0 / 0 where both look along one line.
+    let w = -((g[0] * e[0] + g[1] * e[1]) / size);
+    let u = half * (d[0][0] + d[1][0]) + w * (half * (s[0][0] + s[1][0]));
+    let v = half * (d[0][1] + d[1][1]) + w * (half * (s[0][1] + s[1][1]));
+    let left = [g[0] + w * e[0], g[1] + w * e[1]];
+    [u, v, w, (half * (left[0] * left[0] + left[1] * left[1])).sqrt()]
+}
+
+impl Kernel for All<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let [[a, b], [c, d]] = self.slopes;
+        let [[e, f], [g, h]] = self.planar;
+        let n = a.len();
+        let whole = n - n % GROUP;
+        let [u, v, w, r] = self.to;
+        let mut i = 0;
+        while i < whole {
+            let s = [[L::load(&a[i..]), L::load(&b[i..])], [L::load(&c[i..]), L::load(&d[i..])]];
+            let p = [[L::load(&e[i..]), L::load(&f[i..])], [L::load(&g[i..]), L::load(&h[i..])]];
+            let [x, y, z, left] = solved(s, p);
+            x.store(&mut u[i..]);
+            y.store(&mut v[i..]);
+            z.store(&mut w[i..]);
+            left.store(&mut r[i..]);
+            i += L::N;
+        }
+        for i in whole..n {
+            let s = [[a[i], b[i]], [c[i], d[i]]];
+            let p = [[e[i], f[i]], [g[i], h[i]]];
+            [u[i], v[i], w[i], r[i]] = solved::<f64>(s, p);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lanes::run_all;
+    use nalgebra::{SMatrix, SVector, Vector4};
+
+    const N: usize = 21;
+
+    fn lists(seed: f64) -> Vec<Vec<f64>> {
+        (0..4).map(|c| (0..N).map(|i| (seed + 1.7 * i as f64 + 0.9 * f64::from(c)).sin()).collect()).collect()
+    }
+
+    #[derive(Clone)]
+    struct Bits {
+        slopes: Vec<Vec<f64>>,
+        planar: Vec<Vec<f64>>,
+    }
+    impl Kernel for Bits {
+        type Output = Vec<Vec<u64>>;
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> Vec<Vec<u64>> {
+            let mut out = vec![vec![0.0; N]; 4];
+            let (s, p) = (&self.slopes, &self.planar);
+            if let [u, v, w, r] = &mut out[..] {
+                let all = All {
+                    slopes: [[&s[0], &s[1]], [&s[2], &s[3]]],
+                    planar: [[&p[0], &p[1]], [&p[2], &p[3]]],
+                    to: [u, v, w, r],
+                };
+                all.run::<L>();
+            }
+            out.iter().map(|l| l.iter().map(|x| x.to_bits()).collect()).collect()
+        }
+    }
+
+    /// Against the four equations solved as such, and all widths against each other.
+    #[test]
+    fn four_equations_are_solved_and_all_widths_agree() {
+        let (slopes, planar) = (lists(0.3), lists(4.0));
+        let all = run_all(&Bits { slopes: slopes.clone(), planar: planar.clone() });
+        all.iter().for_each(|one| assert_eq!(*one, all[0]));
+        for i in 0..N {
+            let mut a = SMatrix::<f64, 4, 3>::zeros();
+            let mut b = Vector4::zeros();
+            for row in 0..4 {
+                a[(row, row % 2)] = 1.0;
+                a[(row, 2)] = -slopes[row][i];
+                b[row] = planar[row][i];
+            }
+            let x = (a.transpose() * a).try_inverse().unwrap() * a.transpose() * b;
+            let left: SVector<f64, 4> = a * x - b;
+            let got = [0, 1, 2, 3].map(|k| f64::from_bits(all[0][k][i]));
+            for k in 0..3 {
+                assert!((got[k] - x[k]).abs() < 1e-10 * (1.0 + x.norm()), "{i}: {got:?} {x}");
+            }
+            assert!((got[3] - left.norm()).abs() < 1e-10 * (1.0 + x.norm()), "{i}: {got:?} {left}");
+        }
+        let mut out = Components::default();
+        let p = |l: &'static [f64]| [[l, l], [l, l]];
+        three_components(p(&[0.5]), p(&[1.0]), &mut out).unwrap();
+        assert!(out.w[0].is_nan() && out.u[0].is_nan(), "both look along one line");
+        let mut short = p(&[0.5]);
+        short[1][1] = &[];
+        assert!(three_components(short, p(&[1.0]), &mut out).is_err());
+    }
+}
