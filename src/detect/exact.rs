@@ -42,8 +42,8 @@ const FIXED: usize = 6;
 const CHUNK: usize = 64;
 /// Rounds at most.
 const MOST_ROUNDS: usize = 8;
-/// Longest contour around which a field is fitted, px: its price grows with the area.
-pub(crate) const MOST_CONTOUR_PX: f64 = 800.0;
+/// Longest contour around which a field is fitted, px: its price grows with the area, and nodes along the contour do as well there.
+pub(crate) const MOST_CONTOUR_PX: f64 = 300.0;
 /// Product of curvature and blur above which the local profile no longer holds.
 pub(crate) const SMALL: f64 = 0.33;
 /// How much `chi^2` must fall for a slope of the light: its two coefficients, 3.5 standard deviations, and 4 for having looked.
