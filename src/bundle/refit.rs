@@ -9,6 +9,8 @@
 //! p   = argmin sum (d_i(p) / s_i)^2        ellipse,   C_p its covariance
 //! F   = q(X(p_0, p_1); i0)                 features: tangents X on the ideal plane, back in real pixels
 //! ```
+//! Where printed discs are oval (`outline`), the fit's residuals are whitened for it as those of the contours are.
+//!
 //! The features depend on the lens that is sought. Repeating the adjustment with features held converges slowly: they follow
 //! the lens that was assumed. Here their derivative by the lens takes part, so that a round is a Gauss-Newton step of the
 //! whole and few rounds suffice:
@@ -32,13 +34,14 @@
 
 use super::adjust::{AdjustOptions, Adjustment, adjust};
 use super::model::{DiscObservation, LensDependence, Model, PairObservation, TargetShape};
+use super::outline::OutlineNoise;
 use super::state::State;
 use crate::bitangent::{Bitangents, EXTERNAL_CROSSING, ExternalUse, POINTS, bitangents};
 use crate::camera::{Camera, INTRINSICS};
 use crate::conic::{
-    Ellipse, EllipseFit, Frame, fit_direct, fit_geometric_from, from_regular, parameters_by_regular, to_regular,
+    Ellipse, EllipseFit, Frame, covariance_from_regular, fit_direct, fit_geometric_from, from_regular,
+    parameters_by_regular, to_regular,
 };
-use crate::detect::EdgePoints;
 use crate::error::{Invalid, Result};
 use crate::solve::{Iteration, Termination};
 use nalgebra::{DMatrix, SMatrix, SVector, Vector2};
@@ -57,7 +60,8 @@ struct Straight {
 }
 
 /// The ellipse of a contour without the lens's distortion; `None` where the lens cannot be undone or nothing fits.
-fn straight(camera: &Camera, edge: &EdgePoints) -> Option<Straight> {
+fn straight(camera: &Camera, seen: &DiscObservation) -> Option<Straight> {
+    let (edge, outline) = (&seen.edge, seen.outline.as_ref());
     let f = camera.intrinsics().f_px;
     let n = edge.u_px.len();
     let (mut u, mut v, mut jets) = (vec![], vec![], vec![]);
@@ -76,34 +80,56 @@ fn straight(camera: &Camera, edge: &EdgePoints) -> Option<Straight> {
         })
         .collect();
     let mut fit = fit_geometric_from(&start, &u, &v, &sigma).ok()?;
-    fit.ellipse = polished(&fit.ellipse, &u, &v, &sigma)?;
+    fit.ellipse = polished(&fit.ellipse, &u, &v, &sigma, outline)?;
     let frame = Frame::new(&fit.ellipse);
+    let mut rows: Vec<[f64; 5 + INTRINSICS]> = (0..n)
+        .map(|i| {
+            let row = frame.foot(u[i], v[i], None).row;
+            // The normal is minus the derivative by the centre.
+            let along = -(jets[i].dxy_dintrinsics.row(0) * row[0] + jets[i].dxy_dintrinsics.row(1) * row[1]) * f;
+            std::array::from_fn(|k| if k < 5 { row[k] } else { along[k - 5] } / sigma[i])
+        })
+        .collect();
+    if let Some(outline) = outline {
+        outline.apply(&mut rows);
+    }
     let mut normal = SMatrix::<f64, 5, 5>::zeros();
     let mut by = SMatrix::<f64, 5, INTRINSICS>::zeros();
-    for i in 0..n {
-        let row = SVector::<f64, 5>::from(frame.foot(u[i], v[i], None).row) / sigma[i];
-        // The normal is minus the derivative by the centre.
-        let along = -(jets[i].dxy_dintrinsics.row(0) * row[0] + jets[i].dxy_dintrinsics.row(1) * row[1]) * f;
-        normal += row * row.transpose();
-        by -= row * along;
+    for row in &rows {
+        let own = SVector::<f64, 5>::from_fn(|k, _| row[k]);
+        normal += own * own.transpose();
+        by -= own * SVector::<f64, INTRINSICS>::from_fn(|k, _| row[5 + k]).transpose();
     }
     let regular = normal.cholesky()?.inverse();
-    let by_lens = parameters_by_regular(&to_regular(&fit.ellipse), &regular) * regular * by;
+    let at = to_regular(&fit.ellipse);
+    if outline.is_some() {
+        fit.covariance = covariance_from_regular(&at, &regular);
+    }
+    let by_lens = parameters_by_regular(&at, &regular) * regular * by;
     let reach_px = u.iter().zip(&v).map(|(u, v)| u.hypot(*v)).fold(0.0, f64::max);
     Some(Straight { fit, by_lens, reach_px })
 }
 
-/// Two Gauss-Newton steps more: a fit ends within about 1e-6 of its sigmas, and the rounds could not end much below that.
-fn polished(ellipse: &Ellipse, u: &[f64], v: &[f64], sigma: &[f64]) -> Option<Ellipse> {
+/// Gauss-Newton steps more: a fit ends within about 1e-6 of its sigmas, and the rounds could not end much below that; and
+/// a disc that is not quite round is weighed as its contour is, its second harmonic by what ovals allow.
+fn polished(ellipse: &Ellipse, u: &[f64], v: &[f64], sigma: &[f64], outline: Option<&OutlineNoise>) -> Option<Ellipse> {
     let mut q = to_regular(ellipse);
-    for _ in 0..2 {
+    for _ in 0..if outline.is_some() { 4 } else { 2 } {
         let frame = Frame::new(&from_regular(&q)?);
+        let mut rows: Vec<[f64; 6]> = (0..u.len())
+            .map(|i| {
+                let foot = frame.foot(u[i], v[i], None);
+                std::array::from_fn(|k| foot.row.get(k).copied().unwrap_or(foot.distance) / sigma[i])
+            })
+            .collect();
+        if let Some(outline) = outline {
+            outline.apply(&mut rows);
+        }
         let (mut normal, mut gradient) = (SMatrix::<f64, 5, 5>::zeros(), SVector::<f64, 5>::zeros());
-        for i in 0..u.len() {
-            let foot = frame.foot(u[i], v[i], None);
-            let row = SVector::<f64, 5>::from(foot.row) / sigma[i];
-            normal += row * row.transpose();
-            gradient += row * (foot.distance / sigma[i]);
+        for row in &rows {
+            let own = SVector::<f64, 5>::from_fn(|k, _| row[k]);
+            normal += own * own.transpose();
+            gradient += own * row[5];
         }
         q -= normal.cholesky()?.solve(&gradient);
     }
@@ -113,7 +139,7 @@ fn polished(ellipse: &Ellipse, u: &[f64], v: &[f64], sigma: &[f64]) -> Option<El
 /// Features of two discs in real pixels, found through this camera's lens, with their covariance and how they follow the lens;
 /// `None` where a contour cannot be undistorted or the ellipses are not separated.
 pub fn pair_features(camera: &Camera, discs: [&DiscObservation; 2]) -> Option<PairObservation> {
-    let ellipses = [straight(camera, &discs[0].edge)?, straight(camera, &discs[1].edge)?];
+    let ellipses = [straight(camera, discs[0])?, straight(camera, discs[1])?];
     let mut features = bitangents(&ellipses[0].fit.ellipse, &ellipses[1].fit.ellipse).ok()?;
     let mut by_lens = DMatrix::zeros(2 * POINTS, INTRINSICS);
     for (i, e) in ellipses.iter().enumerate() {

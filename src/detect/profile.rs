@@ -55,7 +55,7 @@ impl Profile {
         let (e2, affine) = (a * a - b * b, 1.0 / 8.0);
         let none = [0.0; N];
         let mut out = Lanes { inside: none, slope: none, by_blur: none, depth: none, density: none, narrow: none };
-        let (mut y, mut root, mut eps, mut mean_by_blur) = ([0.0; N], [0.0; N], [0.0; N], [0.0; N]);
+        let (mut y, mut root, mut eps, mut mean_by_blur, mut variance_by_blur) = (none, none, none, none, none);
         for i in 0..N {
             let (c, sn) = (cos[i], sin[i]);
             let n2 = b * b * c * c + a * a * sn * sn;
@@ -66,7 +66,9 @@ impl Profile {
             let c4 = affine * a * b / (n2 * n2 * n) + 5.0 / 72.0 * turn * turn / kappa;
             eps[i] = kappa * s;
             let mean = 0.5 * eps[i] + 3.0 * c4 * s2 * s;
-            let variance = 1.0 + 0.5 * eps[i] * eps[i] + (12.0 * kappa * c4 + 5.0 / 12.0 * turn * turn) * s2 * s2;
+            let bends = (12.0 * kappa * c4 + 5.0 / 12.0 * turn * turn) * s2 * s2;
+            let variance = 1.0 + 0.5 * eps[i] * eps[i] + bends;
+            variance_by_blur[i] = (eps[i] * eps[i] + 4.0 * bends) * inverse;
             root[i] = 1.0 / variance.sqrt();
             mean_by_blur[i] = 0.5 * kappa + 9.0 * c4 * s2;
             y[i] = (d[i] * inverse + mean) * root[i];
@@ -86,9 +88,10 @@ impl Profile {
             out.inside[i] += f * (-third * he2 + fourth * he3 + sixth * he5);
             let shape = 1.0 - third * he3 + fourth * he4 + sixth * he6;
             out.slope[i] = -f * shape * r * inverse;
-            let widening = 0.5 * eps[i] * eps[i] * inverse * r * r;
+            let widening = 0.5 * variance_by_blur[i] * r * r;
             let y_by_blur = (mean_by_blur[i] - d[i] * inverse * inverse) * r - y * widening;
-            out.by_blur[i] = -f * shape * y_by_blur;
+            let shape_by_blur = (inverse - widening) * (-3.0 * third * he2 + 4.0 * fourth * he3 + 6.0 * sixth * he5);
+            out.by_blur[i] = f * (shape_by_blur - shape * y_by_blur);
             out.depth[i] = y;
             out.narrow[i] = r;
         }

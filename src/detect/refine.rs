@@ -532,8 +532,13 @@ fn accept(
             (plain.ellipse, plain.covariance, plain.chi2, plain.rms_px)
         }
     };
-    let limit_px =
-        (options.max_edge_rms_px + options.max_edge_rms_ratio * ellipse.semi_minor_px).hypot(noise_px2.sqrt());
+    let shape_px = options.max_edge_rms_px + options.max_edge_rms_ratio * ellipse.semi_minor_px;
+    // Noise that explains any scatter says nothing of a shape either: place and size must be known within the same limit.
+    let known = (0..4).all(|i| covariance[(i, i)] > 0.0 && covariance[(i, i)] < shape_px * shape_px);
+    if !known {
+        return Err(not_elliptical(f64::INFINITY, shape_px));
+    }
+    let limit_px = shape_px.hypot(noise_px2.sqrt());
     if rms_px > limit_px {
         return Err(not_elliptical(rms_px, limit_px));
     }
