@@ -73,12 +73,13 @@ pub(crate) fn run(words: impl Iterator<Item = String>) -> Result<String, Box<dyn
     let images: Vec<GrayImage> = a.images.iter().map(load).collect::<Result<_, _>>()?;
     let pairs: Vec<_> = images.chunks_exact(2).map(|p| [p[0].view(), p[1].view()]).collect();
     let field = planar_displacements(&pairs, &seen, &a.options)?;
-    let mut text = String::from("x_mm,y_mm,dx_mm,dy_mm\n");
+    let mut text = String::from("x_mm,y_mm,dx_mm,dy_mm,sigma_dx_mm,sigma_dy_mm\n");
     let number = |x: f64| if x.is_finite() { format!("{x:.7}") } else { "nan".into() };
     for k in 0..field.x_px.len() {
         let [x, y] = grid.point_mm(field.x_px[k], field.y_px[k]);
         let (dx, dy) = (grid.mm_per_px * field.dx_px[k], -grid.mm_per_px * field.dy_px[k]);
-        writeln!(text, "{x:.6},{y:.6},{},{}", number(dx), number(dy))?;
+        let [sx, sy] = field.sigma_px.each_ref().map(|s| number(grid.mm_per_px * s[k]));
+        writeln!(text, "{x:.6},{y:.6},{},{},{sx},{sy}", number(dx), number(dy))?;
     }
     let out = Path::new(&a.out);
     let name = out.file_name().ok_or("OUT.csv is no name of a file")?.to_string_lossy();

@@ -20,6 +20,8 @@ mod priors;
 mod views;
 mod weak;
 
+pub use mapping::mapping_of_record;
+
 use crate::bundle::{AdjustOptions, Adjustment, Iteration, NamedCovariance};
 use crate::error::{Result, Unusable};
 use crate::record::{Diagnosis, KeyQuantity, MappingUncertainty, NearNull};
@@ -111,7 +113,7 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
     out.diagnosis.views = views::views(s, &names, &keys, &watch, &mut out.flags)?;
     out.diagnosis.outliers = outliers::outliers(s);
     watch.check()?;
-    out.mapping = mapping::mapping_uncertainty(s, &names, &mut out.flags);
+    out.mapping = mapping::mapping_uncertainty(s.covariance, s.sizes_px, &names, &mut out.flags);
     Ok(out)
 }
 

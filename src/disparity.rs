@@ -11,6 +11,8 @@
 //!    (offset and two tilts) on which they are most alike. Finds offsets of several mm and tilts of several degrees.
 //! 2. *Measure*: ensemble correlation of windows over all pairs by FFT, coarse windows first, subpixel peak by a Gaussian.
 //! 3. *Refit* the plane, and again, until the disparity no longer changes.
+//! 4. *Cameras*, where it is asked for: what no plane takes away corrects cameras and plane together, weighed against the calibration's
+//!    covariance (`cameras.rs`).
 //!
 //! | symbol | identifier | unit | frame | meaning |
 //! |---|---|---|---|---|
@@ -31,6 +33,8 @@
 //! and blind to errors of the cameras that a plane can mimic.
 
 mod acquire;
+mod anchor;
+mod cameras;
 mod check;
 mod correlate;
 mod misalignment;
@@ -40,6 +44,8 @@ mod plane;
 mod prepare;
 mod profile;
 mod propagate;
+mod scatter;
+mod stepped;
 
 pub use check::{CheckOptions, CheckOutput, ParticlePair, check_sheet};
 pub use planar::{PlanarOptions, PlanarVectors, planar_displacements};

@@ -33,5 +33,7 @@ pub use schema::{
     ANGLES_CONVENTION, Camera, Covariance, Effective, FORMAT, Fit, Homography, ImageFile, Known, NearNull, Parameter,
     Pose, Provenance, Radial, Record, Rig, Scale, Sheet, Target, TargetPoint, VERSION, View, ViewTarget, Window,
 };
-pub use sheet_check::{CheckRound, DisparityMap, LightProfile, Misalignment, SheetCheck};
+pub use sheet_check::{
+    CamerasRefined, CheckRound, DisparityMap, LightProfile, Misalignment, RefinedNumber, SheetCheck,
+};
 pub use sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, TargetSigma, WindowSigma};

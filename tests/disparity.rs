@@ -2,56 +2,17 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
+mod particle_scene;
+
 use nalgebra::{SVector, Vector3};
-use spivcal::disparity::{CheckOptions, CheckOutput, ParticlePair, check_sheet};
+use particle_scene::{pairs, plane, scene, seeded, truth};
+use spivcal::disparity::{CheckOptions, CheckOutput, check_sheet};
 use spivcal::frames::{Cam, Rig, Sheet};
 use spivcal::image::{GrayImage, Pixels};
 use spivcal::record::{Pose, Record};
 use spivcal::rigid::Motion;
-use spivcal::simulate::{Scene, simulate_particles};
+use spivcal::simulate::simulate_particles;
 use std::process::Command;
-
-/// Two cameras, particles, and a sheet in its place.
-fn scene(seed: u64, offset_mm: f64, tilt_deg: [f64; 2], thickness_mm: f64, pairs: usize) -> Scene {
-    seeded(seed, offset_mm, tilt_deg, thickness_mm, pairs, 1.5)
-}
-
-fn seeded(seed: u64, offset_mm: f64, tilt_deg: [f64; 2], thickness_mm: f64, pairs: usize, per_mm2: f64) -> Scene {
-    let camera = |name: &str, angle: f64| {
-        format!(
-            "[[camera]]\nname = \"{name}\"\nimage_size_px = [640, 512]\npixel_pitch_mm = 0.0125\nfocal_length_mm = 50.0\nscheimpflug = true\n\
-             k = [-0.05, 0.0, 0.0]\naim = {{ distance_mm = 500.0, viewing_angle_deg = {angle:?} }}\n"
-        )
-    };
-    let text = format!(
-        "seed = {seed}\n{}{}[sheet]\noffset_mm = {offset_mm:?}\ntilt_deg = {tilt_deg:?}\n[target]\nkind = \"two-discs\"\npolarity = \"bright\"\n\
-         radii_mm = [8.0, 6.0]\nspacing_mm = 18.0\n[image]\nbits = 12\nblur_sigma_px = 0.9\nfull_well_e = 20000.0\nread_noise_e = 20.0\n\
-         [[view]]\n[particles]\npairs = {pairs}\nper_mm2 = {per_mm2:?}\nthickness_mm = {thickness_mm:?}\n",
-        camera("left", -42.0),
-        camera("right", 35.0)
-    );
-    Scene::parse(&text, "scene.toml").unwrap()
-}
-
-fn truth(scene: &Scene) -> Record {
-    Record::from_json(&scene.truth_json().unwrap(), "truth.json").unwrap()
-}
-
-fn pairs(images: &[(String, GrayImage)]) -> Vec<ParticlePair<'_>> {
-    images
-        .chunks_exact(2)
-        .map(|p| ParticlePair { images: [p[0].1.view(), p[1].1.view()], names: [p[0].0.clone(), p[1].0.clone()] })
-        .collect()
-}
-
-/// Where the true sheet lies in the frame of the one that was started from: `z = a + b x + c y`.
-fn plane(start: &Record, now: &Record) -> Vector3<f64> {
-    let pose = |r: &Record| r.sheet.as_ref().unwrap().rig_from_sheet.motion::<Rig, Sheet>();
-    let m = pose(start).inverse() * pose(now);
-    let n = m.rotation.column(2);
-    let (b, c) = (-n.x / n.z, -n.y / n.z);
-    Vector3::new(m.translation_mm.z - b * m.translation_mm.x - c * m.translation_mm.y, b, c)
-}
 
 fn refined(
     seed: u64,

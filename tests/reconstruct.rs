@@ -198,6 +198,49 @@ fn sigmas_are_those_of_the_scatter() {
     }
 }
 
+/// Planar vectors that state their own standard deviations, part of whose errors both cameras share: the sigmas of u, v, w hold that.
+#[test]
+fn stated_sigmas_and_what_both_cameras_share_are_in_the_sigmas() {
+    for rho in [0.0_f64, 0.45] {
+        let (clean, mut random) = ([0, 1].map(|c| dewarped_field(c, None, 0.0, 1)), Random(31));
+        let header = "x_mm,y_mm,dx_mm,dy_mm,sigma_dx_mm,sigma_dy_mm\n";
+        let mut texts = [header.to_string(), header.to_string()];
+        for (a, b) in clean[0].lines().zip(clean[1].lines()).skip(1) {
+            let shared = random.normal();
+            for (c, line) in [a, b].iter().enumerate() {
+                let v: Vec<f64> = line.split(',').map(|x| x.parse().unwrap()).collect();
+                // Depth shows along x; errors differ from place to place and between the axes.
+                let sigma = [2e-3 * (1.0 + 0.03 * v[0].abs()), 1e-3 * (1.0 + 0.05 * v[1].abs())];
+                let e = [random.normal(), rho.sqrt() * shared + (1.0 - rho).sqrt() * random.normal()];
+                let (dx, dy) = (v[2] + sigma[0] * e[0], v[3] + sigma[1] * e[1]);
+                texts[c].push_str(&format!("{},{},{dx:.9},{dy:.9},{:.9},{:.9}\n", v[0], v[1], sigma[0], sigma[1]));
+            }
+        }
+        let f = solved([&texts[0], &texts[1]], &options(FieldUnit::Millimetres));
+        let n = f.x_mm.len() as f64;
+        let mut sums = [0.0; 3];
+        for i in 0..f.x_mm.len() {
+            let d = Vector3::new(f.u_mm[i], f.v_mm[i], f.w_mm[i]) - flow(f.x_mm[i], f.y_mm[i]);
+            (0..3).for_each(|a| sums[a] += (d[a] / f.sigma_mm[a][i]).powi(2));
+        }
+        let mean = sums.map(|s| s / n);
+        let found = f.common_errors.unwrap();
+        println!("rho {rho}: found {found:.3}, mean z^2 {mean:.3?}, residuals {:.3}", f.residual_ratio);
+        // n independent vectors: the mean square scatters by sqrt(2 / n).
+        let z = mean.map(|m| (m - 1.0) / (2.0 / n).sqrt());
+        assert!(z.iter().all(|z| z.abs() < 4.0), "{z:?}");
+        assert!((found - rho).abs() < 4.0 * (2.0 / n).sqrt() && !f.sigma_estimated, "{found}");
+        if rho > 0.0 {
+            // One file without them is no half-known field.
+            let fields = [&texts[0], &clean[1]].map(|t| PlanarField::new(&parse_field(t, "f.csv").unwrap()).unwrap());
+            let m = maps();
+            let o = options(FieldUnit::Millimetres);
+            let e = reconstruct([&m[0], &m[1]], [&fields[0], &fields[1]], ["left", "right"], &o).unwrap_err();
+            assert!(e.to_string().contains("export both alike"), "{e}");
+        }
+    }
+}
+
 #[test]
 fn the_calibration_s_covariance_is_that_of_moved_calibrations() {
     // Known: baseline-like scale of the second camera's place along its own axes, sheet and lens exact.

@@ -136,17 +136,16 @@ fn from_images_to_three_components() {
         of(z2),
         within / n
     );
-    // Measured: 0.0043 mm, no bias, 1.12 sigmas of w, 0.94; windows of 3 mm average a vortex of 8 mm, which the sigmas do not hold.
-    assert!(n > 1350.0 && of(error)[2] < 0.006 && mean.iter().all(|m| m.abs() < 1e-3));
-    assert!(of(z2).iter().all(|z| *z < 1.4) && within / n > 0.88, "{:?}", of(z2));
-    // Measured: 1.4, 1.6, 1.3 everywhere, 1.2, 1.8, 1.4 in the vortex, where errors are five times those of still fluid. What both cameras
-    // get wrong alike is in u and v, and cannot be seen in their residuals.
+    // Measured: 0.0022 mm, no bias, 0.9 sigmas of w; what a window of 3 mm takes off a vortex of 8 mm is given back.
+    assert!(n > 1350.0 && of(error)[2] < 0.004 && mean.iter().all(|m| m.abs() < 1e-3));
+    assert!(of(z2).iter().all(|z| *z < 1.2) && within / n > 0.92, "{:?}", of(z2));
+    // Measured: 0.97, 1.27, 1.10 everywhere, the calibration's own error included, which these sigmas do not hold.
     let alone = alone.map(|s| [0, 1, 2].map(|a| (s[a] / s[3]).sqrt()));
     println!(
         "errors over the sigmas by the planar vectors: everywhere {:.2?}, in the vortex {:.2?}",
         alone[0], alone[1]
     );
-    assert!(alone.iter().all(|z| z[0] < 1.8 && z[1] < 2.2 && z[2] < 1.6 && z[2] > 0.8), "{alone:?}");
+    assert!(alone.iter().flatten().all(|z| (0.75..1.4).contains(z)), "{alone:?}");
     let found = json(&scratch.path().join("s/check.json"));
     let number = |key: &str, sigma: &str, i: usize, true_value: f64| {
         let get = |k: &str| found[k].get(i).unwrap_or(&found[k]).as_f64().unwrap();

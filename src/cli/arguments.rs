@@ -129,6 +129,9 @@ pub(super) struct Check {
     /// Correct the sheet and write the corrected calibration.json
     #[arg(long)]
     pub(super) refine: bool,
+    /// Correct the cameras, too, by what no sheet explains, as far as the calibration's covariance allows
+    #[arg(long, requires = "refine")]
+    pub(super) refine_cameras: bool,
     /// Side of a window of the disparity map, px of the dewarped image
     #[arg(long, value_name = "PX", default_value_t = 64)]
     pub(super) window_px: usize,

@@ -6,11 +6,12 @@ use super::dewarp::load_sized;
 use super::files::{Output, fault, read_text};
 use super::progress::Bar;
 use super::threads;
+use crate::diagnosis::mapping_of_record;
 use crate::disparity::{CheckOptions, ParticlePair, check_sheet, sheet_of_view};
 use crate::error::{Error, Result};
 use crate::frames::{Rig, Sheet};
 use crate::image::GrayImage;
-use crate::record::{Record, SheetCheck};
+use crate::record::{CamerasRefined, Record, SheetCheck};
 use crate::report::check_html;
 use serde_json::json;
 use std::num::NonZeroUsize;
@@ -60,9 +61,17 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         window_px: command.window_px,
         search_mm: command.search_mm,
         refine: command.refine,
+        refine_cameras: command.refine_cameras,
         reference_mm,
     };
-    let found = threads::pool(threads)?.install(|| check_sheet(&record, &pairs, &options))?;
+    let pool = threads::pool(threads)?;
+    let mut found = pool.install(|| check_sheet(&record, &pairs, &options))?;
+    if let Some(corrected) = &mut found.record
+        && let Some((mapping, told)) = pool.install(|| mapping_of_record(corrected))
+    {
+        corrected.mapping_uncertainty = Some(mapping);
+        found.check.flags.extend(told);
+    }
     let mut out = Output::default();
     let value = serde_json::to_value(&found.check).map_err(|e| Error::Bug(format!("check.json: {e}")))?;
     out.add("check.json", format!("{value:#}\n"));
@@ -78,7 +87,7 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         "offset_sigma_windows_mm": value["offset_sigma_windows_mm"], "tilt_sigma_windows_deg": value["tilt_sigma_windows_deg"],
         "sigmas_hold_calibration": found.check.sigmas_hold_calibration, "misalignment_before": value["misalignment_before"],
         "misalignment_after": value["misalignment_after"],
-        "converged": found.check.converged, "history": value["history"], "flags": found.check.flags,
+        "cameras_refined": value["cameras_refined"], "converged": found.check.converged, "history": value["history"], "flags": found.check.flags,
     });
     out.commit(&command.output)?;
     Ok(Done { text: words, json, flags: found.check.flags })
@@ -119,6 +128,9 @@ fn words(c: &SheetCheck, to: &Path, files: &[&str]) -> String {
         m.scatter_px[0],
         m.scatter_px[1]
     ));
+    if let Some(r) = &c.cameras_refined {
+        text.push_str(&refined_words(r));
+    }
     if c.thickness_mm.is_finite() {
         text.push_str(&format!("thickness of the light: {:.2} mm (full width at 1/e^2)", c.thickness_mm));
         if let Some(p) = &c.profile {
@@ -135,6 +147,28 @@ fn words(c: &SheetCheck, to: &Path, files: &[&str]) -> String {
         );
     }
     text.push_str(&format!("Written to {}: {}\n", to.display(), files.join(", ")));
+    text
+}
+
+/// What the particles did to the cameras.
+fn refined_words(r: &CamerasRefined) -> String {
+    let mut text = String::from("cameras refined with the sheet; change of each number, and its sigma before and after:\n");
+    let wide = r.numbers.iter().map(|n| n.name.len()).max().unwrap_or(0);
+    for n in &r.numbers {
+        let (name, change) = (&n.name, n.change);
+        text.push_str(&format!(
+            "  {name:<wide$}  {change:+11.3e}  {:+6.2} sigmas   {:.2e} -> {:.2e}\n",
+            n.change_sigmas, n.sigma_before, n.sigma_after
+        ));
+    }
+    if r.degrees > 0 {
+        text.push_str(&format!(
+            "together: chi-square {:.1} of {} that the particles tell of (chance {:.2})\n",
+            r.chi2, r.degrees, r.chance
+        ));
+    } else {
+        text.push_str("the particles tell nothing of the cameras that the calibration did not know better\n");
+    }
     text
 }
 

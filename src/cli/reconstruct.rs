@@ -20,6 +20,9 @@ use std::path::Path;
 /// More missing vectors than this part of the field are flagged.
 const MISSING_LIMIT: f64 = 0.3;
 
+/// Residuals of more than this many times what stated sigmas let expect are flagged.
+const RESIDUAL_LIMIT: f64 = 1.5;
+
 /// What is needed of `dewarp.json`.
 #[derive(Deserialize)]
 struct Dewarped {
@@ -69,6 +72,13 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
             names[0],
             part(&fields[1]),
             names[1]
+        ));
+    }
+    if found.common_errors.is_some() && found.residual_ratio > RESIDUAL_LIMIT {
+        flags.push(format!(
+            "the residuals are {:.1} times what the sigmas in the files let expect: those sigmas are too small, the sheet or the cameras are off (run \
+             spivcal check), or the fields are not of the same moments",
+            found.residual_ratio
         ));
     }
     let folder = command.output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -153,6 +163,7 @@ fn summary(
             found.sigma_by_gradient
         ),
         true => "estimated from the residuals",
+        false if found.common_errors.is_some() => "median of what the files state",
         false => "given",
     };
     let mut text = format!(
@@ -169,6 +180,18 @@ fn summary(
             FieldUnit::Millimetres => "mm",
         }
     );
+    if let Some(common) = found.common_errors {
+        text.push_str(&format!(
+            "the residuals are {:.2} of what these sigmas let expect: a correlation of {common:.2} of both cameras' errors across the direction of depth, \
+             which the sigmas of u, v, w hold\n",
+            found.residual_ratio
+        ));
+    } else {
+        text.push_str(
+            "errors that both cameras share (the same particles) are in no residual, and not in these sigmas; they are where the files state \
+             sigma_dx and sigma_dy of every vector\n",
+        );
+    }
     if cw.is_finite() {
         text.push_str(&format!("median sigma by the calibration:    u {cu:.3e}, v {cv:.3e}, w {cw:.3e} mm\n"));
     }
@@ -176,7 +199,7 @@ fn summary(
     let number = |x: f64| if x.is_finite() { json!(x) } else { serde_json::Value::Null };
     let json = json!({
         "output": to.display().to_string(), "picture": picture.display().to_string(), "vectors": filled, "points": all, "grid": found.grid, "sigma": number(found.sigma),
-        "sigma_estimated": found.sigma_estimated, "sigma_by_gradient": number(found.sigma_by_gradient), "median_residual_px": number(residual),
+        "sigma_estimated": found.sigma_estimated, "sigma_by_gradient": number(found.sigma_by_gradient), "common_errors": found.common_errors, "residual_ratio": number(found.residual_ratio), "median_residual_px": number(residual),
         "median_sigma_mm": [number(su), number(sv), number(sw)],
         "median_calibration_sigma_mm": [number(cu), number(cv), number(cw)],
     });

@@ -7,11 +7,11 @@
 //! e_i = misplacement of point i in a camera,  e' = e - (shift, turn) fitted to all points of both cameras,  C' = P D C D^T P^T
 //! ```
 
-use super::Subject;
 use super::keys::{derivative, still};
-use crate::bundle::{NamedCovariance, Natural};
-use crate::record::{MappingMap, MappingSigma, MappingUncertainty};
-use crate::sheet::{PointUncertainty, SheetUncertainty, StereoSheet};
+use crate::bundle::{NamedCovariance, Natural, ParameterKnowledge};
+use crate::camera::INTRINSICS;
+use crate::record::{MappingMap, MappingSigma, MappingUncertainty, Record};
+use crate::sheet::{Parameter, PointUncertainty, SheetUncertainty, StereoSheet};
 use nalgebra::{DMatrix, DVector, Vector2};
 
 /// Points along the longer and the shorter side of what both cameras see.
@@ -26,19 +26,54 @@ struct Field {
     spacing_mm: [f64; 2],
 }
 
+/// What a record says of it anew, after its sheet or its cameras were refined; with what must be told. `None` where its covariance does not
+/// name the sheet, or does not determine cameras and sheet.
+pub fn mapping_of_record(record: &Record) -> Option<(MappingUncertainty, Vec<String>)> {
+    let [first, second] = record.cameras.as_slice() else { return None };
+    let (names, c) = ([first.name.as_str(), second.name.as_str()], &record.covariance);
+    let own: Vec<usize> = (0..c.names.len()).filter(|i| Parameter::of(&c.names[*i], names).is_some()).collect();
+    let has_sheet = own.iter().any(|i| matches!(Parameter::of(&c.names[*i], names), Some(Parameter::Sheet(_))));
+    let matrix = DMatrix::from_fn(own.len(), own.len(), |i, j| c.matrix[own[i]][own[j]]);
+    if !has_sheet || matrix.iter().any(|v| !v.is_finite()) {
+        return None;
+    }
+    let known = ParameterKnowledge::Estimated { prior_share: 0.0 };
+    let covariance = NamedCovariance {
+        names: own.iter().map(|i| c.names[*i].clone()).collect(),
+        determined: vec![true; own.len()],
+        intrinsics: vec![[known; INTRINSICS]; 2],
+        nullity: 0,
+        null_directions: DMatrix::zeros(own.len(), 0),
+        undetermined: vec![],
+        offset_sigmas_mm: vec![],
+        natural: Natural {
+            cameras: vec![first.model().ok()?, second.model().ok()?],
+            cam_from_rig: vec![first.cam_from_rig.motion(), second.cam_from_rig.motion()],
+            rig_from_plane: Some(record.sheet.as_ref()?.rig_from_sheet.motion()),
+            rig_from_target: vec![],
+        },
+        matrix,
+    };
+    let sizes_px = [first, second].map(|c| c.image_size_px.map(|n| n as f64));
+    let mut flags = vec![];
+    let found = mapping_uncertainty(&covariance, &sizes_px, &names, &mut flags)?;
+    Some((found, flags))
+}
+
 pub(super) fn mapping_uncertainty(
-    s: &Subject<'_>,
+    covariance: &NamedCovariance,
+    sizes_px: &[[f64; 2]],
     names: &[&str],
     flags: &mut Vec<String>,
 ) -> Option<MappingUncertainty> {
     let [first, second] = *names else { return None };
-    let uncertainty = SheetUncertainty::of(s.covariance, [first, second])?;
+    let uncertainty = SheetUncertainty::of(covariance, [first, second])?;
     let stereo = *uncertainty.stereo();
-    let field = field(&stereo, s.sizes_px)?;
+    let field = field(&stereo, sizes_px)?;
     let mut points = field.points.clone();
     let n = points.len() as f64;
     points.push([points.iter().map(|p| p[0]).sum::<f64>() / n, points.iter().map(|p| p[1]).sum::<f64>() / n]);
-    let placed = places(s.covariance, names, &stereo, &points)?;
+    let placed = places(covariance, names, &stereo, &points)?;
     let all: Vec<(MappingSigma, PointUncertainty)> = points
         .iter()
         .zip(&placed)

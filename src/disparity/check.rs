@@ -1,6 +1,7 @@
 //! The rounds of the check.
 
 use super::acquire::{Acquired, Binned, SIGNIFICANT, acquire, factor};
+use super::cameras::{Prior, Update, with_sigmas};
 use super::correlate::{Correlator, Dewarped, Sums};
 use super::misalignment::misalignment;
 use super::plane::{Match, PlaneFit, Seen, cameras_held, fit_plane, moved_sheet, see};
@@ -11,7 +12,7 @@ use crate::dewarp::{Kernel, Sampler, SheetGrid, SheetMap, resample};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::frames::{Rig, Sheet};
 use crate::image::GrayView;
-use crate::record::{CheckRound, DisparityMap, Misalignment, Record, SheetCheck};
+use crate::record::{CheckRound, DisparityMap, Misalignment, Pose, Record, SheetCheck};
 use crate::rigid::Motion;
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
 use rayon::prelude::*;
@@ -26,6 +27,10 @@ const ROUNDS: usize = 12;
 const STILL_PX: f64 = 0.002;
 /// Or moves by less than this part of its sigma (windows at the limit of being used come and go).
 const STILL_SIGMAS: f64 = 0.3;
+/// Rounds for the cameras at most.
+const CAMERA_ROUNDS: usize = 8;
+/// They end when nothing moves by more than this part of its sigma: windows at the limit of being used come and go.
+const STILL_CAMERAS: f64 = 0.5;
 /// Smooth disparity beyond which the sheet (along the direction of depth) and the cameras (across it) are off, px ...
 const OFF_PX: [f64; 2] = [0.5, 0.3];
 /// ... where it is this many times what scatter alone would show.
@@ -40,13 +45,15 @@ pub struct CheckOptions {
     pub search_mm: Option<f64>,
     /// Whether the sheet is to be corrected.
     pub refine: bool,
+    /// Whether the cameras are to be corrected with it, weighed against the calibration's covariance.
+    pub refine_cameras: bool,
     /// Point of the starting sheet at which its offset is reported, its frame, mm.
     pub reference_mm: [f64; 2],
 }
 
 impl Default for CheckOptions {
     fn default() -> Self {
-        Self { window_px: 64, search_mm: None, refine: false, reference_mm: [0.0; 2] }
+        Self { window_px: 64, search_mm: None, refine: false, refine_cameras: false, reference_mm: [0.0; 2] }
     }
 }
 
@@ -108,6 +115,11 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
     if !(16..=512).contains(&options.window_px) {
         return Err(Invalid::value("window", options.window_px as f64, "16 to 512 px").into());
     }
+    if options.refine_cameras && !options.refine {
+        let what = "the cameras can only be refined together with the sheet; say --refine as well";
+        return Err(Invalid::Contradiction(what.into()).into());
+    }
+    let prior = if options.refine_cameras { Some(Prior::of(record)?) } else { None };
     let grid = SheetGrid::common(&[first, second], None)?;
     let found = coarse_plane([first, second], pairs, &grid, options)?;
     let moments: Vec<Moment> = pairs
@@ -136,11 +148,90 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
             break;
         }
     }
-    let Some(result) = last else { return Err(crate::Error::Bug("no round of the check".into())) };
     if options.refine && !converged {
         flags.push(format!("the plane still moves after {ROUNDS} rounds; more image pairs would hold it"));
     }
-    output(record, current, pairs, result, history, &found, converged, options, flags)
+    let refined = match &prior {
+        Some(prior) => Some(refine_cameras(record, prior, current.clone(), &moments, options, &mut history)?),
+        None => None,
+    };
+    let refined = refined.map(|r| {
+        converged = converged && r.still;
+        if !r.still {
+            flags.push(format!("the cameras still move after {CAMERA_ROUNDS} rounds; more image pairs would hold them"));
+        }
+        (current, last) = (r.now, Some(r.round));
+        (r.reference, r.update)
+    });
+    let Some(result) = last else { return Err(crate::Error::Bug("no round of the check".into())) };
+    let mut reference = record.clone();
+    let mut shared = None;
+    let mut cameras_refined = None;
+    if let (Some(prior), Some((moved, update))) = (&prior, refined) {
+        shared = prior.propagated(record, &moved, &current, &update, options.reference_mm);
+        let after = shared.as_ref().map_or(&record.covariance, |s| &s.covariance);
+        cameras_refined = Some(prior.told(record, after, &update, &mut flags));
+        reference = moved;
+    }
+    let ends = [record, &reference];
+    let mut out = output(ends, current, pairs, result, history, &found, converged, options, shared, flags)?;
+    out.check.cameras_refined = cameras_refined;
+    Ok(out)
+}
+
+/// Cameras and plane at rest.
+struct Refined {
+    now: Record,
+    /// The calibration with the new cameras and the sheet that was started from, moved along with them.
+    reference: Record,
+    round: Round,
+    update: Update,
+    still: bool,
+}
+
+/// Rounds for cameras and plane together, from the plane that was found with the cameras held.
+fn refine_cameras(
+    start: &Record,
+    prior: &Prior,
+    mut now: Record,
+    moments: &[Moment],
+    options: &CheckOptions,
+    history: &mut Vec<CheckRound>,
+) -> Result<Refined> {
+    let lost = || -> crate::Error {
+        let what = "the windows do not fix cameras and plane together; leave out --refine-cameras, or give more image pairs";
+        Insufficient::Degenerate(what.into()).into()
+    };
+    let mut w = prior.start();
+    let mut place: Vector3<f64> = Vector3::zeros();
+    for k in 1.. {
+        let mut round = measure(&now, moments, options.window_px, true)?;
+        let update = prior.update(start, &now, &round.matches, &round.fit, &w).ok_or_else(lost)?;
+        round.fit.abc = update.abc;
+        let reference = prior.record_at(start, &update.w).ok_or_else(lost)?;
+        let mut next = reference.clone();
+        next.sheet.clone_from(&now.sheet);
+        let sheet = prior.carried(start, [&w, &update.w], &pose(&now)?).ok_or_else(lost)?;
+        if let Some(s) = &mut next.sheet {
+            s.rig_from_sheet = Pose::from(&sheet);
+        }
+        now = moved(&next, &update.abc, &cameras_held(&round.fit.covariance))?;
+        history.push(entry(&reference, &now, &round, options.window_px, options)?);
+        // At rest when neither cameras nor the light's place change by more than their sigmas allow.
+        let sigmas = prior.propagated(start, &reference, &now, &update, options.reference_mm).map(|p| p.against_start);
+        let e = against(&pose(&reference)?, &pose(&now)?, options.reference_mm);
+        let moves = |a: usize| match &sigmas {
+            Some(c) => (e[a] - place[a]).abs() > STILL_CAMERAS * c[(a, a)].max(0.0).sqrt(),
+            None => false,
+        };
+        let still = k > 1 && (&update.w - &w).amax() < STILL_CAMERAS && !(0..3).any(moves);
+        place = e;
+        w.clone_from(&update.w);
+        if still || k >= CAMERA_ROUNDS {
+            return Ok(Refined { now, reference, round, update, still });
+        }
+    }
+    Err(crate::Error::Bug("no round of the cameras".into()))
 }
 
 fn check_images(pairs: &[ParticlePair], maps: &[SheetMap; 2], flags: &mut Vec<String>) -> Result<()> {
@@ -355,7 +446,7 @@ fn told(before: &Misalignment, now: &Misalignment, refine: bool, flags: &mut Vec
 
 #[allow(clippy::too_many_arguments)]
 fn output(
-    start: &Record,
+    [start, reference]: [&Record; 2],
     corrected: Record,
     pairs: &[ParticlePair],
     last: Round,
@@ -363,16 +454,20 @@ fn output(
     found: &Acquired,
     converged: bool,
     options: &CheckOptions,
+    refined: Option<Propagated>,
     mut flags: Vec<String>,
 ) -> Result<CheckOutput> {
     let scale = last.grid.mm_per_px;
     let before = map_in(start, &last.matches, &last.fit.used, scale)?;
     let after = map_in(&corrected, &last.matches, &last.fit.used, scale)?;
-    let (offset_mm, tilt_deg) = offset_and_tilt(start, &corrected, options.reference_mm)?;
+    let (offset_mm, tilt_deg) = offset_and_tilt(reference, &corrected, options.reference_mm)?;
     // The covariance of the scatter lives in the last frame, which the found one differs from by less than a sigma.
-    let by_plane = against_by_plane(&pose(start)?, &pose(&corrected)?, options.reference_mm);
+    let by_plane = against_by_plane(&pose(reference)?, &pose(&corrected)?, options.reference_mm);
     let windows = by_plane * last.fit.covariance * by_plane.transpose();
-    let shared = propagate(start, &corrected, &last.matches, &last.fit, options.reference_mm);
+    let shared = match refined {
+        None if !options.refine_cameras => propagate(start, &corrected, &last.matches, &last.fit, options.reference_mm),
+        refined => refined,
+    };
     let whole = shared.as_ref().map_or(windows, |s| s.against_start);
     let sigma = |c: &Matrix3<f64>, k: usize| c[(k, k)].max(0.0).sqrt();
     let tilts = |c: &Matrix3<f64>| [sigma(c, 1).to_degrees(), sigma(c, 2).to_degrees()];
@@ -419,20 +514,33 @@ fn output(
         across_rms_px,
         misalignment_before: misaligned[0],
         misalignment_after: options.refine.then_some(misaligned[1]),
+        cameras_refined: None,
         profile,
         thickness_mm: light.map_or(f64::NAN, |l| l.thickness_mm()),
         flags,
     };
-    let record = options.refine.then(|| corrected_record(corrected, shared, pairs.len())).transpose()?;
+    let record = options.refine.then(|| corrected_record(corrected, shared, pairs.len(), options)).transpose()?;
     Ok(CheckOutput { check, record })
 }
 
 /// The calibration with the sheet's sigmas and rows of the covariance.
-fn corrected_record(corrected: Record, shared: Option<Propagated>, pairs: usize) -> Result<Record> {
-    let how = if shared.is_some() { "" } else { ", cameras held" };
+fn corrected_record(
+    corrected: Record,
+    shared: Option<Propagated>,
+    pairs: usize,
+    options: &CheckOptions,
+) -> Result<Record> {
+    let how = match (options.refine_cameras, &shared) {
+        (true, _) => ", cameras refined with it",
+        (false, Some(_)) => "",
+        (false, None) => ", cameras held",
+    };
     let mut r = corrected;
     if let Some(s) = shared {
         r = moved(&r, &Vector3::zeros(), &s.plane_and_center)?;
+        if options.refine_cameras {
+            r = with_sigmas(r, &s.covariance);
+        }
         r.covariance = s.covariance;
     } else {
         let c = &r.covariance;

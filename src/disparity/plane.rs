@@ -9,7 +9,7 @@ use crate::sheet::SheetEstimate;
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
 
 /// Tukey's constant: 95 % efficiency for normal scatter.
-const TUKEY: f64 = 4.685;
+pub(super) const TUKEY: f64 = 4.685;
 
 /// One place seen by both cameras.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -70,7 +70,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-fn tukey(t: f64) -> f64 {
+pub(super) fn tukey(t: f64) -> f64 {
     let t = t / TUKEY;
     if t.abs() < 1.0 { (1.0 - t * t).powi(2) } else { 0.0 }
 }

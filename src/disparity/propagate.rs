@@ -28,7 +28,7 @@ use crate::sheet::{Parameter, STEP_NAMES, stepped_camera, stepped_motion, steppe
 use nalgebra::{DMatrix, Matrix3, Matrix6, Matrix6x3, SMatrix, SVector, Vector3};
 
 /// Row names of the sheet in a covariance.
-const SHEET: &str = "sheet.rig_from_sheet.";
+pub(super) const SHEET: &str = "sheet.rig_from_sheet.";
 
 /// Covariances with the calibration's share in them.
 pub(super) struct Propagated {
@@ -70,13 +70,13 @@ pub(super) fn against_by_plane(
 }
 
 /// Step of a sheet in its own frame by the plane `z = a + b x + c y` that it goes to, to first order.
-fn tilted() -> Matrix6x3<f64> {
+pub(super) fn tilted() -> Matrix6x3<f64> {
     let mut out = Matrix6x3::zeros();
     (out[(0, 2)], out[(1, 1)], out[(5, 0)]) = (1.0, -1.0, 1.0);
     out
 }
 
-fn sheet_pose(record: &Record) -> Option<Motion<Rig, Sheet>> {
+pub(super) fn sheet_pose(record: &Record) -> Option<Motion<Rig, Sheet>> {
     record.sheet.as_ref().map(|s| s.rig_from_sheet.motion())
 }
 
@@ -99,7 +99,7 @@ fn stepped_maps(record: &Record, parameter: Parameter, h: f64) -> Option<[SheetM
 }
 
 /// Rows of the starting sheet in the covariance, one per step; `None` where it has none.
-fn start_rows(start: &Record) -> Option<[usize; 6]> {
+pub(super) fn start_rows(start: &Record) -> Option<[usize; 6]> {
     let sheet = start.sheet.as_ref()?;
     let prefix = match (sheet.method.as_str(), sheet.views.as_slice()) {
         ("target plane", [view]) => format!("view{view}.rig_from_target."),
@@ -175,7 +175,7 @@ pub(super) fn propagate(
 }
 
 /// Derivative of [`against`] by left steps of the starting sheet.
-fn against_by_start(
+pub(super) fn against_by_start(
     start: &Motion<Rig, Sheet>,
     now: &Motion<Rig, Sheet>,
     reference_mm: [f64; 2],

@@ -24,6 +24,8 @@ pub struct PlanarField {
     pub(super) count: [usize; 2],
     /// Rows packed; none where missing.
     vectors: Vec<Option<Vector2<f64>>>,
+    /// Standard deviations of the vectors, where the file has them.
+    sigmas: Option<Vec<Vector2<f64>>>,
     /// File in messages.
     pub(super) file: String,
 }
@@ -33,6 +35,8 @@ pub(super) struct Between {
     pub(super) vector: Vector2<f64>,
     /// Variance of the interpolated over that of a measured vector, for vectors whose errors are independent.
     pub(super) variance: f64,
+    /// Standard deviations along the axes of the field, where the file has those of the vectors.
+    pub(super) sigma: Option<Vector2<f64>>,
     /// Whether neighbours were missing and the order had to be lowered.
     pub(super) lowered: bool,
     /// Squared change from one vector to the next, summed over both axes, unit of the field squared.
@@ -90,6 +94,7 @@ impl PlanarField {
             return Err(not_a_grid(table, what));
         }
         let mut vectors = vec![None; nx * ny];
+        let mut sigmas = table.sigma.as_ref().map(|_| vec![Vector2::repeat(f64::NAN); nx * ny]);
         let mut seen = vec![false; nx * ny];
         for i in 0..n {
             let column = ((table.x[i] - x0) / sx).round() as usize;
@@ -103,14 +108,34 @@ impl PlanarField {
                 return Err(not_a_grid(table, what));
             }
             seen[at] = true;
+            if let (Some(to), Some([sx, sy])) = (&mut sigmas, &table.sigma) {
+                to[at] = Vector2::new(sx[i], sy[i]);
+            }
             vectors[at] = table.dx[i].is_finite().then(|| Vector2::new(table.dx[i], table.dy[i]));
         }
-        Ok(Self { origin: [x0, y0], spacing: [sx, sy], count: [nx, ny], vectors, file: table.file.clone() })
+        Ok(Self { origin: [x0, y0], spacing: [sx, sy], count: [nx, ny], vectors, sigmas, file: table.file.clone() })
     }
 
     /// Vectors that are there, and places of the grid.
     pub fn filled(&self) -> (usize, usize) {
         (self.vectors.iter().filter(|v| v.is_some()).count(), self.vectors.len())
+    }
+
+    /// Whether the file has standard deviations.
+    pub(super) fn has_sigmas(&self) -> bool {
+        self.sigmas.is_some()
+    }
+
+    /// The standard deviations of all vectors that are there.
+    pub(super) fn stated(&self) -> impl Iterator<Item = Vector2<f64>> + '_ {
+        let all = self.sigmas.iter().flatten().zip(&self.vectors);
+        all.filter(|(_, v)| v.is_some()).map(|(s, _)| *s)
+    }
+
+    /// Variances of a vector that is there; none where the file has none.
+    fn variances(&self, column: isize, row: isize) -> Option<Vector2<f64>> {
+        let at = row * self.count[0] as isize + column;
+        self.sigmas.as_ref().map(|s| s[at as usize].map(|x| x * x))
     }
 
     /// `[x_min, y_min, x_max, y_max]` of the positions.
@@ -146,8 +171,9 @@ impl PlanarField {
         };
         let linear = |t: f64| [0.0, 1.0 - t, t, 0.0];
         for (order, weights) in [(0, t.map(cubic)), (1, t.map(linear))] {
-            if let Some((vector, variance)) = self.weighted(base, &weights) {
-                return Some(Between { vector, variance, lowered: order == 1, unevenness: self.unevenness(base, t) });
+            if let Some((vector, variance, sigma)) = self.weighted(base, &weights) {
+                let unevenness = self.unevenness(base, t);
+                return Some(Between { vector, variance, sigma, lowered: order == 1, unevenness });
             }
         }
         let inside = (0..2).all(|a| snapped[a] >= 0.0 && snapped[a] <= (self.count[a] - 1) as f64);
@@ -166,22 +192,24 @@ impl PlanarField {
                 let weight = (-(x * x + y * y) / (2.0 * NEAR * NEAR)).exp();
                 let row = Vector3::new(1.0, x, y);
                 normal += row * row.transpose() * weight;
-                around.push((v, row, weight));
+                around.push((v, row, weight, self.variances(base[0] + i, base[1] + j)));
             }
         }
         if around.len() < FEWEST_AROUND {
             return None;
         }
         let first = normal.cholesky()?.solve(&Vector3::x());
-        let (mut vector, mut variance) = (Vector2::zeros(), 0.0);
-        for (v, row, weight) in around {
+        let (mut vector, mut variance, mut own) = (Vector2::zeros(), 0.0, Vector2::zeros());
+        for (v, row, weight, variances) in around {
             let part = weight * first.dot(&row);
             vector += v * part;
             variance += part * part;
+            own += variances.unwrap_or_default() * (part * part);
         }
+        let sigma = self.sigmas.as_ref().map(|_| own.map(f64::sqrt));
         // More than a measured vector's variance: extrapolated from one side.
         let unevenness = self.unevenness(base, t);
-        (variance < 1.0).then_some(Between { vector, variance, lowered: true, unevenness })
+        (variance < 1.0).then_some(Between { vector, variance, sigma, lowered: true, unevenness })
     }
 
     /// Squared change per vector about the nearest vector: half that from one neighbour to the other, or that to the one that is there.
@@ -199,15 +227,17 @@ impl PlanarField {
         change(1, 0) + change(0, 1)
     }
 
-    fn weighted(&self, base: [isize; 2], w: &[[f64; 4]; 2]) -> Option<(Vector2<f64>, f64)> {
-        let (mut sum, mut squares) = (Vector2::zeros(), 0.0);
+    fn weighted(&self, base: [isize; 2], w: &[[f64; 4]; 2]) -> Option<(Vector2<f64>, f64, Option<Vector2<f64>>)> {
+        let (mut sum, mut squares, mut own) = (Vector2::zeros(), 0.0, Vector2::zeros());
         for (j, wy) in w[1].iter().enumerate().filter(|(_, w)| **w != 0.0) {
             for (i, wx) in w[0].iter().enumerate().filter(|(_, w)| **w != 0.0) {
-                sum += self.vector(base[0] + i as isize - 1, base[1] + j as isize - 1)? * (wx * wy);
+                let at = [base[0] + i as isize - 1, base[1] + j as isize - 1];
+                sum += self.vector(at[0], at[1])? * (wx * wy);
                 squares += (wx * wy).powi(2);
+                own += self.variances(at[0], at[1]).unwrap_or_default() * (wx * wy).powi(2);
             }
         }
-        Some((sum, squares))
+        Some((sum, squares, self.sigmas.as_ref().map(|_| own.map(f64::sqrt))))
     }
 }
 

@@ -18,7 +18,8 @@
 //! | g | `unevenness` | unit^2 | squared change from vector to vector |
 //!
 //! Sources: Westerweel, Exp. Fluids 44 (2008) 831 (errors by gradients); Sciacchitano, Meas. Sci. Technol. 30 (2019) 092001. Not seen by
-//! residuals, and so not in s: errors that both cameras share (particles that leave, the mean over a window instead of its middle).
+//! residuals, and so not in s: errors that both cameras share (`shared.rs` sees them where the files state standard deviations), and the mean
+//! over a window instead of its middle.
 
 /// Median of chi-square with one degree of freedom.
 const MEDIAN_CHI2: f64 = 0.454_936;

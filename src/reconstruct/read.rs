@@ -2,7 +2,7 @@
 //!
 //! | format | header | positions | y | left out |
 //! |---|---|---|---|---|
-//! | CSV | `x_px,y_px,dx_px,dy_px` or `x_mm,y_mm,dx_mm,dy_mm`; further columns are ignored, but `flag` | as named | down in px, up in mm | `flag` other than 0, empty cells, `nan` |
+//! | CSV | `x_px,y_px,dx_px,dy_px` or `x_mm,y_mm,dx_mm,dy_mm`; further columns are ignored, but `flag` and `sigma_dx_mm,sigma_dy_mm` (`_px`) | as named | down in px, up in mm | `flag` other than 0, empty cells, `nan` |
 //! | OpenPIV | `# x y u v flags mask` (`flags` or `mask` may be missing) | px | up: rows were turned over by `transform_coordinates` | flagged or masked |
 //! | PIVlab | `PIVlab ...`, `FRAME: ...`, `x [px],y [px],u [px/frame],v [px/frame],Vector type [-]` | px, counted from 1 | down | vector type other than 1 |
 //!
@@ -61,11 +61,14 @@ pub struct FieldTable {
     pub dx: Vec<f64>,
     /// Displacement along y, in the sense of y; `NaN` where missing.
     pub dy: Vec<f64>,
+    /// Standard deviations of dx and dy, where the file has them; a vector without them is missing.
+    pub sigma: Option<[Vec<f64>; 2]>,
 }
 
 /// Which column holds what.
 struct Columns {
     at: [usize; 4],
+    sigma: Option<[usize; 2]>,
     /// Columns that must hold this value for the vector to count.
     wanted: Vec<(usize, f64)>,
 }
@@ -127,7 +130,8 @@ pub fn parse_field(text: &str, file: &str) -> Result<FieldTable> {
         .map(|n| n.trim_matches('"').trim().to_lowercase())
         .collect();
     let (format, unit, columns) = header(&names, head.starts_with('#'), pivlab, file, line, expected)?;
-    let mut table = FieldTable { file: file.into(), format, unit, x: vec![], y: vec![], dx: vec![], dy: vec![] };
+    let mut table = FieldTable { file: file.into(), format, unit, x: vec![], y: vec![], dx: vec![], dy: vec![], sigma: None };
+    table.sigma = columns.sigma.map(|_| [vec![], vec![]]);
     // OpenPIV writes tabs below a header with blanks or tabs.
     let separator = lines.peek().map_or(separator, |(_, l)| separator_of(l));
     for (line, row) in lines.filter(|(_, l)| !l.starts_with('#')) {
@@ -163,11 +167,11 @@ fn header(
             )
         })?;
         let wanted = find("vector type [-]").map(|c| (c, 1.0)).into_iter().collect();
-        return Ok((FieldFormat::PivLab, Some(FieldUnit::RawPixels), Columns { at, wanted }));
+        return Ok((FieldFormat::PivLab, Some(FieldUnit::RawPixels), Columns { at, sigma: None, wanted }));
     }
     let bad = ["flag", "flags", "mask"].iter().filter_map(|n| find(n)).map(|c| (c, 0.0)).collect();
     if let (true, Some(at)) = (commented, four(["x", "y", "u", "v"])) {
-        return Ok((FieldFormat::OpenPiv, Some(FieldUnit::RawPixels), Columns { at, wanted: bad }));
+        return Ok((FieldFormat::OpenPiv, Some(FieldUnit::RawPixels), Columns { at, sigma: None, wanted: bad }));
     }
     let known = [
         (["x_px", "y_px", "dx_px", "dy_px"], Some(FieldUnit::RawPixels)),
@@ -177,7 +181,10 @@ fn header(
     ];
     for (columns, unit) in known {
         if let Some(at) = four(columns) {
-            return Ok((FieldFormat::Csv, unit, Columns { at, wanted: bad }));
+            // Named after the displacement, with its unit.
+            let sigma = [2, 3].map(|k| find(&format!("sigma_{}", columns[k])));
+            let sigma = if let [Some(x), Some(y)] = sigma { Some([x, y]) } else { None };
+            return Ok((FieldFormat::Csv, unit, Columns { at, sigma, wanted: bad }));
         }
     }
     Err(fault(file, line, format!("columns \"{}\": {expected}", names.join(", "))))
@@ -185,22 +192,23 @@ fn header(
 
 impl FieldTable {
     fn push(&mut self, row: &[String], columns: &Columns, line: usize) -> Result<()> {
+        let file = self.file.clone();
         let number = |column: usize| -> Result<f64> {
             let Some(cell) = row.get(column) else {
                 let what = format!(
                     "{} columns, but the header names more: the row is cut short; export the field again",
                     row.len()
                 );
-                return Err(fault(&self.file, line, what));
+                return Err(fault(&file, line, what));
             };
             match cell.trim_matches('"').to_lowercase().as_str() {
                 "" | "nan" | "-nan" | "na" | "--" => Ok(f64::NAN),
                 "true" => Ok(1.0),
                 "false" => Ok(0.0),
-                word => word.parse().map_err(|_| fault(&self.file, line, format!("\"{cell}\" is not a number"))),
+                word => word.parse().map_err(|_| fault(&file, line, format!("\"{cell}\" is not a number"))),
             }
         };
-        let [x, y, dx, dy] = columns.at.map(number);
+        let [x, y, dx, dy] = columns.at.map(&number);
         let (x, y, mut dx, mut dy) = (x?, y?, dx?, dy?);
         if !(x.is_finite() && y.is_finite()) {
             return Err(fault(&self.file, line, "a vector without a position; every row needs x and y"));
@@ -208,6 +216,19 @@ impl FieldTable {
         for (column, wanted) in &columns.wanted {
             if number(*column)? != *wanted {
                 (dx, dy) = (f64::NAN, f64::NAN);
+            }
+        }
+        if let (Some(to), Some(at)) = (&mut self.sigma, columns.sigma) {
+            for (to, at) in to.iter_mut().zip(at) {
+                let sigma = number(at)?;
+                if sigma <= 0.0 {
+                    let what = format!("a standard deviation of {sigma}: expected a positive number, or an empty cell");
+                    return Err(fault(&file, line, what));
+                }
+                if !sigma.is_finite() {
+                    (dx, dy) = (f64::NAN, f64::NAN);
+                }
+                to.push(sigma);
             }
         }
         if !(dx.is_finite() && dy.is_finite()) {

@@ -2,10 +2,11 @@
 
 use super::grid::{Between, PlanarField};
 use super::noise::Noise;
+use super::shared::{Shared, common};
 use super::read::FieldUnit;
 use crate::dewarp::{SheetGrid, SheetMap};
 use crate::error::{Error, Insufficient, Invalid, Result};
-use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use rayon::prelude::*;
 
 /// Where on its path a planar vector belongs.
@@ -84,6 +85,10 @@ pub struct VectorField {
     pub sigma_by_gradient: f64,
     /// Whether it was estimated from the residuals.
     pub sigma_estimated: bool,
+    /// Where the files state the standard deviations of the vectors: correlation of both cameras' errors across the direction of depth.
+    pub common_errors: Option<f64>,
+    /// What four equations leave over what the standard deviations of the vectors let expect, errors of both cameras being independent.
+    pub residual_ratio: f64,
 }
 
 /// One solved vector.
@@ -98,14 +103,16 @@ struct Solved {
     lowered: bool,
     /// Squared change of the planar vectors from one to the next, mean of both cameras, unit^2.
     unevenness: f64,
+    shared: Shared,
 }
 
 /// A planar vector at a raw pixel.
 struct Here {
     /// Displacement, raw px, with its relative variance.
     between: Between,
-    /// From raw px, in which the noise is alike along x and y, to the unit of the field (geometric mean).
-    whiten: f64,
+    /// From raw px to unit variance: by the file's standard deviations along the axes of the field, else from raw px, in which the noise is
+    /// alike along x and y, to the unit of the field (geometric mean).
+    white: Matrix2<f64>,
 }
 
 /// A field with what turns a raw pixel into a raw displacement.
@@ -127,12 +134,28 @@ impl Measured<'_> {
         }
     }
 
+    /// From raw px at a place (derivative of the sheet by the pixel there, where the field is in the sheet) to unit variance.
+    fn white(&self, between: &Between, by_pixel: Option<(Matrix2<f64>, Vector2<f64>)>) -> Matrix2<f64> {
+        let own = between.sigma.filter(|_| self.options.sigma.is_none());
+        match (own, by_pixel) {
+            (Some(s), None) => Matrix2::from_diagonal(&s.map(|s| 1.0 / s)),
+            (Some(s), Some((m, scale))) => Matrix2::from_diagonal(&s.component_mul(&scale).map(|s| 1.0 / s)) * m,
+            (None, None) => Matrix2::identity() / between.variance.sqrt(),
+            (None, Some((m, scale))) => {
+                Matrix2::identity() * (m.determinant().abs().sqrt() / (scale.x * between.variance.sqrt()))
+            }
+        }
+    }
+
     /// The planar vector at a raw pixel.
     fn at(&self, q: &Vector2<f64>) -> Option<Here> {
         let [x, y] = self.place(q)?;
         let between = self.field.at(x, y)?;
         let scale = match self.options.unit {
-            FieldUnit::RawPixels => return Some(Here { between, whiten: 1.0 }),
+            FieldUnit::RawPixels => {
+                let white = self.white(&between, None);
+                return Some(Here { between, white });
+            }
             FieldUnit::Millimetres => Vector2::new(1.0, 1.0),
             FieldUnit::DewarpedPixels => self.options.dewarped.map(|g| Vector2::new(g.mm_per_px, -g.mm_per_px))?,
         };
@@ -145,7 +168,8 @@ impl Measured<'_> {
         };
         let image = |p: Vector2<f64>| self.nominal.project(&p.push(0.0));
         let vector = image(b)? - image(a)?;
-        Some(Here { between: Between { vector, ..between }, whiten: hit.dxy_dq.determinant().abs().sqrt() / scale.x })
+        let white = self.white(&between, Some((hit.dxy_dq, scale)));
+        Some(Here { between: Between { vector, ..between }, white })
     }
 }
 
@@ -168,12 +192,11 @@ fn solve(maps: [&SheetMap; 2], measured: &[Measured; 2], p: &Vector2<f64>) -> Op
         for c in 0..2 {
             let (q1, j1) = maps[c].project_jet(&(p + d * ahead))?;
             let (q0, j0) = maps[c].project_jet(&(p - d * back))?;
-            let Here { between, whiten } = &seen[c];
-            let weight = whiten / between.variance.sqrt();
+            let Here { between, white } = &seen[c];
             let left = between.vector - (q1 - q0);
             raw[c] = left.norm_squared();
-            rest.fixed_rows_mut::<2>(2 * c).copy_from(&(left * weight));
-            jacobian.fixed_rows_mut::<2>(2 * c).copy_from(&((j1 * ahead + j0 * back) * weight));
+            rest.fixed_rows_mut::<2>(2 * c).copy_from(&(white * left));
+            jacobian.fixed_rows_mut::<2>(2 * c).copy_from(&(white * (j1 * ahead + j0 * back)));
         }
         let covariance = jacobian.tr_mul(&jacobian).try_inverse()?;
         let step = covariance * jacobian.tr_mul(&rest);
@@ -189,6 +212,7 @@ fn solve(maps: [&SheetMap; 2], measured: &[Measured; 2], p: &Vector2<f64>) -> Op
                 chi2: rest.norm_squared(),
                 residual_px: (raw[0] + raw[1]).sqrt(),
                 lowered,
+                shared: Shared::of(&jacobian, &covariance),
                 unevenness: 0.5 * seen.iter().map(|s| s.between.unevenness).sum::<f64>(),
             });
         }
@@ -292,6 +316,17 @@ pub fn reconstruct(
     if let Some(s) = options.sigma.filter(|s| !(*s > 0.0 && s.is_finite())) {
         return Err(Invalid::value("sigma of the planar vectors", s, "a positive number").into());
     }
+    let stated = fields.map(|f| f.has_sigmas());
+    if stated[0] != stated[1] && options.sigma.is_none() {
+        let with = usize::from(stated[1]);
+        let what = format!(
+            "{} has standard deviations (sigma_dx, sigma_dy), but {} has none; export both alike, or say --sigma",
+            fields[with].file,
+            fields[1 - with].file
+        );
+        return Err(Invalid::Contradiction(what).into());
+    }
+    let stated = stated[0] && options.sigma.is_none();
     let measured = [0, 1].map(|c| Measured { field: fields[c], nominal: maps[c], options });
     let grid = places(&measured, names)?;
     let n = grid.width_px * grid.height_px;
@@ -301,14 +336,26 @@ pub fn reconstruct(
     let noise = match (options.sigma, Noise::fit(&chi2, &unevenness)) {
         (_, None) => return Err(nothing(&measured, names).into()),
         (Some(sigma), _) => Noise::even(sigma),
+        (None, Some(_)) if stated => Noise::even(1.0),
         (None, Some(noise)) => noise,
     };
     let calibration = options.perturbed.as_ref().map(|p| calibration_variance(p, &measured, n, &place));
-    let mut out = VectorField::empty(grid, &noise, options.sigma.is_none());
+    let found: Vec<&Solved> = solved.iter().flatten().collect();
+    let level = Noise::fit(&chi2, &vec![0.0; chi2.len()]).map_or(f64::NAN, |n| n.still);
+    let correlation = if stated { common(level, found.iter().map(|s| &s.shared)) } else { 0.0 };
+    let mut out = VectorField::empty(grid, &noise, options.sigma.is_none() && !stated);
+    if stated {
+        out.common_errors = Some(correlation);
+        out.residual_ratio = level.sqrt();
+        out.sigma = stated_sigma(&measured);
+    } else {
+        let expected: Vec<f64> = found.iter().map(|s| s.chi2 / noise.variance(s.unevenness)).collect();
+        out.residual_ratio = Noise::fit(&expected, &vec![0.0; expected.len()]).map_or(f64::NAN, |n| n.still.sqrt());
+    }
     for (i, s) in solved.iter().enumerate() {
         let missing = |c: usize| maps[c].project(&place(i).push(0.0)).and_then(|q| measured[c].at(&q)).is_none();
         let calibration = calibration.as_ref().map(|c| c[i]);
-        out.push(&place(i), s.as_ref(), &noise, || [missing(0), missing(1)], calibration);
+        out.push(&place(i), s.as_ref(), &noise, correlation, || [missing(0), missing(1)], calibration);
     }
     let worst = solved
         .iter()
@@ -334,6 +381,13 @@ fn nothing(measured: &[Measured; 2], names: [&str; 2]) -> Insufficient {
         part(0),
         part(1)
     ))
+}
+
+/// Median of the standard deviations that the files state (geometric mean of both directions), unit of the fields.
+fn stated_sigma(measured: &[Measured; 2]) -> f64 {
+    let mut all: Vec<f64> = measured.iter().flat_map(|m| m.field.stated()).map(|s| (s.x * s.y).sqrt()).collect();
+    all.sort_by(f64::total_cmp);
+    all.get(all.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 /// Variance of u, v, w by the calibration at every point; `NaN` where a moved calibration gives nothing.
@@ -377,6 +431,8 @@ impl VectorField {
             sigma: noise.still.sqrt(),
             sigma_by_gradient: noise.by_gradient.sqrt(),
             sigma_estimated,
+            common_errors: None,
+            residual_ratio: f64::NAN,
         }
     }
 
@@ -385,6 +441,7 @@ impl VectorField {
         p: &Vector2<f64>,
         s: Option<&Solved>,
         noise: &Noise,
+        correlation: f64,
         missing: impl Fn() -> [bool; 2],
         calibration: Option<Vector3<f64>>,
     ) {
@@ -397,7 +454,10 @@ impl VectorField {
             list.push(value);
         }
         for a in 0..3 {
-            self.sigma_mm[a].push(s.map_or(nan, |s| (noise.variance(s.unevenness) * s.covariance[(a, a)]).sqrt()));
+            let variance = |s: &Solved| {
+                noise.variance(s.unevenness) * (s.covariance[(a, a)] + correlation * s.shared.covariance[(a, a)])
+            };
+            self.sigma_mm[a].push(s.map_or(nan, |s| variance(s).max(0.0).sqrt()));
             if let Some(c) = calibration {
                 self.calibration_sigma_mm[a].push(if s.is_some() { c[a].sqrt() } else { nan });
             }

@@ -92,6 +92,36 @@ pub struct CheckRound {
     pub tilt_deg: [f64; 2],
 }
 
+/// What the particles did to one number of the cameras.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RefinedNumber {
+    /// Name as in the covariance; its unit is that of the change.
+    pub name: String,
+    /// After less before; of a pose or a window's turn the left step.
+    pub change: f64,
+    /// Standard deviation by the calibration.
+    pub sigma_before: f64,
+    /// Standard deviation with the particles.
+    #[serde(with = "maybe")]
+    pub sigma_after: f64,
+    /// Change over the standard deviation by the calibration.
+    pub change_sigmas: f64,
+}
+
+/// Cameras corrected by the particles, weighed against the covariance of their calibration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CamerasRefined {
+    /// Every number of the cameras that the calibration estimated.
+    pub numbers: Vec<RefinedNumber>,
+    /// Square of the change over what was to be expected, summed over the directions that the particles tell of.
+    pub chi2: f64,
+    /// Directions that the particles know at least as well as the calibration.
+    pub degrees: usize,
+    /// Chance of so large a change where calibration and covariance are true; unknown where the particles tell nothing new.
+    #[serde(with = "maybe")]
+    pub chance: f64,
+}
+
 /// The check of a sheet.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SheetCheck {
@@ -145,6 +175,9 @@ pub struct SheetCheck {
     pub misalignment_before: Misalignment,
     /// The corrected sheet, where it was asked for.
     pub misalignment_after: Option<Misalignment>,
+    /// The cameras, where their correction was asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cameras_refined: Option<CamerasRefined>,
     /// The light along the normal of the sheet that was found.
     pub profile: Option<LightProfile>,
     /// Full width of the light's profile at 1/e^2, mm; unknown where the peak is no wider than the particles.

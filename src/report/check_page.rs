@@ -2,7 +2,7 @@
 
 use super::number::{measured, nice_below, plain, significant, with_unit};
 use super::svg::{escape, label, line, open, path, path_data};
-use crate::record::{DisparityMap, LightProfile, SheetCheck};
+use crate::record::{CamerasRefined, DisparityMap, LightProfile, SheetCheck};
 use std::fmt::Write;
 
 /// Width of a map, px of the page.
@@ -162,6 +162,43 @@ fn sheet_table(out: &mut String, c: &SheetCheck) {
     if let Some(p) = &c.profile {
         profile_figure(out, p);
     }
+    if let Some(r) = &c.cameras_refined {
+        cameras_table(out, r);
+    }
+}
+
+/// What the particles did to the cameras.
+fn cameras_table(out: &mut String, r: &CamerasRefined) {
+    let together = if r.degrees > 0 {
+        format!(
+            "Together: chi-square {} of {} directions of which the particles tell at least as much as the calibration (chance {}).",
+            plain(r.chi2, 3),
+            r.degrees,
+            plain(r.chance, 2)
+        )
+    } else {
+        "The particles tell nothing of the cameras that the calibration did not know better.".into()
+    };
+    let _ = write!(
+        out,
+        "<h3>Cameras, corrected with the sheet</h3>\n<p>What no sheet explains was weighed against the covariance of the calibration. {}</p>\n\
+         <div class=\"wide\"><table><thead><tr><th>number</th><th>change</th><th>in sigmas of the calibration</th><th>sigma before</th>\
+         <th>sigma after</th></tr></thead><tbody>",
+        escape(&together)
+    );
+    for n in &r.numbers {
+        let cell = |x: f64| escape(&plain(x, 3).replace('-', "−")).to_string();
+        let _ = writeln!(
+            out,
+            "<tr><th scope=\"row\">{}</th><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
+            escape(&n.name),
+            cell(n.change),
+            cell(n.change_sigmas),
+            cell(n.sigma_before),
+            cell(n.sigma_after)
+        );
+    }
+    out.push_str("</tbody></table></div>\n");
 }
 
 /// The light along the normal.
