@@ -152,7 +152,8 @@ fn words(c: &SheetCheck, to: &Path, files: &[&str]) -> String {
 
 /// What the particles did to the cameras.
 fn refined_words(r: &CamerasRefined) -> String {
-    let mut text = String::from("cameras refined with the sheet; change of each number, and its sigma before and after:\n");
+    let mut text =
+        String::from("cameras refined with the sheet; change of each number, and its sigma before and after:\n");
     let wide = r.numbers.iter().map(|n| n.name.len()).max().unwrap_or(0);
     for n in &r.numbers {
         let (name, change) = (&n.name, n.change);

@@ -110,20 +110,25 @@ impl Prior {
         let lost = |(i, _): &&(usize, Parameter)| numbers.iter().any(|(j, _)| !c[*i][*j].is_finite());
         if let Some((i, _)) = numbers.iter().find(lost) {
             let name = &start.covariance.names[*i];
-            return Err(unknown(&format!("the calibration does not determine {name}, so there is no covariance to weigh the particles against")));
+            return Err(unknown(&format!(
+                "the calibration does not determine {name}, so there is no covariance to weigh the particles against"
+            )));
         }
         let scale: Vec<f64> = numbers.iter().map(|(i, _)| c[*i][*i].max(0.0).sqrt()).collect();
         let inverse: Vec<f64> = scale.iter().map(|s| if *s > 0.0 { 1.0 / s } else { 0.0 }).collect();
         let n = numbers.len();
         let correlation = DMatrix::from_fn(n, n, |i, j| c[numbers[i].0][numbers[j].0] * inverse[i] * inverse[j]);
-        let eigen = symmetric_eigen(&correlation).ok_or_else(|| unknown("the calibration's covariance has no factor"))?;
+        let eigen =
+            symmetric_eigen(&correlation).ok_or_else(|| unknown("the calibration's covariance has no factor"))?;
         let most = eigen.values.amax();
         let kept: Vec<usize> = (0..n).filter(|k| eigen.values[*k] > EXACT * most).collect();
         let factor = DMatrix::from_fn(n, kept.len(), |i, k| {
             scale[i] * eigen.vectors[(i, kept[k])] * eigen.values[kept[k]].sqrt()
         });
         // M = P_xp D^-1 V / sqrt(values); a number whose covariance with the cameras is not known stays.
-        let back = DMatrix::from_fn(n, kept.len(), |i, k| inverse[i] * eigen.vectors[(i, kept[k])] / eigen.values[kept[k]].sqrt());
+        let back = DMatrix::from_fn(n, kept.len(), |i, k| {
+            inverse[i] * eigen.vectors[(i, kept[k])] / eigen.values[kept[k]].sqrt()
+        });
         let mut gain = DMatrix::zeros(c.len(), kept.len());
         for (x, row) in c.iter().enumerate() {
             let with = DMatrix::from_fn(1, n, |_, j| row[numbers[j].0]);
@@ -138,7 +143,11 @@ impl Prior {
         let anchor = Anchor::of(start).ok_or_else(lost)?;
         let mut prior = Self { numbers, factor, gain, anchor, drift: DMatrix::zeros(6, kept.len()) };
         for k in 0..kept.len() {
-            let at = |h: f64| prior.anchor.at(start, &prior.steps(start, &DVector::from_fn(kept.len(), |j, _| if j == k { h } else { 0.0 })));
+            let at = |h: f64| {
+                prior
+                    .anchor
+                    .at(start, &prior.steps(start, &DVector::from_fn(kept.len(), |j, _| if j == k { h } else { 0.0 })))
+            };
             let (m, p) = (at(-SIDE).ok_or_else(lost)?, at(SIDE).ok_or_else(lost)?);
             prior.drift.set_column(k, &(step_between(&m, &p) / (2.0 * SIDE)));
         }
@@ -202,7 +211,8 @@ impl Prior {
     ) -> Option<Update> {
         let k = from.len();
         let f_px = [0, 1].map(|c| start.cameras[c].f_px);
-        let beside: Motion<Sheet, Sheet> = self.anchor.at(start, &self.steps(start, from))?.inverse() * sheet_pose(now)?;
+        let beside: Motion<Sheet, Sheet> =
+            self.anchor.at(start, &self.steps(start, from))?.inverse() * sheet_pose(now)?;
         let seen_at = |numbers: &DVector<f64>| -> Option<Vec<Seen>> {
             let mut all = vec![0.0; start.covariance.names.len()];
             self.numbers.iter().zip(numbers.iter()).for_each(|((i, _), s)| all[*i] = *s);
@@ -252,7 +262,8 @@ impl Prior {
             loop {
                 let (next_w, next_abc) = (&w + step.rows(0, k) * part, abc + step.fixed_rows::<3>(k) * part);
                 let tried = seen_at(&(&self.factor * &next_w));
-                let better = tried.as_ref().is_some_and(|s| cost(&next_w, &residuals(s, &next_abc)) <= before * (1.0 + 1e-12));
+                let better =
+                    tried.as_ref().is_some_and(|s| cost(&next_w, &residuals(s, &next_abc)) <= before * (1.0 + 1e-12));
                 if better || part < SHORTEST {
                     (w, abc) = (next_w, next_abc);
                     seen = tried?;
@@ -332,7 +343,11 @@ impl Prior {
             (true, false) => cross[(j - n, kept[i])],
         };
         let covariance = Covariance {
-            names: kept.iter().map(|i| old.names[*i].clone()).chain(STEP_NAMES.map(|s| format!("{SHEET}{s}"))).collect(),
+            names: kept
+                .iter()
+                .map(|i| old.names[*i].clone())
+                .chain(STEP_NAMES.map(|s| format!("{SHEET}{s}")))
+                .collect(),
             matrix: (0..n + 6).map(|i| (0..n + 6).map(|j| entry(i, j)).collect()).collect(),
         };
         Some(Propagated { plane_and_center, against_start, covariance })
@@ -363,7 +378,13 @@ impl Prior {
     }
 
     /// The changes in numbers, and what must be said of them.
-    pub(super) fn told(&self, start: &Record, after: &Covariance, update: &Update, flags: &mut Vec<String>) -> CamerasRefined {
+    pub(super) fn told(
+        &self,
+        start: &Record,
+        after: &Covariance,
+        update: &Update,
+        flags: &mut Vec<String>,
+    ) -> CamerasRefined {
         let moved = self.record_at(start, &update.w);
         let between = moved.map(|m| numbers_between(start, &m, &start.covariance.names)).unwrap_or_default();
         let straight = &self.factor * &update.w;
@@ -404,7 +425,11 @@ impl Prior {
 }
 
 /// Derivative of [`against`] by left steps of the sheet found.
-fn against_by_sheet(start: &Motion<Rig, Sheet>, now: &Motion<Rig, Sheet>, reference_mm: [f64; 2]) -> SMatrix<f64, 3, 6> {
+fn against_by_sheet(
+    start: &Motion<Rig, Sheet>,
+    now: &Motion<Rig, Sheet>,
+    reference_mm: [f64; 2],
+) -> SMatrix<f64, 3, 6> {
     let mut out = SMatrix::<f64, 3, 6>::zeros();
     for k in 0..6 {
         let h = if k < 3 { 1e-7 } else { 1e-4 };
@@ -459,7 +484,8 @@ fn scattered(places: &DMatrix<f64>, values: &DVector<f64>, matches: &[Match], us
         let weighted = DMatrix::from_fn(places.nrows(), TERMS, |i, k| even[i] * robust[i] * places[(i, k)]);
         let c = places.tr_mul(&weighted).cholesky()?.solve(&weighted.tr_mul(values));
         rest = values - places * c;
-        let mut sizes: Vec<f64> = (0..values.len()).filter(|i| used[*i]).map(|i| rest[i].abs() * even[i].sqrt()).collect();
+        let mut sizes: Vec<f64> =
+            (0..values.len()).filter(|i| used[*i]).map(|i| rest[i].abs() * even[i].sqrt()).collect();
         sizes.sort_by(f64::total_cmp);
         scale = (1.4826 * sizes[sizes.len() / 2]).max(1e-12);
         (0..values.len()).for_each(|i| robust[i] = tukey(rest[i] * even[i].sqrt() / scale));

@@ -158,7 +158,8 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
     let refined = refined.map(|r| {
         converged = converged && r.still;
         if !r.still {
-            flags.push(format!("the cameras still move after {CAMERA_ROUNDS} rounds; more image pairs would hold them"));
+            flags
+                .push(format!("the cameras still move after {CAMERA_ROUNDS} rounds; more image pairs would hold them"));
         }
         (current, last) = (r.now, Some(r.round));
         (r.reference, r.update)
@@ -199,7 +200,8 @@ fn refine_cameras(
     history: &mut Vec<CheckRound>,
 ) -> Result<Refined> {
     let lost = || -> crate::Error {
-        let what = "the windows do not fix cameras and plane together; leave out --refine-cameras, or give more image pairs";
+        let what =
+            "the windows do not fix cameras and plane together; leave out --refine-cameras, or give more image pairs";
         Insufficient::Degenerate(what.into()).into()
     };
     let mut w = prior.start();

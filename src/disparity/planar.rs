@@ -22,8 +22,8 @@
 //! bends more than quadratically over one is averaged.
 
 use super::correlate::{Correlator, Dewarped};
-use super::scatter::scatter;
 use super::prepare::{levels, particles};
+use super::scatter::scatter;
 use crate::dewarp::{Kernel, Sampler};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::image::{GrayView, Samples};
@@ -141,11 +141,17 @@ impl Lattice {
 
     /// The displacement in the middle of a window from the means over it and over those beside it, with its standard deviation: noise of
     /// windows is alike as far as they overlap.
-    fn unbent(&self, found: &[Option<[f64; 2]>], sigmas: &[Option<[f64; 2]>], k: usize) -> Option<([f64; 2], [f64; 2])> {
+    fn unbent(
+        &self,
+        found: &[Option<[f64; 2]>],
+        sigmas: &[Option<[f64; 2]>],
+        k: usize,
+    ) -> Option<([f64; 2], [f64; 2])> {
         let mut terms = vec![(k, 1.0)];
         for pair in self.beside(k).into_iter().flatten() {
             if pair.iter().all(|n| found[*n].is_some() && sigmas[*n].is_some()) {
-                let lag = (self.corner(pair[1])[0].abs_diff(self.corner(k)[0])).max(self.corner(pair[1])[1].abs_diff(self.corner(k)[1]));
+                let lag = (self.corner(pair[1])[0].abs_diff(self.corner(k)[0]))
+                    .max(self.corner(pair[1])[1].abs_diff(self.corner(k)[1]));
                 let c = (self.window_px as f64 / lag as f64).powi(2) / 24.0;
                 terms[0].1 += 2.0 * c;
                 terms.extend(pair.map(|n| (n, -c)));

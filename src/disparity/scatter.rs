@@ -30,7 +30,7 @@ const REACH: isize = 4;
 /// Shifts along one axis.
 const SIDE: usize = 2 * REACH as usize + 1;
 /// Side of a block at least, px: larger than the image of a particle.
-const BLOCK_PX: usize = 10;
+const BLOCK_PX: usize = 8;
 /// Blocks along a side at least and at most.
 const BLOCKS: [usize; 2] = [2, 8];
 
@@ -69,7 +69,8 @@ fn blocks(moments: &[Dewarped], width: usize, lattice: &Lattice, k: usize) -> Ve
     let mut out = vec![vec![0.0; SIDE * SIDE]; moments.len() * per_side * per_side];
     for (m, moment) in moments.iter().enumerate() {
         let place = |i: usize| (row + i / w) * width + column + i % w;
-        let normal = moment.levels.each_ref().map(|l| normalised((0..w * w).map(|i| (l[place(i)], moment.seen[place(i)]))));
+        let normal =
+            moment.levels.each_ref().map(|l| normalised((0..w * w).map(|i| (l[place(i)], moment.seen[place(i)]))));
         let [Some(a), Some(b)] = normal else { continue };
         for (s, (dy, dx)) in (-REACH..=REACH).flat_map(|dy| (-REACH..=REACH).map(move |dx| (dy, dx))).enumerate() {
             let ends = |d: isize| (d.min(0).unsigned_abs(), w - d.max(0).unsigned_abs());

@@ -109,7 +109,12 @@ fn in_rig<B>(pose: &Motion<Rig, B>, [turn, shift]: [Vector3<f64>; 2], first: &St
 }
 
 /// The pose of a camera that is not the first.
-fn beside(pose: &Motion<Cam, Rig>, [turn, shift]: [Vector3<f64>; 2], own: &Stepped, first: &Stepped) -> Motion<Cam, Rig> {
+fn beside(
+    pose: &Motion<Cam, Rig>,
+    [turn, shift]: [Vector3<f64>; 2],
+    own: &Stepped,
+    first: &Stepped,
+) -> Motion<Cam, Rig> {
     let ([e, e_after], [e1, e1_after]) = (&own.cam_from_pinhole, &first.cam_from_pinhole);
     let (back, carried) = (e.transpose(), pose.rotation * first.turn);
     let between: Motion<Cam, Rig> = turned::<Cam, Cam>(&back) * *pose * turned::<Rig, Rig>(e1);
@@ -266,14 +271,16 @@ pub(super) fn take_sigmas(record: &mut Record, covariance: &Covariance) {
     for camera in &mut record.cameras {
         let name = camera.name.clone();
         let effective = effective_sigma(camera, covariance);
-        let CameraSigma { f_px, aspect, cx_px, cy_px, alpha_rad, beta_rad, k1, k2, k3, pupil_ratio, .. } = &mut camera.sigma;
+        let CameraSigma { f_px, aspect, cx_px, cy_px, alpha_rad, beta_rad, k1, k2, k3, pupil_ratio, .. } =
+            &mut camera.sigma;
         let all = [f_px, aspect, cx_px, cy_px, alpha_rad, beta_rad, k1, k2, k3, pupil_ratio];
         all.into_iter().zip(INTRINSIC_NAMES).for_each(|(to, q)| take(to, &name, q));
         camera.sigma.effective = effective;
         pose(&mut camera.sigma.cam_from_rig, &format!("{name}.cam_from_rig"));
         if let Some(w) = &mut camera.window {
             let owner = format!("{name}.window");
-            let WindowSigma { normal_rad: [rx, ry, rz], distance_mm, thickness_mm, n_air, n_glass, n_water } = &mut w.sigma;
+            let WindowSigma { normal_rad: [rx, ry, rz], distance_mm, thickness_mm, n_air, n_glass, n_water } =
+                &mut w.sigma;
             let all = [rx, ry, rz, distance_mm, thickness_mm, n_air, n_glass, n_water];
             all.into_iter().zip(WINDOW_STEP_NAMES).for_each(|(to, q)| take(to, &owner, q));
         }
@@ -342,10 +349,7 @@ fn rig_sigma(m: &Motion<Cam, Rig>, owner: &str, covariance: &Covariance) -> RigS
     let step = |k: usize| format!("{owner}.{}", STEP_NAMES[k]);
     let baseline = [(step(3), b.x), (step(4), b.y), (step(5), b.z)];
     let angle = [(step(0), -axis.y / sine), (step(1), axis.x / sine)];
-    RigSigma {
-        baseline_mm: of_terms(covariance, &baseline),
-        axes_angle_deg: of_terms(covariance, &angle).to_degrees(),
-    }
+    RigSigma { baseline_mm: of_terms(covariance, &baseline), axes_angle_deg: of_terms(covariance, &angle).to_degrees() }
 }
 
 #[cfg(test)]
@@ -354,17 +358,32 @@ mod tests {
     use nalgebra::Vector2;
 
     fn record() -> Record {
-        let mut r =
-            Record::from_json(include_str!("../../tests/fixtures/calibration_schema_1.json"), "fixture").unwrap();
+        // The schema's blanks filled in.
+        let text = include_str!("../../tests/fixtures/calibration_schema_1.json")
+            .replace("[[]]", "[[1,0,0],[0,-1,0],[0,0,-1]]")
+            .replace("\"translation_mm\": []", "\"translation_mm\": [0,0,500]")
+            .replace(
+                "\"rig_from_target\": {}",
+                "\"rig_from_target\": {\"rotation\": [[1,0,0],[0,-1,0],[0,0,-1]], \"translation_mm\": [0,0,500]}",
+            )
+            .replace(", \"right\": 0", "")
+            .replace("\"f_px\": 0, \"aspect\": 1", "\"f_px\": 8000, \"aspect\": 1")
+            .replace(
+                "\"distance_mm\": 0, \"abc_per_mm\": [0,0,0]",
+                "\"distance_mm\": 500, \"abc_per_mm\": [0,0,0.002]",
+            );
+        let mut r = Record::from_json(&text, "fixture").unwrap();
         let first = &mut r.cameras[0];
         (first.f_px, first.cx_px, first.cy_px, first.k1) = (8000.0, 511.5, 383.5, -0.1);
         (first.alpha_rad, first.beta_rad) = (-0.02, 0.1);
         let mut second = first.clone();
         second.name = "second".into();
         (second.alpha_rad, second.beta_rad) = (0.03, -0.11);
-        let view = Motion::<Rig, Target>::new(rotation_exp(&Vector3::new(3.0, 0.1, 0.2)), Vector3::new(5.0, -7.0, 500.0));
+        let view =
+            Motion::<Rig, Target>::new(rotation_exp(&Vector3::new(3.0, 0.1, 0.2)), Vector3::new(5.0, -7.0, 500.0));
         r.views[0].rig_from_target = Some(Pose::from(&view));
-        let pose = Motion::<Cam, Rig>::new(rotation_exp(&Vector3::new(0.02, -0.9, 0.1)), Vector3::new(400.0, 20.0, 150.0));
+        let pose =
+            Motion::<Cam, Rig>::new(rotation_exp(&Vector3::new(0.02, -0.9, 0.1)), Vector3::new(400.0, 20.0, 150.0));
         second.cam_from_rig = Pose::from(&pose);
         r.cameras.push(second);
         for (c, camera) in r.cameras.iter_mut().enumerate() {
@@ -452,18 +471,19 @@ mod tests {
             ("beta_rad".into(), (p.beta_rad - m.beta_rad) / (2.0 * h)),
         ]
         .into_iter()
-        .chain(STEP_NAMES.iter().enumerate().map(|(k, s)| {
-            (format!("cam_from_rig.{s}"), if k < 3 { turn[k] } else { shift[k - 3] })
-        }))
+        .chain(
+            STEP_NAMES
+                .iter()
+                .enumerate()
+                .map(|(k, s)| (format!("cam_from_rig.{s}"), if k < 3 { turn[k] } else { shift[k - 3] })),
+        )
         .chain((0..3).map(|k| (format!("window.{}", WINDOW_STEP_NAMES[k]), turn[k])))
         .map(|(q, d)| (format!("{}.{q}", camera.name), d))
         .collect();
         let names: Vec<String> = names.into_iter().chain([format!("{}.window.rz_rad", camera.name)]).collect();
-        let far = record_after(
-            &start,
-            &Steps::new(&names, names.iter().map(|n| 80.0 * rate.get(n).copied().unwrap_or(0.0))),
-        )
-        .unwrap();
+        let far =
+            record_after(&start, &Steps::new(&names, names.iter().map(|n| 80.0 * rate.get(n).copied().unwrap_or(0.0))))
+                .unwrap();
         let now = &far.cameras[1];
         assert!((now.alpha_rad - camera.alpha_rad).abs() > 0.005, "{}", now.alpha_rad);
         let there = now.cam_from_rig.motion::<Cam, Rig>();

@@ -130,7 +130,8 @@ pub fn parse_field(text: &str, file: &str) -> Result<FieldTable> {
         .map(|n| n.trim_matches('"').trim().to_lowercase())
         .collect();
     let (format, unit, columns) = header(&names, head.starts_with('#'), pivlab, file, line, expected)?;
-    let mut table = FieldTable { file: file.into(), format, unit, x: vec![], y: vec![], dx: vec![], dy: vec![], sigma: None };
+    let mut table =
+        FieldTable { file: file.into(), format, unit, x: vec![], y: vec![], dx: vec![], dy: vec![], sigma: None };
     table.sigma = columns.sigma.map(|_| [vec![], vec![]]);
     // OpenPIV writes tabs below a header with blanks or tabs.
     let separator = lines.peek().map_or(separator, |(_, l)| separator_of(l));

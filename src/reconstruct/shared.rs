@@ -46,10 +46,7 @@ impl Shared {
         let gain = covariance * jacobian.transpose();
         let first = gain.fixed_columns::<2>(0) * (a / length_a);
         let second = gain.fixed_columns::<2>(2) * (b / length_b);
-        Self {
-            covariance: first * second.transpose() + second * first.transpose(),
-            hidden: 2.0 * length_a * length_b,
-        }
+        Self { covariance: first * second.transpose() + second * first.transpose(), hidden: 2.0 * length_a * length_b }
     }
 }
 

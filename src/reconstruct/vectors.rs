@@ -2,8 +2,8 @@
 
 use super::grid::{Between, PlanarField};
 use super::noise::Noise;
-use super::shared::{Shared, common};
 use super::read::FieldUnit;
+use super::shared::{Shared, common};
 use crate::dewarp::{SheetGrid, SheetMap};
 use crate::error::{Error, Insufficient, Invalid, Result};
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};

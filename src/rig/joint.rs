@@ -52,7 +52,7 @@ pub fn calibrate_rig(problem: &RigProblem, options: &AdjustOptions, observe: Obs
         _ if adjustment.decrement < 1e-3 => {}
         t => {
             return Err(Unusable::NotConverged {
-                reason: t.word().into(),
+                reason: format!("{}{}", t.word(), weak_windows(&problem.model)),
                 decrement: adjustment.decrement,
                 wanted: options.solve.decrement,
             }
@@ -61,6 +61,18 @@ pub fn calibrate_rig(problem: &RigProblem, options: &AdjustOptions, observe: Obs
     }
     let disc_of = problem.model.images.iter().map(|i| i.discs.iter().map(|d| d.disc).collect()).collect();
     Ok(RigSolution { adjustment, labels: labels(&problem), disc_of, undecided })
+}
+
+/// What to do where windows leave an adjustment without an end: directions in which the cost hardly changes.
+fn weak_windows(model: &Model) -> &'static str {
+    if model.cameras.iter().all(|c| c.window.is_none()) {
+        ""
+    } else if model.target.offset_sigma_mm.is_some() {
+        "; windows and a target whose every dot is free bend images alike, and together find no end: hold the dots with adjust = \"shape\" in [target]"
+    } else {
+        "; what a window does, image distance and distortion do nearly as well: state distance_mm of [camera.window] with a smaller sigma, or add views \
+         of the target tilted by 20 degrees and more"
+    }
 }
 
 /// What the views agree on.
