@@ -33,7 +33,7 @@
 //! where the light is bent (taken for an error of the cameras), nor along directions that the calibration leaves undetermined: refused.
 
 use super::anchor::Anchor;
-use super::plane::{Match, PlaneFit, Seen, TUKEY, see, tukey};
+use super::plane::{Match, PlaneFit, Seen, see, tukey, tukey_slope};
 use super::propagate::{Propagated, SHEET, against, against_by_start, sheet_pose, start_rows, tilted};
 use super::stepped::{Steps, maps_after, numbers_between, record_after, step_between, take_sigmas};
 use crate::bundle::symmetric_eigen;
@@ -492,8 +492,7 @@ fn scattered(places: &DMatrix<f64>, values: &DVector<f64>, matches: &[Match], us
     }
     let (mut slope, mut square, mut sum) = (0.0, 0.0, 0.0);
     for i in (0..values.len()).filter(|i| used[*i]) {
-        let t = rest[i] * even[i].sqrt() / (scale * TUKEY);
-        slope += if t.abs() < 1.0 { even[i] * (1.0 - t * t) * (1.0 - 5.0 * t * t) } else { 0.0 };
+        slope += even[i] * tukey_slope(rest[i] * even[i].sqrt() / scale);
         square += even[i] * (robust[i] * rest[i] * even[i].sqrt()).powi(2);
         sum += even[i] * robust[i];
     }

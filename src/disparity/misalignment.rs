@@ -90,7 +90,7 @@ pub(super) fn misalignment(map: &DisparityMap, refitted: bool) -> Misalignment {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
     fn map(f: impl Fn(f64, f64, usize) -> [f64; 2]) -> DisparityMap {
@@ -113,7 +113,7 @@ mod tests {
     }
 
     /// Numbers that look like noise: normal, of unit variance.
-    fn noise(k: usize, salt: u64) -> f64 {
+    pub(in crate::disparity) fn noise(k: usize, salt: u64) -> f64 {
         let mut x = (k as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ salt.wrapping_mul(0xD1B5_4A32_D192_ED03);
         let mut next = || {
             x ^= x >> 31;
