@@ -8,8 +8,11 @@
 //! Outside of `ffi` this is the one room with `unsafe` code: the processor's instructions, each used only in a function compiled for it.
 #![allow(unsafe_code)]
 
+mod sweep;
 #[cfg(target_arch = "x86_64")]
 mod x86;
+
+pub(crate) use sweep::{Each, all_finite, sweep};
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 

@@ -3,11 +3,12 @@
 use super::abi::{SPIVCAL_ERROR_NOT_AVAILABLE, SPIVCAL_OK, SPIVCAL_WARNING_POINTS};
 use super::door::{Fault, Outcome, enter};
 use super::keys::*;
-use super::memory::{Filled, In};
+use super::memory::{Filled, In, zeros};
 use super::results::state_of;
 use super::table::Kind;
 use crate::camera::Refusal;
 use crate::dewarp::{NoMeeting, SheetMap};
+use crate::lanes::all_finite;
 use crate::record::PlacedCamera;
 use nalgebra::{Vector2, Vector3};
 
@@ -30,17 +31,13 @@ pub unsafe extern "C" fn spivcal_calibration_project(
     point_status: *mut i32,
 ) -> i32 {
     on(calibration, camera, |camera| {
+        let (points, pixels) = ([(x_mm, "x_mm"), (y_mm, "y_mm"), (z_mm, "z_mm")], [(u_px, "u_px"), (v_px, "v_px")]);
         // SAFETY: the contract of the header.
-        let (points, images, status) = unsafe {
-            (
-                [In::new(x_mm, count, "x_mm")?, In::new(y_mm, count, "y_mm")?, In::new(z_mm, count, "z_mm")?],
-                [Filled::new(u_px, count, "u_px")?, Filled::new(v_px, count, "v_px")?],
-                status_of(point_status, count),
-            )
-        };
-        map(count, points, images, status, |[x, y, z]| {
-            camera.pixel_from_rig(&Vector3::new(x, y, z)).map(|q| [q.x, q.y]).map_err(refusal)
-        })
+        let lists = unsafe { Lists::new(count, points, pixels, point_status) }?;
+        lists.map(
+            |p, q| camera.camera.images_into(&camera.cam_from_rig, p, q),
+            |[x, y, z]| camera.pixel_from_rig(&Vector3::new(x, y, z)).map(|q| [q.x, q.y]).map_err(refusal),
+        )
     })
 }
 
@@ -63,17 +60,14 @@ pub unsafe extern "C" fn spivcal_calibration_unproject(
     point_status: *mut i32,
 ) -> i32 {
     on(calibration, camera, |camera| {
+        let (pixels, rays) = ([(u_px, "u_px"), (v_px, "v_px")], [(dx, "dx"), (dy, "dy"), (dz, "dz")]);
         // SAFETY: the contract of the header.
-        let (pixels, rays, status) = unsafe {
-            (
-                [In::new(u_px, count, "u_px")?, In::new(v_px, count, "v_px")?],
-                [Filled::new(dx, count, "dx")?, Filled::new(dy, count, "dy")?, Filled::new(dz, count, "dz")?],
-                status_of(point_status, count),
-            )
-        };
-        map(count, pixels, rays, status, |[u, v]| {
-            camera.ray_in_rig(&Vector2::new(u, v)).map(|d| [d.x, d.y, d.z]).map_err(refusal)
-        })
+        let lists = unsafe { Lists::new(count, pixels, rays, point_status) }?;
+        let rig_from_cam = camera.cam_from_rig.rotation.transpose();
+        lists.map(
+            |q, d| camera.camera.rays_into(&rig_from_cam, q, d),
+            |[u, v]| camera.ray_in_rig(&Vector2::new(u, v)).map(|d| [d.x, d.y, d.z]).map_err(refusal),
+        )
     })
 }
 
@@ -98,21 +92,25 @@ pub unsafe extern "C" fn spivcal_calibration_sight_from_pixel(
     point_status: *mut i32,
 ) -> i32 {
     on(calibration, camera, |camera| {
+        let pixels = [(u_px, "u_px"), (v_px, "v_px")];
+        let sights = [(x_mm, "x_mm"), (y_mm, "y_mm"), (z_mm, "z_mm"), (dx, "dx"), (dy, "dy"), (dz, "dz")];
         // SAFETY: the contract of the header.
-        let (pixels, lines, status) = unsafe {
-            let [x, y, z] =
-                [(x_mm, "x_mm"), (y_mm, "y_mm"), (z_mm, "z_mm")].map(|(p, name)| Filled::new(p, count, name));
-            let [dx, dy, dz] = [(dx, "dx"), (dy, "dy"), (dz, "dz")].map(|(p, name)| Filled::new(p, count, name));
-            (
-                [In::new(u_px, count, "u_px")?, In::new(v_px, count, "v_px")?],
-                [x?, y?, z?, dx?, dy?, dz?],
-                status_of(point_status, count),
-            )
-        };
-        map(count, pixels, lines, status, |[u, v]| {
-            let (p, d) = camera.sight_in_rig(&Vector2::new(u, v)).map_err(refusal)?;
-            Ok([p.x, p.y, p.z, d.x, d.y, d.z])
-        })
+        let lists = unsafe { Lists::new(count, pixels, sights, point_status) }?;
+        let (rig_from_cam, center_mm) = (camera.cam_from_rig.rotation.transpose(), camera.center_in_rig());
+        lists.map(
+            |q, [x, y, z, dx, dy, dz]| {
+                if camera.camera.window().is_some() {
+                    // Every line begins elsewhere.
+                    return x.fill(f64::NAN);
+                }
+                [(x, center_mm.x), (y, center_mm.y), (z, center_mm.z)].map(|(list, at)| list.fill(at));
+                camera.camera.rays_into(&rig_from_cam, q, [dx, dy, dz]);
+            },
+            |[u, v]| {
+                let (p, d) = camera.sight_in_rig(&Vector2::new(u, v)).map_err(refusal)?;
+                Ok([p.x, p.y, p.z, d.x, d.y, d.z])
+            },
+        )
     })
 }
 
@@ -132,18 +130,14 @@ pub unsafe extern "C" fn spivcal_calibration_sheet_from_pixel(
     y_mm: *mut f64,
     point_status: *mut i32,
 ) -> i32 {
-    on_sheet(calibration, camera, |map_of_camera| {
+    on_sheet(calibration, camera, |map| {
+        let (pixels, points) = ([(u_px, "u_px"), (v_px, "v_px")], [(x_mm, "x_mm"), (y_mm, "y_mm")]);
         // SAFETY: the contract of the header.
-        let (pixels, points, status) = unsafe {
-            (
-                [In::new(u_px, count, "u_px")?, In::new(v_px, count, "v_px")?],
-                [Filled::new(x_mm, count, "x_mm")?, Filled::new(y_mm, count, "y_mm")?],
-                status_of(point_status, count),
-            )
-        };
-        map(count, pixels, points, status, |[u, v]| {
-            map_of_camera.sheet_from_pixel(&Vector2::new(u, v), 0.0).map(|p| [p.x, p.y]).map_err(no_meeting)
-        })
+        let lists = unsafe { Lists::new(count, pixels, points, point_status) }?;
+        lists.map(
+            |[u, v], p| map.hits_into([u, v, &IN_SHEET[..u.len()]], p),
+            |[u, v]| map.sheet_from_pixel(&Vector2::new(u, v), 0.0).map(|p| [p.x, p.y]).map_err(no_meeting),
+        )
     })
 }
 
@@ -162,52 +156,114 @@ pub unsafe extern "C" fn spivcal_calibration_pixel_from_sheet(
     v_px: *mut f64,
     point_status: *mut i32,
 ) -> i32 {
-    on_sheet(calibration, camera, |map_of_camera| {
+    on_sheet(calibration, camera, |map| {
+        let (points, pixels) = ([(x_mm, "x_mm"), (y_mm, "y_mm")], [(u_px, "u_px"), (v_px, "v_px")]);
         // SAFETY: the contract of the header.
-        let (points, pixels, status) = unsafe {
-            (
-                [In::new(x_mm, count, "x_mm")?, In::new(y_mm, count, "y_mm")?],
-                [Filled::new(u_px, count, "u_px")?, Filled::new(v_px, count, "v_px")?],
-                status_of(point_status, count),
-            )
-        };
-        map(count, points, pixels, status, |[x, y]| {
-            map_of_camera.pixel_from_sheet(&Vector3::new(x, y, 0.0)).map(|q| [q.x, q.y]).map_err(refusal)
-        })
+        let lists = unsafe { Lists::new(count, points, pixels, point_status) }?;
+        lists.map(
+            |[x, y], q| map.images_into([x, y, &IN_SHEET[..x.len()]], q),
+            |[x, y]| map.pixel_from_sheet(&Vector3::new(x, y, 0.0)).map(|q| [q.x, q.y]).map_err(refusal),
+        )
     })
 }
 
-/// The one loop: NaN and a status where a point has no result.
-fn map<const N: usize, const M: usize>(
-    count: u64,
+/// Points of a block: copies of the caller's numbers and the results stay in a core's own cache.
+const BLOCK: usize = 1024;
+/// z of points of the sheet.
+const IN_SHEET: [f64; BLOCK] = [0.0; BLOCK];
+
+/// The caller's arrays: N that are read, M that are written, and one for the status of each point.
+struct Lists<const N: usize, const M: usize> {
+    count: usize,
     from: [In<f64>; N],
     to: [Filled<f64>; M],
     status: Option<Filled<i32>>,
-    each: impl Fn([f64; N]) -> Result<[f64; M], i32>,
-) -> Outcome {
-    let mut refused = false;
-    // `In::new` has checked that the count is one of memory.
-    for i in 0..count as usize {
-        let (values, why) = match each(std::array::from_fn(|k| from[k].get(i))) {
-            Ok(values) => (values, SPIVCAL_POINT_OK),
-            Err(why) => ([f64::NAN; M], why),
-        };
-        refused |= why != SPIVCAL_POINT_OK;
-        for k in 0..M {
-            to[k].set(i, values[k]);
-        }
-        if let Some(status) = &status {
-            status.set(i, why);
-        }
-    }
-    Ok(if refused { SPIVCAL_WARNING_POINTS } else { SPIVCAL_OK })
 }
 
-/// # Safety
-/// `to` is null or can be written for `count` elements.
-unsafe fn status_of(to: *mut i32, count: u64) -> Option<Filled<i32>> {
-    // SAFETY: the contract of this function.
-    if to.is_null() { None } else { unsafe { Filled::new(to, count, "point_status") }.ok() }
+impl<const N: usize, const M: usize> Lists<N, M> {
+    /// # Safety
+    /// `status` is null or, as the others, can be read or written for `count` elements.
+    unsafe fn new(
+        count: u64,
+        from: [(*const f64, &str); N],
+        to: [(*mut f64, &str); M],
+        status: *mut i32,
+    ) -> Result<Self, Fault> {
+        let mut lists = Self { count: 0, from: [In::default(); N], to: [Filled::default(); M], status: None };
+        // SAFETY (all): the contract of this function.
+        for k in 0..N {
+            lists.from[k] = unsafe { In::new(from[k].0, count, from[k].1) }?;
+        }
+        for k in 0..M {
+            lists.to[k] = unsafe { Filled::new(to[k].0, count, to[k].1) }?;
+        }
+        if !status.is_null() {
+            lists.status = Some(unsafe { Filled::new(status, count, "point_status") }?);
+        }
+        // What was checked is a length of memory.
+        lists.count = count as usize;
+        Ok(lists)
+    }
+
+    /// Maps all points, block by block: `all` is quick and gives something that is not finite where a point has no result, `one` says why,
+    /// or has the result where the two differ in rounding.
+    fn map(
+        self,
+        all: impl Fn([&[f64]; N], [&mut [f64]; M]),
+        one: impl Fn([f64; N]) -> Result<[f64; M], i32>,
+    ) -> Outcome {
+        let block = self.count.min(BLOCK);
+        let mut memory = zeros((N + M) * block)?;
+        let mut reasons = [SPIVCAL_POINT_OK; BLOCK];
+        let mut refused = false;
+        for first in (0..self.count).step_by(BLOCK) {
+            let n = block.min(self.count - first);
+            let mut lists = memory.chunks_exact_mut(block).map(|list| &mut list[..n]);
+            let from: [&mut [f64]; N] = std::array::from_fn(|_| lists.next().unwrap_or_default());
+            let mut to: [&mut [f64]; M] = std::array::from_fn(|_| lists.next().unwrap_or_default());
+            for k in 0..N {
+                self.from[k].read(first, from[k]);
+            }
+            let from = from.map(|list| &*list);
+            all(from, to.each_mut().map(|list| &mut **list));
+            let reasons = &mut reasons[..n];
+            reasons.fill(SPIVCAL_POINT_OK);
+            if !to.iter().all(|list| all_finite(list)) {
+                refused |= explain(from, &mut to, reasons, &one);
+            }
+            for k in 0..M {
+                self.to[k].write(first, to[k]);
+            }
+            if let Some(status) = &self.status {
+                status.write(first, reasons);
+            }
+        }
+        Ok(if refused { SPIVCAL_WARNING_POINTS } else { SPIVCAL_OK })
+    }
+}
+
+/// NaN and a reason for every point without a result; whether there was one.
+fn explain<const N: usize, const M: usize>(
+    from: [&[f64]; N],
+    to: &mut [&mut [f64]; M],
+    reasons: &mut [i32],
+    one: impl Fn([f64; N]) -> Result<[f64; M], i32>,
+) -> bool {
+    let mut refused = false;
+    for (i, reason) in reasons.iter_mut().enumerate() {
+        if to.iter().all(|list| list[i].is_finite()) {
+            continue;
+        }
+        let values = one(std::array::from_fn(|k| from[k][i])).unwrap_or_else(|why| {
+            *reason = why;
+            [f64::NAN; M]
+        });
+        refused |= *reason != SPIVCAL_POINT_OK;
+        for k in 0..M {
+            to[k][i] = values[k];
+        }
+    }
+    refused
 }
 
 fn refusal(refusal: Refusal) -> i32 {
@@ -228,11 +284,7 @@ fn no_meeting(why: NoMeeting) -> i32 {
 }
 
 fn on(calibration: u64, camera: u64, call: impl FnOnce(&PlacedCamera) -> Outcome) -> i32 {
-    // A copy that no pointer of the caller can reach: its numbers need not be read again after every result.
-    enter(calibration, Kind::Calibration, |object| {
-        let camera = *one(&state_of(object)?.cameras, camera)?;
-        call(&camera)
-    })
+    enter(calibration, Kind::Calibration, |object| call(one(&state_of(object)?.cameras, camera)?))
 }
 
 fn on_sheet(calibration: u64, camera: u64, call: impl FnOnce(&SheetMap) -> Outcome) -> i32 {

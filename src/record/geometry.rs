@@ -3,7 +3,7 @@
 use super::schema::{self, Effective, Pose, Record};
 use super::sigma::CameraSigma;
 use crate::camera::{Camera, Refusal};
-use crate::error::Result;
+use crate::error::{Result, same_length};
 use crate::frames::{Cam, Rig};
 use crate::rigid::Motion;
 use nalgebra::{Vector2, Vector3};
@@ -47,6 +47,28 @@ impl PlacedCamera {
         let sight = self.camera.line_of_sight(pixel)?;
         let rig_from_cam = self.cam_from_rig.inverse();
         Ok((rig_from_cam.apply(&sight.from_mm), rig_from_cam.rotation * sight.direction))
+    }
+
+    /// Images (u, v), px, of points (x, y, z) of the rig frame, mm; `NaN` where a point has none. Several at a time, in this thread;
+    /// [`PlacedCamera::pixel_from_rig`] to rounding.
+    ///
+    /// # Errors
+    /// [`crate::error::Invalid::Value`] where the lists differ in length.
+    pub fn pixels_from_rig_into(&self, p_mm: [&[f64]; 3], q_px: [&mut [f64]; 2]) -> Result<()> {
+        same_length("points", p_mm[0].len(), &[p_mm[1], p_mm[2], q_px[0], q_px[1]])?;
+        self.camera.images_into(&self.cam_from_rig, p_mm, q_px);
+        Ok(())
+    }
+
+    /// Rays of pixels (u, v), px: unit directions (x, y, z) in the rig frame; `NaN` where no ray reaches a pixel. Several at a time, in
+    /// this thread; [`PlacedCamera::ray_in_rig`] to rounding.
+    ///
+    /// # Errors
+    /// [`crate::error::Invalid::Value`] where the lists differ in length.
+    pub fn rays_in_rig_into(&self, q_px: [&[f64]; 2], d: [&mut [f64]; 3]) -> Result<()> {
+        same_length("pixels", q_px[0].len(), &[q_px[1], d[0], d[1], d[2]])?;
+        self.camera.rays_into(&self.cam_from_rig.rotation.transpose(), q_px, d);
+        Ok(())
     }
 
     /// Projection centre in the rig frame, mm.
