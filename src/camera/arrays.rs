@@ -5,7 +5,7 @@
 
 use super::{BulkCamera, Camera};
 use crate::frames::Cam;
-use crate::lanes::{Each, Kernel, Lanes, run, splats, sweep};
+use crate::lanes::{Column, ColumnMut, Each, Kernel, Lanes, run, splats, sweep};
 use crate::rigid::Motion;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
@@ -37,17 +37,17 @@ struct Images<'a> {
     camera: &'a Camera,
     rotation: &'a Matrix3<f64>,
     translation_mm: &'a Vector3<f64>,
-    from: [&'a [f64]; 3],
-    to: [&'a mut [f64]; 2],
+    from: [Column<'a>; 3],
+    to: [ColumnMut<'a>; 2],
 }
 
 impl Kernel for Images<'_> {
-    type Output = ();
+    type Output = bool;
     #[inline(always)]
-    fn run<L: Lanes>(self) {
-        let Some(camera) = BulkCamera::<L>::of(self.camera) else { return };
+    fn run<L: Lanes>(self) -> bool {
+        let Some(camera) = BulkCamera::<L>::of(self.camera) else { return false };
         let t = self.translation_mm;
-        sweep(&Image { camera, r: rows(self.rotation), t: splats([t.x, t.y, t.z]) }, self.from, self.to);
+        sweep(&Image { camera, r: rows(self.rotation), t: splats([t.x, t.y, t.z]) }, self.from, self.to)
     }
 }
 
@@ -75,40 +75,47 @@ impl<L: Lanes> Each<L, 2, 3> for Ray<L> {
 struct Rays<'a> {
     camera: &'a Camera,
     rotation: &'a Matrix3<f64>,
-    from: [&'a [f64]; 2],
-    to: [&'a mut [f64]; 3],
+    from: [Column<'a>; 2],
+    to: [ColumnMut<'a>; 3],
 }
 
 impl Kernel for Rays<'_> {
-    type Output = ();
+    type Output = bool;
     #[inline(always)]
-    fn run<L: Lanes>(self) {
-        if let Some(camera) = BulkCamera::<L>::of(self.camera) {
-            sweep(&Ray { camera, r: rows(self.rotation) }, self.from, self.to);
-        }
+    fn run<L: Lanes>(self) -> bool {
+        let Some(camera) = BulkCamera::<L>::of(self.camera) else { return false };
+        sweep(&Ray { camera, r: rows(self.rotation) }, self.from, self.to)
     }
 }
 
 impl Camera {
-    /// Images (u, v), px, of points (x, y, z) of another frame, mm, lists of one length; `NaN` where a point has none.
-    pub(crate) fn images_into<F>(&self, cam_from_points: &Motion<Cam, F>, from: [&[f64]; 3], to: [&mut [f64]; 2]) {
+    /// Images (u, v), px, of points (x, y, z) of another frame, mm, columns of one length; `NaN` where a point has none. Whether every
+    /// point has one; `false` is also said where that was not looked at.
+    pub(crate) fn images_into<F>(
+        &self,
+        cam_from_points: &Motion<Cam, F>,
+        from: [Column; 3],
+        to: [ColumnMut; 2],
+    ) -> bool {
         let Motion { rotation, translation_mm, .. } = cam_from_points;
         if self.window.is_none() {
             return run(Images { camera: self, rotation, translation_mm, from, to });
         }
-        let [u, v] = to;
+        let [mut u, mut v] = to;
         for i in 0..from[0].len() {
-            let p = cam_from_points.apply(&Vector3::new(from[0][i], from[1][i], from[2][i]));
+            let p = cam_from_points.apply(&Vector3::new(from[0].get(i), from[1].get(i), from[2].get(i)));
             let q = self.project_xyz(&p).unwrap_or(Vector2::repeat(f64::NAN));
-            (u[i], v[i]) = (q.x, q.y);
+            u.set(i, q.x);
+            v.set(i, q.y);
         }
+        false
     }
 
-    /// Unit directions (x, y, z) in another frame of the rays of pixels (u, v), px, in the air before any window, lists of one length; `NaN`
-    /// where no ray reaches a pixel.
-    pub(crate) fn rays_into(&self, other_from_cam: &Matrix3<f64>, from: [&[f64]; 2], to: [&mut [f64]; 3]) {
+    /// Unit directions (x, y, z) in another frame of the rays of pixels (u, v), px, in the air before any window, columns of one length;
+    /// `NaN` where no ray reaches a pixel. What is returned: as for [`Camera::images_into`].
+    pub(crate) fn rays_into(&self, other_from_cam: &Matrix3<f64>, from: [Column; 2], to: [ColumnMut; 3]) -> bool {
         // What a window does begins behind the air.
         let camera = &self.with_window(None);
-        run(Rays { camera, rotation: other_from_cam, from, to });
+        run(Rays { camera, rotation: other_from_cam, from, to })
     }
 }

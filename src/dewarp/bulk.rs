@@ -5,7 +5,7 @@
 
 use super::map::SheetMap;
 use crate::camera::{BulkCamera, rows};
-use crate::lanes::{Each, Kernel, Lanes, run, splats, sweep};
+use crate::lanes::{Column, ColumnMut, Each, Kernel, Lanes, run, splats, sweep};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -43,17 +43,18 @@ impl<L: Lanes> Each<L, 3, 2> for Hit<L> {
 struct Hits<'a> {
     map: &'a SheetMap,
     center_mm: Vector3<f64>,
-    part: Part<'a>,
+    from: [Column<'a>; 3],
+    to: [ColumnMut<'a>; 2],
 }
 
 impl Kernel for Hits<'_> {
-    type Output = ();
+    type Output = bool;
     #[inline(always)]
-    fn run<L: Lanes>(self) {
-        let Some(camera) = BulkCamera::<L>::of(self.map.camera()) else { return };
+    fn run<L: Lanes>(self) -> bool {
+        let Some(camera) = BulkCamera::<L>::of(self.map.camera()) else { return false };
         let sheet_from_cam = rows(&self.map.cam_from_sheet().rotation.transpose());
         let center = splats([self.center_mm.x, self.center_mm.y, self.center_mm.z]);
-        sweep(&Hit { camera, sheet_from_cam, center }, self.part.0, self.part.1);
+        sweep(&Hit { camera, sheet_from_cam, center }, self.from, self.to)
     }
 }
 
@@ -70,7 +71,8 @@ pub(super) fn in_blocks(from: [&[f64]; 3], to: [&mut [f64]; 2], work: &(dyn Fn(P
     });
 }
 
-/// Where pixels see planes: (u, v, z) to (x, y), all of one length; `NaN` where they do not. The camera has no window.
-pub(super) fn hits(map: &SheetMap, center_mm: &Vector3<f64>, part: Part<'_>) {
-    run(Hits { map, center_mm: *center_mm, part });
+/// Where pixels see planes: (u, v, z) to (x, y), all of one length; `NaN` where they do not. The camera has no window. Whether every pixel
+/// sees its plane.
+pub(super) fn hits(map: &SheetMap, center_mm: &Vector3<f64>, from: [Column; 3], to: [ColumnMut; 2]) -> bool {
+    run(Hits { map, center_mm: *center_mm, from, to })
 }

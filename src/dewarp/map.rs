@@ -4,6 +4,7 @@ use super::bulk::{hits, in_blocks};
 use crate::camera::{Camera, Refusal};
 use crate::error::{Invalid, Result, same_length};
 use crate::frames::{Cam, Sheet};
+use crate::lanes::{Column, ColumnMut};
 use crate::record::Record;
 use crate::rigid::Motion;
 use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Vector2, Vector3};
@@ -258,8 +259,10 @@ impl SheetMap {
     }
 
     /// Images of points, lists of one length.
-    pub(crate) fn images_into(&self, from: [&[f64]; 3], to: [&mut [f64]; 2]) {
-        in_blocks(from, to, &|(from, to)| self.camera.images_into(&self.cam_from_sheet, from, to));
+    pub(super) fn images_into(&self, from: [&[f64]; 3], to: [&mut [f64]; 2]) {
+        in_blocks(from, to, &|(from, to)| {
+            self.camera.images_into(&self.cam_from_sheet, from.map(Column::from), to.map(ColumnMut::from));
+        });
     }
 
     /// As [`SheetMap::pixel_of_sheet`], with derivatives by x, y and z.
@@ -310,22 +313,26 @@ impl SheetMap {
         same_length("pixels", u_px.len(), &[v_px, z_mm])?;
         out.x_mm.resize(u_px.len(), 0.0);
         out.y_mm.resize(u_px.len(), 0.0);
-        self.hits_into([u_px, v_px, z_mm], [&mut out.x_mm, &mut out.y_mm]);
+        in_blocks([u_px, v_px, z_mm], [&mut out.x_mm, &mut out.y_mm], &|(from, to)| {
+            self.hits_into(from.map(Column::from), to.map(ColumnMut::from));
+        });
         Ok(())
     }
 
-    /// Where pixels (u, v) see planes z = const, lists of one length.
-    pub(crate) fn hits_into(&self, from: [&[f64]; 3], to: [&mut [f64]; 2]) {
+    /// Where pixels (u, v) see planes z = const, columns of one length; `NaN` where they do not. Whether every pixel sees its plane; `false` is
+    /// also said where that was not looked at.
+    pub(crate) fn hits_into(&self, from: [Column; 3], to: [ColumnMut; 2]) -> bool {
         if self.camera.window().is_none() {
-            return in_blocks(from, to, &|part| hits(self, &self.center_mm, part));
+            return hits(self, &self.center_mm, from, to);
         }
-        in_blocks(from, to, &|([u_px, v_px, z_mm], [x_mm, y_mm])| {
-            for i in 0..u_px.len() {
-                let p = self.sheet_from_pixel(&Vector2::new(u_px[i], v_px[i]), z_mm[i]);
-                let p = p.unwrap_or(Vector2::repeat(f64::NAN));
-                (x_mm[i], y_mm[i]) = (p.x, p.y);
-            }
-        });
+        let ([u_px, v_px, z_mm], [mut x_mm, mut y_mm]) = (from, to);
+        for i in 0..u_px.len() {
+            let p = self.sheet_from_pixel(&Vector2::new(u_px.get(i), v_px.get(i)), z_mm.get(i));
+            let p = p.unwrap_or(Vector2::repeat(f64::NAN));
+            x_mm.set(i, p.x);
+            y_mm.set(i, p.y);
+        }
+        false
     }
 
     /// As [`SheetMap::sheet_of_pixel`], with derivatives by u and v, and along the ray by z.

@@ -3,12 +3,12 @@
 use super::abi::{SPIVCAL_ERROR_NOT_AVAILABLE, SPIVCAL_OK, SPIVCAL_WARNING_POINTS};
 use super::door::{Fault, Outcome, enter};
 use super::keys::*;
-use super::memory::{Filled, In, zeros};
+use super::memory::{Filled, length_of};
 use super::results::state_of;
 use super::table::Kind;
 use crate::camera::Refusal;
 use crate::dewarp::{NoMeeting, SheetMap};
-use crate::lanes::all_finite;
+use crate::lanes::{Column, ColumnMut};
 use crate::record::PlacedCamera;
 use nalgebra::{Vector2, Vector3};
 
@@ -16,7 +16,8 @@ use nalgebra::{Vector2, Vector3};
 ///
 /// `camera`: from 0. `x_mm`, `y_mm`, `z_mm`: `count` doubles each, mm, rig frame (that of the first camera: x right, y down, z forward).
 /// `u_px`, `v_px`: receive `count` doubles each; (0, 0) is the centre of the first pixel. NaN where a point has no image.
-/// `point_status`: receives `count` SPIVCAL_POINT_*; may be NULL. Arrays that are written must not overlap others.
+/// `point_status`: receives `count` SPIVCAL_POINT_*; may be NULL. Arrays that are written must not overlap others. A point has the same
+/// result, to the bit, alone and among others: a call with many points is what is quick.
 /// SPIVCAL_OK, or SPIVCAL_WARNING_POINTS where at least one point has no image.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_calibration_project(
@@ -99,12 +100,13 @@ pub unsafe extern "C" fn spivcal_calibration_sight_from_pixel(
         let (rig_from_cam, center_mm) = (camera.cam_from_rig.rotation.transpose(), camera.center_in_rig());
         lists.map(
             |q, [x, y, z, dx, dy, dz]| {
-                if camera.camera.window().is_some() {
-                    // Every line begins elsewhere.
-                    return x.fill(f64::NAN);
+                let in_air = camera.camera.window().is_none();
+                // Behind a window every line begins elsewhere.
+                let begin_mm = if in_air { center_mm } else { Vector3::repeat(f64::NAN) };
+                for (mut list, at) in [x, y, z].into_iter().zip(&begin_mm) {
+                    list.fill(*at);
                 }
-                [(x, center_mm.x), (y, center_mm.y), (z, center_mm.z)].map(|(list, at)| list.fill(at));
-                camera.camera.rays_into(&rig_from_cam, q, [dx, dy, dz]);
+                in_air && camera.camera.rays_into(&rig_from_cam, q, [dx, dy, dz])
             },
             |[u, v]| {
                 let (p, d) = camera.sight_in_rig(&Vector2::new(u, v)).map_err(refusal)?;
@@ -135,7 +137,7 @@ pub unsafe extern "C" fn spivcal_calibration_sheet_from_pixel(
         // SAFETY: the contract of the header.
         let lists = unsafe { Lists::new(count, pixels, points, point_status) }?;
         lists.map(
-            |[u, v], p| map.hits_into([u, v, &IN_SHEET[..u.len()]], p),
+            |[u, v], p| map.hits_into([u, v, in_sheet(u.len())], p),
             |[u, v]| map.sheet_from_pixel(&Vector2::new(u, v), 0.0).map(|p| [p.x, p.y]).map_err(no_meeting),
         )
     })
@@ -161,109 +163,92 @@ pub unsafe extern "C" fn spivcal_calibration_pixel_from_sheet(
         // SAFETY: the contract of the header.
         let lists = unsafe { Lists::new(count, points, pixels, point_status) }?;
         lists.map(
-            |[x, y], q| map.images_into([x, y, &IN_SHEET[..x.len()]], q),
+            |[x, y], q| map.camera().images_into(map.cam_from_sheet(), [x, y, in_sheet(x.len())], q),
             |[x, y]| map.pixel_from_sheet(&Vector3::new(x, y, 0.0)).map(|q| [q.x, q.y]).map_err(refusal),
         )
     })
 }
 
-/// Points of a block: copies of the caller's numbers and the results stay in a core's own cache.
+/// Points of a block: what was found is still in a core's own cache where a reason has to be given.
 const BLOCK: usize = 1024;
-/// z of points of the sheet.
-const IN_SHEET: [f64; BLOCK] = [0.0; BLOCK];
+
+/// z of points of the sheet, of a block at most.
+fn in_sheet(count: usize) -> Column<'static> {
+    const Z_MM: &[f64; BLOCK] = &[0.0; BLOCK];
+    Z_MM[..count].into()
+}
 
 /// The caller's arrays: N that are read, M that are written, and one for the status of each point.
-struct Lists<const N: usize, const M: usize> {
+struct Lists<'a, const N: usize, const M: usize> {
     count: usize,
-    from: [In<f64>; N],
-    to: [Filled<f64>; M],
+    from: [Column<'a>; N],
+    to: [ColumnMut<'a>; M],
     status: Option<Filled<i32>>,
 }
 
-impl<const N: usize, const M: usize> Lists<N, M> {
+impl<const N: usize, const M: usize> Lists<'_, N, M> {
     /// # Safety
-    /// `status` is null or, as the others, can be read or written for `count` elements.
+    /// All that is not null can be read or written for `count` elements.
     unsafe fn new(
         count: u64,
         from: [(*const f64, &str); N],
         to: [(*mut f64, &str); M],
         status: *mut i32,
     ) -> Result<Self, Fault> {
-        let mut lists = Self { count: 0, from: [In::default(); N], to: [Filled::default(); M], status: None };
-        // SAFETY (all): the contract of this function.
-        for k in 0..N {
-            lists.from[k] = unsafe { In::new(from[k].0, count, from[k].1) }?;
+        let mut n = 0;
+        for (list, argument) in from {
+            n = length_of(list, count, argument)?;
         }
-        for k in 0..M {
-            lists.to[k] = unsafe { Filled::new(to[k].0, count, to[k].1) }?;
+        for (list, argument) in to {
+            length_of(list, count, argument)?;
         }
-        if !status.is_null() {
-            lists.status = Some(unsafe { Filled::new(status, count, "point_status") }?);
+        // SAFETY: the contract of this function.
+        unsafe {
+            let status = if status.is_null() { None } else { Some(Filled::new(status, count, "point_status")?) };
+            let from = from.map(|(list, _)| Column::new(list, n));
+            Ok(Self { count: n, from, to: to.map(|(list, _)| ColumnMut::new(list, n)), status })
         }
-        // What was checked is a length of memory.
-        lists.count = count as usize;
-        Ok(lists)
     }
 
-    /// Maps all points, block by block: `all` is quick and gives something that is not finite where a point has no result, `one` says why,
-    /// or has the result where the two differ in rounding.
+    /// Maps all points, block by block: `all` is quick, leaves what is not finite where a point has no result, and says whether there is none;
+    /// `one` says why, or has the result where the two differ in rounding.
     fn map(
-        self,
-        all: impl Fn([&[f64]; N], [&mut [f64]; M]),
+        mut self,
+        all: impl Fn([Column; N], [ColumnMut; M]) -> bool,
         one: impl Fn([f64; N]) -> Result<[f64; M], i32>,
     ) -> Outcome {
-        let block = self.count.min(BLOCK);
-        let mut memory = zeros((N + M) * block)?;
-        let mut reasons = [SPIVCAL_POINT_OK; BLOCK];
         let mut refused = false;
         for first in (0..self.count).step_by(BLOCK) {
-            let n = block.min(self.count - first);
-            let mut lists = memory.chunks_exact_mut(block).map(|list| &mut list[..n]);
-            let from: [&mut [f64]; N] = std::array::from_fn(|_| lists.next().unwrap_or_default());
-            let mut to: [&mut [f64]; M] = std::array::from_fn(|_| lists.next().unwrap_or_default());
-            for k in 0..N {
-                self.from[k].read(first, from[k]);
-            }
-            let from = from.map(|list| &*list);
-            all(from, to.each_mut().map(|list| &mut **list));
-            let reasons = &mut reasons[..n];
-            reasons.fill(SPIVCAL_POINT_OK);
-            if !to.iter().all(|list| all_finite(list)) {
-                refused |= explain(from, &mut to, reasons, &one);
-            }
-            for k in 0..M {
-                self.to[k].write(first, to[k]);
-            }
+            let n = BLOCK.min(self.count - first);
+            let from = self.from.map(|list| list.part(first, n));
+            let done = all(from, self.to.each_mut().map(|list| list.part(first, n)));
             if let Some(status) = &self.status {
-                status.write(first, reasons);
+                (first..first + n).for_each(|i| status.set(i, SPIVCAL_POINT_OK));
+            }
+            if !done {
+                refused |= (first..first + n).fold(false, |refused, i| self.explain(i, &one) || refused);
             }
         }
         Ok(if refused { SPIVCAL_WARNING_POINTS } else { SPIVCAL_OK })
     }
-}
 
-/// NaN and a reason for every point without a result; whether there was one.
-fn explain<const N: usize, const M: usize>(
-    from: [&[f64]; N],
-    to: &mut [&mut [f64]; M],
-    reasons: &mut [i32],
-    one: impl Fn([f64; N]) -> Result<[f64; M], i32>,
-) -> bool {
-    let mut refused = false;
-    for (i, reason) in reasons.iter_mut().enumerate() {
-        if to.iter().all(|list| list[i].is_finite()) {
-            continue;
+    /// NaN and a reason where point `i` has no result; whether that is so.
+    fn explain(&mut self, i: usize, one: impl Fn([f64; N]) -> Result<[f64; M], i32>) -> bool {
+        if self.to.iter().all(|list| list.get(i).is_finite()) {
+            return false;
         }
-        let values = one(std::array::from_fn(|k| from[k][i])).unwrap_or_else(|why| {
-            *reason = why;
-            [f64::NAN; M]
-        });
-        refused |= *reason != SPIVCAL_POINT_OK;
-        for k in 0..M {
-            to[k][i] = values[k];
+        let (values, why) = match one(self.from.map(|list| list.get(i))) {
+            Ok(values) => (values, SPIVCAL_POINT_OK),
+            Err(why) => ([f64::NAN; M], why),
+        };
+        for (list, value) in self.to.iter_mut().zip(values) {
+            list.set(i, value);
         }
+        if let Some(status) = &self.status {
+            status.set(i, why);
+        }
+        why != SPIVCAL_POINT_OK
     }
-    refused
 }
 
 fn refusal(refusal: Refusal) -> i32 {

@@ -49,36 +49,10 @@ impl<T: Plain> Out<T> {
     }
 }
 
-/// An array that the caller gives.
-#[derive(Clone, Copy)]
-pub(super) struct In<T> {
-    from: *const T,
-    count: usize,
-}
-
-impl<T: Plain> In<T> {
-    /// # Safety
-    /// `from` is null or can be read for `count` elements.
-    pub(super) unsafe fn new(from: *const T, count: u64, argument: &str) -> Result<Self, Fault> {
-        let count = checked::<T>(count, argument)?;
-        if from.is_null() && count > 0 { Err(Fault::null(argument)) } else { Ok(Self { from, count }) }
-    }
-
-    /// Copies the elements from number `first` on; the caller of this function stays inside the array.
-    pub(super) fn read(&self, first: usize, into: &mut [T]) {
-        assert!(first <= self.count && into.len() <= self.count - first);
-        // SAFETY: inside the array by the contract of `new`; bytes have no alignment; our slice does not overlap the caller's.
-        unsafe {
-            let from = self.from.add(first).cast::<u8>();
-            std::ptr::copy_nonoverlapping(from, into.as_mut_ptr().cast::<u8>(), size_of_val(into));
-        }
-    }
-}
-
-impl<T> Default for In<T> {
-    fn default() -> Self {
-        Self { from: std::ptr::null(), count: 0 }
-    }
+/// Length of an array of the caller, which is null only where it is empty.
+pub(super) fn length_of<T: Plain>(array: *const T, count: u64, argument: &str) -> Result<usize, Fault> {
+    let count = checked::<T>(count, argument)?;
+    if array.is_null() && count > 0 { Err(Fault::null(argument)) } else { Ok(count) }
 }
 
 /// An array that the caller wants filled, of a length that both know.
@@ -92,34 +66,15 @@ impl<T: Plain> Filled<T> {
     /// # Safety
     /// `to` is null or can be written for `count` elements.
     pub(super) unsafe fn new(to: *mut T, count: u64, argument: &str) -> Result<Self, Fault> {
-        let count = checked::<T>(count, argument)?;
-        if to.is_null() && count > 0 { Err(Fault::null(argument)) } else { Ok(Self { to, count }) }
+        Ok(Self { to, count: length_of(to, count, argument)? })
     }
 
-    /// Writes elements from number `first` on; the caller of this function stays inside the array.
-    pub(super) fn write(&self, first: usize, values: &[T]) {
-        assert!(first <= self.count && values.len() <= self.count - first);
-        // SAFETY: inside the array by the contract of `new`; bytes have no alignment; our slice does not overlap the caller's.
-        unsafe {
-            let to = self.to.add(first).cast::<u8>();
-            std::ptr::copy_nonoverlapping(values.as_ptr().cast::<u8>(), to, size_of_val(values));
-        }
+    #[inline]
+    pub(super) fn set(&self, i: usize, value: T) {
+        assert!(i < self.count);
+        // SAFETY: inside the array by the contract of `new`.
+        unsafe { self.to.add(i).write_unaligned(value) }
     }
-}
-
-impl<T> Default for Filled<T> {
-    fn default() -> Self {
-        Self { to: std::ptr::null_mut(), count: 0 }
-    }
-}
-
-/// Zeros of our own.
-pub(super) fn zeros<T: Plain>(count: usize) -> Result<Vec<T>, Fault> {
-    let mut zeros = Vec::new();
-    let none = |_| Fault::new(SPIVCAL_ERROR_MEMORY, format!("there is no memory for {count} numbers"));
-    zeros.try_reserve_exact(count).map_err(none)?;
-    zeros.resize(count, T::default());
-    Ok(zeros)
 }
 
 /// Copies `values` to a caller's buffer of `capacity` elements and says in `needed` how many there are.

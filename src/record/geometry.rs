@@ -5,6 +5,7 @@ use super::sigma::CameraSigma;
 use crate::camera::{Camera, Refusal};
 use crate::error::{Result, same_length};
 use crate::frames::{Cam, Rig};
+use crate::lanes::{Column, ColumnMut};
 use crate::rigid::Motion;
 use nalgebra::{Vector2, Vector3};
 
@@ -56,7 +57,7 @@ impl PlacedCamera {
     /// [`crate::error::Invalid::Value`] where the lists differ in length.
     pub fn pixels_from_rig_into(&self, p_mm: [&[f64]; 3], q_px: [&mut [f64]; 2]) -> Result<()> {
         same_length("points", p_mm[0].len(), &[p_mm[1], p_mm[2], q_px[0], q_px[1]])?;
-        self.camera.images_into(&self.cam_from_rig, p_mm, q_px);
+        self.camera.images_into(&self.cam_from_rig, p_mm.map(Column::from), q_px.map(ColumnMut::from));
         Ok(())
     }
 
@@ -67,7 +68,8 @@ impl PlacedCamera {
     /// [`crate::error::Invalid::Value`] where the lists differ in length.
     pub fn rays_in_rig_into(&self, q_px: [&[f64]; 2], d: [&mut [f64]; 3]) -> Result<()> {
         same_length("pixels", q_px[0].len(), &[q_px[1], d[0], d[1], d[2]])?;
-        self.camera.rays_into(&self.cam_from_rig.rotation.transpose(), q_px, d);
+        let rig_from_cam = self.cam_from_rig.rotation.transpose();
+        self.camera.rays_into(&rig_from_cam, q_px.map(Column::from), d.map(ColumnMut::from));
         Ok(())
     }
 
