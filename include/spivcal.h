@@ -1353,8 +1353,8 @@ int32_t spivcal_calibration_run_sheet(uint64_t rig,
 /**
  * Starts spivcal_calibration_run in a thread of its own.
  *
- * The description is copied: `rig` may be changed or destroyed meanwhile. `job`: receives the handle. Errors of the description
- * itself are found here, those of the images by spivcal_job_result.
+ * The description is copied: `rig` may be changed or destroyed meanwhile. `job`: receives the handle. What is wrong with the description
+ * itself is found here (SPIVCAL_ERROR_INVALID_INPUT), with the images by spivcal_job_result.
  */
 int32_t spivcal_job_start(uint64_t rig,
                           uint64_t *job);

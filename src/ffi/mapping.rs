@@ -170,7 +170,7 @@ pub unsafe extern "C" fn spivcal_calibration_pixel_from_sheet(
 }
 
 /// Points of a block: what was found is still in a core's own cache where a reason has to be given.
-const BLOCK: usize = 1024;
+const BLOCK: usize = 4096;
 
 /// z of points of the sheet, of a block at most.
 fn in_sheet(count: usize) -> Column<'static> {

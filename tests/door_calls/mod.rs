@@ -18,9 +18,17 @@ pub type Target = fn(&[u8]);
 pub const TARGETS: [(&str, Target); 4] =
     [("calls", host::calls), ("rig", rig), ("calibration", calibration), ("image", image)];
 
-/// Runs the target of that name.
+/// Runs the target of that name; what it finds is printed and ends the process. (The library silences the panics of its process, since it
+/// must not print.)
+#[allow(clippy::print_stderr)]
 pub fn run(name: &str, data: &[u8]) {
-    TARGETS.iter().filter(|t| t.0 == name).for_each(|t| (t.1)(data));
+    let all = || TARGETS.iter().filter(|t| t.0 == name).for_each(|t| (t.1)(data));
+    if let Err(payload) = std::panic::catch_unwind(all) {
+        let words = payload.downcast_ref::<String>().cloned();
+        let words = words.or_else(|| payload.downcast_ref::<&str>().map(|s| s.to_string()));
+        eprintln!("{name}: {}", words.unwrap_or_default());
+        std::process::abort();
+    }
 }
 
 /// What an output holds before a call.
