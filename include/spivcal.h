@@ -1123,7 +1123,9 @@ int32_t spivcal_image_create_f32(uint64_t context,
  *
  * `path_utf8`: zero-terminated. `image`: receives the handle. SPIVCAL_ERROR_INVALID_INPUT where it cannot be read.
  */
-int32_t spivcal_image_load(uint64_t context, const char *path_utf8, uint64_t *image);
+int32_t spivcal_image_load(uint64_t context,
+                           const char *path_utf8,
+                           uint64_t *image);
 
 /**
  * Size of an image.
@@ -1156,7 +1158,8 @@ int32_t spivcal_detection_set_number(uint64_t detection, int32_t key, double val
  *
  * `image`: handle of the image. Blocks until it is done. SPIVCAL_OK also where no disc was found: see SPIVCAL_COUNT_DISCS.
  */
-int32_t spivcal_detection_run(uint64_t detection, uint64_t image);
+int32_t spivcal_detection_run(uint64_t detection,
+                              uint64_t image);
 
 /**
  * How many of something a detection holds.
@@ -1164,7 +1167,9 @@ int32_t spivcal_detection_run(uint64_t detection, uint64_t image);
  * `key`: SPIVCAL_COUNT_DISCS or SPIVCAL_COUNT_REJECTIONS. `count`: receives the number. SPIVCAL_ERROR_NOT_AVAILABLE before
  * spivcal_detection_run.
  */
-int32_t spivcal_detection_count(uint64_t detection, int32_t key, uint64_t *count);
+int32_t spivcal_detection_count(uint64_t detection,
+                                int32_t key,
+                                uint64_t *count);
 
 /**
  * Numbers of all discs (SPIVCAL_DISC_*, `disc` is not looked at), or of one disc (SPIVCAL_DISC_COVARIANCE and SPIVCAL_CONTOUR_*).
@@ -1312,7 +1317,10 @@ int32_t spivcal_rig_set_image(uint64_t rig, uint64_t view, uint64_t camera, uint
  *
  * `view`, `camera`: from 0. `path_utf8`: the file, zero-terminated; a relative path begins at the folder of the images.
  */
-int32_t spivcal_rig_set_image_file(uint64_t rig, uint64_t view, uint64_t camera, const char *path_utf8);
+int32_t spivcal_rig_set_image_file(uint64_t rig,
+                                   uint64_t view,
+                                   uint64_t camera,
+                                   const char *path_utf8);
 
 /**
  * Checks a description for sense without opening an image: SPIVCAL_OK, or SPIVCAL_ERROR_INVALID_INPUT with an error text.
@@ -1411,14 +1419,18 @@ int32_t spivcal_job_destroy(uint64_t job);
  *
  * `path_utf8`: the file. `calibration`: receives the handle. SPIVCAL_ERROR_INVALID_INPUT where it cannot be read or holds no calibration.
  */
-int32_t spivcal_calibration_load(uint64_t context, const char *path_utf8, uint64_t *calibration);
+int32_t spivcal_calibration_load(uint64_t context,
+                                 const char *path_utf8,
+                                 uint64_t *calibration);
 
 /**
  * Makes a calibration from the text of a calibration.json.
  *
  * `json_utf8`: zero-terminated. `calibration`: receives the handle. SPIVCAL_ERROR_INVALID_INPUT where it holds no calibration.
  */
-int32_t spivcal_calibration_parse(uint64_t context, const char *json_utf8, uint64_t *calibration);
+int32_t spivcal_calibration_parse(uint64_t context,
+                                  const char *json_utf8,
+                                  uint64_t *calibration);
 
 /**
  * Saves a calibration as calibration.json (schema version 1), which the program reads too, and every number of which is read back
