@@ -225,8 +225,11 @@ impl<const N: usize, const M: usize> Lists<'_, N, M> {
             if let Some(status) = &self.status {
                 (first..first + n).for_each(|i| status.set(i, SPIVCAL_POINT_OK));
             }
-            if !done {
-                refused |= (first..first + n).fold(false, |refused, i| self.explain(i, &one) || refused);
+            if done {
+                continue;
+            }
+            for i in first..first + n {
+                refused |= self.explain(i, &one);
             }
         }
         Ok(if refused { SPIVCAL_WARNING_POINTS } else { SPIVCAL_OK })

@@ -62,14 +62,15 @@ pub(crate) fn sweep<L: Lanes, E: Each<L, N, M>, const N: usize, const M: usize>(
     L::all(all.below(L::splat(1.0)))
 }
 
-/// 0, or `NaN` where a number or their sum is not finite.
+/// Zero of either sign, or `NaN` where a number or their sum is not finite.
 #[inline(always)]
 fn not_finite<L: Lanes, const M: usize>(found: [L; M]) -> L {
     let mut sum = found[0];
     for k in 1..M {
         sum = sum + found[k];
     }
-    sum - sum
+    // Infinity times zero is no number either.
+    sum * L::splat(0.0)
 }
 
 #[cfg(test)]
