@@ -14,6 +14,8 @@
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod check;
+#[path = "../../tests/detect_table/mod.rs"]
+mod detect_table;
 mod discs;
 mod once;
 mod problems;
