@@ -9,7 +9,8 @@
 //! ```
 //! Because the foot `phi` makes the distance stationary, the derivative is exactly `-n . dq/dz` at fixed `phi`, for
 //! every unknown z. `bitangent`: the 14 tangent features of a pair of discs, of ellipses fitted where the lens is undone,
-//! against the images of the circles' own features, whitened with their rank-10 covariance ([`adjust_tangents`]).
+//! against the images of the circles' own features, whitened with their rank-10 covariance ([`adjust_tangents`]). `points`: the images
+//! of the discs' centres, or of corners in their places, two whitened coordinates each ([`PointObservations`]).
 //!
 //! **Unknowns.**
 //!
@@ -37,6 +38,7 @@
 
 mod adjust;
 mod assemble;
+mod by_disc;
 mod chart;
 mod conflict;
 mod contour;
@@ -49,6 +51,8 @@ mod influence;
 mod layout;
 mod model;
 mod outline;
+mod part;
+mod points;
 mod posterior;
 mod refit;
 mod residuals;
@@ -56,7 +60,7 @@ mod retraction;
 mod state;
 mod tangent;
 
-pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, problem};
+pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, adjust_owned, problem, shared_covariance};
 pub use conflict::{PriorCheck, prior_checks};
 pub use extension::{Extension, ExtensionTest, extension_tests};
 pub use facts::{Fact, PriorOf};
@@ -66,7 +70,7 @@ pub use influence::{
 };
 pub use model::{
     CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, PairObservation,
-    PlanePosition, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
+    PlanePosition, PointObservations, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
 };
 pub use outline::OutlineNoise;
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
