@@ -31,6 +31,9 @@
 //! so that moving the axis point changes nothing but the distortion's centre. The *lens chart* has the intrinsics
 //! themselves and poses in the lens frame; it is used where f or a tilt is fixed.
 //!
+//! **Order of work.** Where observations are many a part of them finds the start. Views are eliminated, or where every disc is estimated and
+//! discs are more than poses the discs; either way the normal equations of the result have one block per view.
+//!
 //! **Gauge.** The first camera is the rig frame. Scale comes from one [`Fact`]. Nothing else is free.
 //!
 //! Source: the paper's section 2; Triggs et al. (2000); the orthogonal distance after Ahn, "Least squares orthogonal

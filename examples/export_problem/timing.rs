@@ -9,14 +9,14 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 /// Processor time of this thread in seconds, which other programs on the machine do not lengthen; `None` where the system does not tell.
-pub fn processor_seconds() -> Option<f64> {
+fn processor_seconds() -> Option<f64> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     Some(text.split(' ').next()?.parse::<f64>().ok()? * 1e-9)
 }
 
 /// Mean seconds of at least `rounds` calls and a quarter of a second, and what the last one gave: processor time of the one thread, or what
 /// the clock on the wall says of several.
-fn timed_calls<T>(rounds: usize, threads: usize, mut call: impl FnMut() -> T) -> (f64, T) {
+pub fn timed_calls<T>(rounds: usize, threads: usize, mut call: impl FnMut() -> T) -> (f64, T) {
     let begin = Instant::now();
     let now = || match processor_seconds() {
         Some(seconds) if threads == 1 => seconds,
