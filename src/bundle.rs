@@ -63,6 +63,11 @@ mod retraction;
 mod state;
 mod tangent;
 
+/// The scenes of the tests below `tests`, for those in here.
+#[cfg(test)]
+#[path = "../tests/rig_scene/mod.rs"]
+mod rig_scene;
+
 pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, adjust_owned, problem, shared_covariance};
 pub use conflict::{PriorCheck, prior_checks};
 pub use extension::{Extension, ExtensionTest, extension_tests};

@@ -201,8 +201,8 @@ fn many_views(views: usize, grid: Option<Grid>, edge_points: i32) -> Scene {
 
 /// Two cameras, `views` views of a perfect lattice of points over about 40 x 30 mm; truth offsets are none.
 fn many_points(points: usize, views: usize, estimated: bool) -> Scene {
-    // Rows and columns about 3 : 4, so many that their product is the number of points.
-    let rows = (1..=points).filter(|r| points % r == 0 && 3 * points >= 4 * r * r / 2).max().unwrap_or(1);
+    // A lattice as near to a square as the number of points allows.
+    let rows = (1..=points).filter(|r| points.is_multiple_of(*r) && 2 * r * r <= 3 * points).max().unwrap_or(1);
     let columns = points / rows;
     let pitch_mm = 40.0 / columns as f64;
     let (columns, rows) = (columns as i32, rows as i32);

@@ -1,13 +1,10 @@
 //! Elimination by discs against elimination by views.
 
-#[path = "../../../tests/rig_scene/mod.rs"]
-mod rig_scene;
-
 use super::*;
 use crate::bundle::adjust::Bundle;
+use crate::bundle::rig_scene::{Grid, Scene, tilted_camera};
 use crate::bundle::{AdjustOptions, Loss, State, adjust, problem};
 use crate::solve::{self, Problem};
-use rig_scene::{Grid, Scene, tilted_camera};
 
 /// More discs than six views of six unknowns.
 const DOTS: Grid = Grid { columns: 5, rows: 4, pitch_mm: 6.0, radius_mm: 1.8, print_error_mm: 0.01, turn: 1.0 };

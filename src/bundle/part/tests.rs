@@ -1,12 +1,9 @@
 //! What a start from a part changes: the number of linearisations, and nothing else.
 
-#[path = "../../../tests/rig_scene/mod.rs"]
-mod rig_scene;
-
 use super::*;
+use crate::bundle::rig_scene::{Grid, Scene, tilted_camera, with_tangents};
 use crate::bundle::{AdjustOptions, State, Termination, adjust, named_covariance, problem};
 use crate::solve;
-use rig_scene::{Grid, Scene, tilted_camera, with_tangents};
 
 const DOTS: Grid = Grid { columns: 8, rows: 6, pitch_mm: 5.0, radius_mm: 1.5, print_error_mm: 0.0, turn: 1.0 };
 const POINTS: Grid = Grid { columns: 30, rows: 20, pitch_mm: 1.3, radius_mm: 0.4, print_error_mm: 0.0, turn: 1.0 };

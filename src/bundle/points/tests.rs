@@ -1,19 +1,16 @@
 //! Lanes against the plain path, each width against the others, and the plain path against differences of the cost.
 
-#[path = "../../../tests/rig_scene/mod.rs"]
-mod rig_scene;
-
 use super::*;
 use crate::bundle::assemble::columns;
 use crate::bundle::contour::EDGE;
 use crate::bundle::layout::Places;
 use crate::bundle::model::Model;
 use crate::bundle::problem;
+use crate::bundle::rig_scene::{Grid, Noise, Scene, tilted_camera};
 use crate::bundle::state::State;
 use crate::lanes::run_all;
 use crate::solve::{Problem, Step};
 use nalgebra::DVector;
-use rig_scene::{Grid, Noise, Scene, tilted_camera};
 
 /// Part of the largest possible value (Cauchy-Schwarz) that rounding may take.
 const ROUNDING: f64 = 1e-11;
