@@ -15,7 +15,7 @@ pub enum Light {
     Slanted,
     /// Smoke in the disc alone: eight waves, 30 % together; the shortest half a disc long.
     Smoke,
-    /// A saturated spot of a quarter of the radius on the contour; where it adds more than about half the noise nothing is seen.
+    /// A saturated spot of a quarter of the radius on the contour; where it adds more than half the noise nothing is seen.
     Glare,
 }
 
@@ -206,15 +206,18 @@ impl Condition {
             let (s, c) = spot.phi.sin_cos();
             let (x, y) = (spot.a * turn.cos(), spot.b * turn.sin());
             let (gu, gv) = (spot.u + c * x - s * y, spot.v + s * x + c * y);
+            let top = if self.bits == 8 { 255.0 } else { 60_000.0 };
             if self.light == Light::Glare {
-                let top = if self.bits == 8 { 255.0 } else { 60_000.0 };
                 for (i, g) in clean.grey.iter_mut().enumerate() {
                     let d = ((i % clean.width) as f64 - gu).hypot((i / clean.width) as f64 - gv);
                     *g = (*g + 3.0 * top * (-0.5 * (d / (0.4 * radius)).powi(2)).exp()).min(top);
                 }
             }
             if scene < bounds {
-                let hidden = |u: f64, v: f64| self.light == Light::Glare && (u - gu).hypot(v - gv) < 1.6 * radius;
+                // Where the spot adds more than half the noise.
+                let sigmas = (2.0 * (3.0 * top / (0.5 * self.noise * self.step())).ln()).sqrt();
+                let hidden =
+                    |u: f64, v: f64| self.light == Light::Glare && (u - gu).hypot(v - gv) < 0.4 * radius * sigmas;
                 let b = self.bound(&waves, &light, &hidden);
                 (0..4).for_each(|k| bound[k] += b[k] * b[k] / bounds as f64);
             }
