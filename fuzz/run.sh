@@ -10,12 +10,16 @@ seconds=$((${1:-600} / ${#targets[@]}))
 
 if ! rustc +nightly --version >/dev/null 2>&1; then rustup toolchain install nightly --profile minimal; fi
 if ! cargo fuzz --version >/dev/null 2>&1; then cargo install --quiet --locked cargo-fuzz; fi
-# All of them first, so that the time is that of fuzzing.
+# All of them first, so that the time is that of fuzzing; then the programs themselves, since `cargo fuzz run` builds anew where a file
+# was touched meanwhile.
 cargo +nightly fuzz build
+built=fuzz/target/$(rustc +nightly -vV | sed -n 's/^host: //p')/release
+# As cargo-fuzz sets it: the library is in the program once as its own and once as a shared one.
+export ASAN_OPTIONS="detect_odr_violation=0${ASAN_OPTIONS:+:$ASAN_OPTIONS}"
 for target in "${targets[@]}"; do
     learned=fuzz/target/learned/$target
-    mkdir -p "$learned"
+    mkdir -p "$learned" "fuzz/artifacts/$target"
     echo "== $target: $seconds s"
-    cargo +nightly fuzz run "$target" "$learned" "fuzz/corpus/$target" -- \
+    "$built/$target" "$learned" "fuzz/corpus/$target" -artifact_prefix="fuzz/artifacts/$target/" \
         -max_total_time="$seconds" -max_len=65536 -timeout=120 -rss_limit_mb=4096 -print_final_stats=1
 done

@@ -15,6 +15,9 @@
    STATUS  Every function but spivcal_abi_version returns one: 0 done, negative: error, positive: done with a warning.
      After an error spivcal_error_text(handle) says why, with numbers and what to do next; handle is the FIRST argument of the call
      that failed. On an error no output is written, except the number of elements needed where a buffer is too small.
+     Every function may give SPIVCAL_ERROR_HANDLE, _HANDLE_TYPE, _POISONED, _PANIC and _INTERNAL; with a pointer _NULL, with a text _UTF8,
+     with a number, key or text _ARGUMENT, with an index _INDEX, with a buffer _BUFFER_TOO_SMALL, and where something is made _MEMORY.
+     Others are named by their function.
 
    POINTERS  The caller owns all memory; nothing that the library gives has to be freed. Inputs are copied before a call returns.
      Pointers may have any alignment. A pointer must not be NULL unless its function says so. Arrays and buffers must have the stated
@@ -1118,12 +1121,16 @@ int32_t spivcal_image_create_f32(uint64_t context,
 /**
  * Image from a file: PNG, TIFF (8, 16 bit, floating point), BMP, PGM, JPEG. Colours become grey.
  *
- * `path_utf8`: zero-terminated. `image`: receives the handle.
+ * `path_utf8`: zero-terminated. `image`: receives the handle. SPIVCAL_ERROR_INVALID_INPUT where it cannot be read.
  */
-int32_t spivcal_image_load(uint64_t context, const char *path_utf8, uint64_t *image);
+int32_t spivcal_image_load(uint64_t context,
+                           const char *path_utf8,
+                           uint64_t *image);
 
 /**
- * Width and height of an image, px.
+ * Size of an image.
+ *
+ * `width`, `height`: receive it, px.
  */
 int32_t spivcal_image_size(uint64_t image, uint32_t *width, uint32_t *height);
 
@@ -1149,22 +1156,27 @@ int32_t spivcal_detection_set_number(uint64_t detection, int32_t key, double val
 /**
  * Finds the discs of an image. What an earlier run found is replaced.
  *
- * Blocks until it is done. SPIVCAL_OK also where no disc was found: see SPIVCAL_COUNT_DISCS.
+ * `image`: handle of the image. Blocks until it is done. SPIVCAL_OK also where no disc was found: see SPIVCAL_COUNT_DISCS.
  */
-int32_t spivcal_detection_run(uint64_t detection, uint64_t image);
+int32_t spivcal_detection_run(uint64_t detection,
+                              uint64_t image);
 
 /**
  * How many of something a detection holds.
  *
- * `key`: SPIVCAL_COUNT_DISCS or SPIVCAL_COUNT_REJECTIONS. `count`: receives the number.
+ * `key`: SPIVCAL_COUNT_DISCS or SPIVCAL_COUNT_REJECTIONS. `count`: receives the number. SPIVCAL_ERROR_NOT_AVAILABLE before
+ * spivcal_detection_run.
  */
-int32_t spivcal_detection_count(uint64_t detection, int32_t key, uint64_t *count);
+int32_t spivcal_detection_count(uint64_t detection,
+                                int32_t key,
+                                uint64_t *count);
 
 /**
  * Numbers of all discs (SPIVCAL_DISC_*, `disc` is not looked at), or of one disc (SPIVCAL_DISC_COVARIANCE and SPIVCAL_CONTOUR_*).
  *
  * `key`: says what, its length and its unit. `disc`: from 0.
- * `buffer`: `capacity` doubles. `needed`: receives their number. `capacity` 0 asks for `needed` alone.
+ * `buffer`: `capacity` doubles. `needed`: receives their number. `capacity` 0 asks for `needed` alone. SPIVCAL_ERROR_NOT_AVAILABLE before
+ * spivcal_detection_run.
  */
 int32_t spivcal_detection_array_copy(uint64_t detection,
                                      int32_t key,
@@ -1178,7 +1190,7 @@ int32_t spivcal_detection_array_copy(uint64_t detection,
  *
  * `key`: SPIVCAL_TEXT_JSON (everything that was found, with contours, features of a pair and rejections) or
  * SPIVCAL_TEXT_REJECTION (why candidate `index` was turned down). `image_name_utf8`: named in the JSON, may be NULL.
- * `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy.
+ * `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy. SPIVCAL_ERROR_NOT_AVAILABLE before spivcal_detection_run.
  */
 int32_t spivcal_detection_text_copy(uint64_t detection,
                                     int32_t key,
@@ -1217,7 +1229,7 @@ int32_t spivcal_rig_parse(uint64_t context,
  * Makes a rig description from a rig file.
  *
  * `path_utf8`: the file. `images_dir_utf8`: folder that relative paths of images begin at; NULL or "": that of the file.
- * `rig`: receives the handle. Images are read when a calibration asks for them.
+ * `rig`: receives the handle; SPIVCAL_ERROR_INVALID_INPUT as for spivcal_rig_parse. Images are read when a calibration asks for them.
  */
 int32_t spivcal_rig_load(uint64_t context,
                          const char *path_utf8,
@@ -1255,6 +1267,7 @@ int32_t spivcal_rig_add_mark(uint64_t rig,
  * Sets a number of the description.
  *
  * `key`: one of the number keys SPIVCAL_RIG_*, which say unit and what `index` counts. `index`: 0 where nothing is counted.
+ * `value`: a finite number.
  */
 int32_t spivcal_rig_set_number(uint64_t rig,
                                int32_t key,
@@ -1264,14 +1277,14 @@ int32_t spivcal_rig_set_number(uint64_t rig,
 /**
  * Sets a word of the description.
  *
- * `key`: one of the text keys SPIVCAL_RIG_*, which list the words. `index`: 0.
+ * `key`: one of the text keys SPIVCAL_RIG_*, which list the words. `index`: 0. `text_utf8`: zero-terminated.
  */
 int32_t spivcal_rig_set_text(uint64_t rig, int32_t key, uint64_t index, const char *text_utf8);
 
 /**
  * States what is known of a parameter of a camera beforehand.
  *
- * `parameter`: SPIVCAL_PARAMETER_*, with the unit of `value` and `sigma`. `sigma` > 0: a prior; 0: the value is exact.
+ * `camera`: from 0. `parameter`: SPIVCAL_PARAMETER_*, with the unit of `value` and `sigma`. `sigma` > 0: a prior; 0: the value is exact.
  */
 int32_t spivcal_rig_set_known(uint64_t rig,
                               uint64_t camera,
@@ -1295,14 +1308,19 @@ int32_t spivcal_rig_set_scale(uint64_t rig,
 /**
  * Gives the image that a camera saw in a view. It takes the place of a file that the description names.
  *
- * `image`: handle; the rig keeps the image, the handle may be destroyed.
+ * `view`, `camera`: from 0. `image`: handle; the rig keeps the image, the handle may be destroyed.
  */
 int32_t spivcal_rig_set_image(uint64_t rig, uint64_t view, uint64_t camera, uint64_t image);
 
 /**
  * Names the file of the image that a camera saw in a view; it is read when a calibration asks for it.
+ *
+ * `view`, `camera`: from 0. `path_utf8`: the file, zero-terminated; a relative path begins at the folder of the images.
  */
-int32_t spivcal_rig_set_image_file(uint64_t rig, uint64_t view, uint64_t camera, const char *path_utf8);
+int32_t spivcal_rig_set_image_file(uint64_t rig,
+                                   uint64_t view,
+                                   uint64_t camera,
+                                   const char *path_utf8);
 
 /**
  * Checks a description for sense without opening an image: SPIVCAL_OK, or SPIVCAL_ERROR_INVALID_INPUT with an error text.
@@ -1343,8 +1361,8 @@ int32_t spivcal_calibration_run_sheet(uint64_t rig,
 /**
  * Starts spivcal_calibration_run in a thread of its own.
  *
- * The description is copied: `rig` may be changed or destroyed meanwhile. `job`: receives the handle. Errors of the description
- * itself are found here, those of the images by spivcal_job_result.
+ * The description is copied: `rig` may be changed or destroyed meanwhile. `job`: receives the handle. What is wrong with the description
+ * itself is found here (SPIVCAL_ERROR_INVALID_INPUT), with the images by spivcal_job_result.
  */
 int32_t spivcal_job_start(uint64_t rig,
                           uint64_t *job);
@@ -1399,22 +1417,27 @@ int32_t spivcal_job_destroy(uint64_t job);
 /**
  * Loads a calibration from the file calibration.json that the program or spivcal_calibration_save wrote.
  *
- * `path_utf8`: the file. `calibration`: receives the handle.
+ * `path_utf8`: the file. `calibration`: receives the handle. SPIVCAL_ERROR_INVALID_INPUT where it cannot be read or holds no calibration.
  */
-int32_t spivcal_calibration_load(uint64_t context, const char *path_utf8, uint64_t *calibration);
+int32_t spivcal_calibration_load(uint64_t context,
+                                 const char *path_utf8,
+                                 uint64_t *calibration);
 
 /**
  * Makes a calibration from the text of a calibration.json.
  *
- * `json_utf8`: zero-terminated. `calibration`: receives the handle.
+ * `json_utf8`: zero-terminated. `calibration`: receives the handle. SPIVCAL_ERROR_INVALID_INPUT where it holds no calibration.
  */
-int32_t spivcal_calibration_parse(uint64_t context, const char *json_utf8, uint64_t *calibration);
+int32_t spivcal_calibration_parse(uint64_t context,
+                                  const char *json_utf8,
+                                  uint64_t *calibration);
 
 /**
  * Saves a calibration as calibration.json (schema version 1), which the program reads too, and every number of which is read back
  * to the bit.
  *
  * `path_utf8`: the file; written under a temporary name and renamed, so that a failure leaves the old file. Missing folders are made.
+ * SPIVCAL_ERROR_INVALID_INPUT where it cannot be written.
  */
 int32_t spivcal_calibration_save(uint64_t calibration,
                                  const char *path_utf8);
@@ -1444,7 +1467,8 @@ int32_t spivcal_calibration_number(uint64_t calibration,
  * An array of a calibration.
  *
  * `key`: SPIVCAL_ARRAY_*, which says length, order, unit and what `index` counts (0 where nothing).
- * `buffer`: `capacity` doubles. `needed`: receives their number. `capacity` 0 asks for `needed` alone.
+ * `buffer`: `capacity` doubles. `needed`: receives their number. `capacity` 0 asks for `needed` alone. SPIVCAL_ERROR_NOT_AVAILABLE where
+ * the calibration has no such array.
  */
 int32_t spivcal_calibration_array_copy(uint64_t calibration,
                                        int32_t key,
@@ -1457,7 +1481,7 @@ int32_t spivcal_calibration_array_copy(uint64_t calibration,
  * A text of a calibration.
  *
  * `key`: SPIVCAL_TEXT_*, which says what `index` counts (0 where nothing).
- * `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy.
+ * `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy. SPIVCAL_ERROR_NOT_AVAILABLE where the calibration has no such text.
  */
 int32_t spivcal_calibration_text_copy(uint64_t calibration,
                                       int32_t key,
@@ -1476,7 +1500,8 @@ int32_t spivcal_calibration_destroy(uint64_t calibration);
  *
  * `camera`: from 0. `x_mm`, `y_mm`, `z_mm`: `count` doubles each, mm, rig frame (that of the first camera: x right, y down, z forward).
  * `u_px`, `v_px`: receive `count` doubles each; (0, 0) is the centre of the first pixel. NaN where a point has no image.
- * `point_status`: receives `count` SPIVCAL_POINT_*; may be NULL. Arrays that are written must not overlap others.
+ * `point_status`: receives `count` SPIVCAL_POINT_*; may be NULL. Arrays that are written must not overlap others. A point has the same
+ * result, to the bit, alone and among others: a call with many points is what is quick.
  * SPIVCAL_OK, or SPIVCAL_WARNING_POINTS where at least one point has no image.
  */
 int32_t spivcal_calibration_project(uint64_t calibration,

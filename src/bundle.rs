@@ -9,7 +9,8 @@
 //! ```
 //! Because the foot `phi` makes the distance stationary, the derivative is exactly `-n . dq/dz` at fixed `phi`, for
 //! every unknown z. `bitangent`: the 14 tangent features of a pair of discs, of ellipses fitted where the lens is undone,
-//! against the images of the circles' own features, whitened with their rank-10 covariance ([`adjust_tangents`]).
+//! against the images of the circles' own features, whitened with their rank-10 covariance ([`adjust_tangents`]). `points`: the images
+//! of the discs' centres, or of corners in their places, two whitened coordinates each ([`PointObservations`]).
 //!
 //! **Unknowns.**
 //!
@@ -30,6 +31,9 @@
 //! so that moving the axis point changes nothing but the distortion's centre. The *lens chart* has the intrinsics
 //! themselves and poses in the lens frame; it is used where f or a tilt is fixed.
 //!
+//! **Order of work.** Where observations are many a part of them finds the start. Views are eliminated, or where every disc is estimated and
+//! discs are more than poses the discs; either way the normal equations of the result have one block per view.
+//!
 //! **Gauge.** The first camera is the rig frame. Scale comes from one [`Fact`]. Nothing else is free.
 //!
 //! Source: the paper's section 2; Triggs et al. (2000); the orthogonal distance after Ahn, "Least squares orthogonal
@@ -37,6 +41,7 @@
 
 mod adjust;
 mod assemble;
+mod by_disc;
 mod chart;
 mod conflict;
 mod contour;
@@ -49,6 +54,8 @@ mod influence;
 mod layout;
 mod model;
 mod outline;
+mod part;
+mod points;
 mod posterior;
 mod refit;
 mod residuals;
@@ -56,7 +63,12 @@ mod retraction;
 mod state;
 mod tangent;
 
-pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, problem};
+/// The scenes of the tests below `tests`, for those in here.
+#[cfg(test)]
+#[path = "../tests/rig_scene/mod.rs"]
+mod rig_scene;
+
+pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, adjust_owned, problem, shared_covariance};
 pub use conflict::{PriorCheck, prior_checks};
 pub use extension::{Extension, ExtensionTest, extension_tests};
 pub use facts::{Fact, PriorOf};
@@ -66,7 +78,7 @@ pub use influence::{
 };
 pub use model::{
     CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, PairObservation,
-    PlanePosition, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
+    PlanePosition, PointObservations, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
 };
 pub use outline::OutlineNoise;
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};

@@ -35,6 +35,7 @@
 //! Not valid, and refused by [`Refusal`]: behind the camera; where the ray no longer meets the sensor (`h <= 0`);
 //! beyond the radius where `r g(r^2)` stops growing (at most 1e3); where numbers overflow.
 
+mod arrays;
 mod bulk;
 mod convert;
 mod design;
@@ -42,6 +43,7 @@ mod lanes;
 mod radial;
 mod window;
 
+pub(crate) use arrays::rows;
 pub(crate) use bulk::BulkCamera;
 pub use convert::{EffectivePinhole, HalconTilt, OpenCvTilted};
 pub use design::Drawing;

@@ -193,3 +193,16 @@ impl Invalid {
         Invalid::Value { name: name.into(), value, expected: expected.into() }
     }
 }
+
+/// Refuses lists of other lengths than that of the first.
+pub(crate) fn same_length(name: &str, wanted: usize, lists: &[&[f64]]) -> Result<()> {
+    match lists.iter().find(|l| l.len() != wanted) {
+        None => Ok(()),
+        Some(l) => Err(Invalid::value(
+            format!("number of {name}"),
+            l.len() as f64,
+            format!("lists of one length, as the first with {wanted}"),
+        )
+        .into()),
+    }
+}

@@ -8,8 +8,13 @@
 //! Outside of `ffi` this is the one room with `unsafe` code: the processor's instructions, each used only in a function compiled for it.
 #![allow(unsafe_code)]
 
+mod columns;
+mod sweep;
 #[cfg(target_arch = "x86_64")]
 mod x86;
+
+pub(crate) use columns::{Column, ColumnMut};
+pub(crate) use sweep::{Each, sweep};
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -30,6 +35,16 @@ pub(crate) trait Lanes:
     fn load(x: &[f64]) -> Self;
     /// Into the first N places of a slice; panics where it is shorter.
     fn store(self, out: &mut [f64]);
+    /// N numbers at a place of any alignment.
+    ///
+    /// # Safety
+    /// They can be read.
+    unsafe fn load_at(x: *const f64) -> Self;
+    /// To N places of any alignment.
+    ///
+    /// # Safety
+    /// They can be written.
+    unsafe fn store_at(self, out: *mut f64);
     /// Square root.
     fn sqrt(self) -> Self;
     /// `self < other`; false for NaN.
@@ -66,6 +81,16 @@ impl Lanes for f64 {
     #[inline(always)]
     fn store(self, out: &mut [f64]) {
         out[0] = self;
+    }
+    #[inline(always)]
+    unsafe fn load_at(x: *const f64) -> Self {
+        // SAFETY: the contract of this function.
+        unsafe { x.read_unaligned() }
+    }
+    #[inline(always)]
+    unsafe fn store_at(self, out: *mut f64) {
+        // SAFETY: the contract of this function.
+        unsafe { out.write_unaligned(self) }
     }
     #[inline(always)]
     fn sqrt(self) -> Self {

@@ -39,7 +39,7 @@ mod reduced;
 mod score;
 
 pub use factor::{SymmetricEigen, symmetric_eigen};
-pub use posterior::{BlockPosterior, Posterior, posterior};
+pub use posterior::{BlockPosterior, Posterior, global_covariance, posterior};
 pub use score::{Prediction, Score, ScoreTests, predict};
 
 use nalgebra::{DMatrix, DVector};
@@ -182,7 +182,7 @@ pub struct Iteration {
     pub number: usize,
     /// Current cost.
     pub cost: f64,
-    /// Newton decrement, in sigmas.
+    /// Newton decrement, in sigmas; while it is far above the limit, that of the damped step ahead, which is at most as long.
     pub decrement: f64,
 }
 
@@ -197,6 +197,8 @@ pub struct Outcome<S> {
     pub decrement: f64,
     /// Linearisations made.
     pub iterations: usize,
+    /// Damping of the step that would have come next.
+    pub damping: f64,
     /// Why it ended.
     pub termination: Termination,
     /// Normal equations at the state (`None` only for a bad start).
@@ -213,11 +215,28 @@ const MU_MAX: f64 = 1e24;
 /// Damping below which it cannot be felt.
 const MU_MIN: f64 = 1e-9;
 
+/// Damping from which a start of unknown quality is left.
+pub const FIRST_DAMPING: f64 = 1.0;
+/// A damped decrement may exceed that with [`FLAT_RIDGE`] by what rounding adds in flat directions: by no more than this times the
+/// limit is the latter worth its elimination.
+const NEAR: f64 = 1e3;
+
 /// Minimises a problem from a start. `observe` sees every iteration and returns false to cancel.
 pub fn minimise<P: Problem>(
     problem: &P,
     start: P::State,
     options: &Options,
+    observe: &mut dyn FnMut(&Iteration) -> bool,
+) -> Outcome<P::State> {
+    minimise_damped(problem, start, options, FIRST_DAMPING, observe)
+}
+
+/// The same with a damping to begin with: a start known to be good needs less than [`FIRST_DAMPING`].
+pub fn minimise_damped<P: Problem>(
+    problem: &P,
+    start: P::State,
+    options: &Options,
+    damping: f64,
     observe: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Outcome<P::State> {
     let mut state = start;
@@ -227,34 +246,41 @@ pub fn minimise<P: Problem>(
             cost: f64::INFINITY,
             decrement: f64::INFINITY,
             iterations: 0,
+            damping,
             termination: Termination::BadStart,
             equations: None,
         };
     };
-    let mut radius = Damping { mu: 1.0, growth: GROWTH, bent: false };
+    let mut radius = Damping { mu: damping, growth: GROWTH, bent: false };
     let mut iterations = 1;
-    let (mut decrement, termination) = loop {
-        let decrement = decrement(&equations);
-        if !observe(&Iteration { number: iterations, cost: equations.cost, decrement }) {
-            break (decrement, Termination::Cancelled);
+    let (mut left, termination) = loop {
+        let scales = problem.scales(&state);
+        let reduced = Reduced::of(&equations, &Ridge::Scaled { mu: radius.mu, scales: &scales });
+        let ahead = reduced.as_ref().map_or(0.0, Reduced::decrement);
+        let far = ahead > NEAR * options.decrement;
+        let seen = if far { ahead } else { decrement(&equations) };
+        let exact = || if far { decrement(&equations) } else { seen };
+        if !observe(&Iteration { number: iterations, cost: equations.cost, decrement: seen }) {
+            break (exact(), Termination::Cancelled);
         }
-        if decrement < options.decrement {
-            break (decrement, Termination::Converged);
+        if !far && seen < options.decrement {
+            break (seen, Termination::Converged);
         }
         if iterations >= options.iterations {
-            break (decrement, Termination::IterationLimit);
+            break (exact(), Termination::IterationLimit);
         }
-        match accepted_step(problem, &state, &equations, &mut radius) {
+        match accepted_step(problem, &state, (&equations, reduced), &mut radius, &scales) {
             Some((next, next_equations)) => (state, equations) = (next, next_equations),
-            None => break (decrement, Termination::Stalled),
+            None => break (exact(), Termination::Stalled),
         }
         iterations += 1;
     };
-    if !decrement.is_finite() {
-        decrement = f64::INFINITY;
+    if !left.is_finite() {
+        left = f64::INFINITY;
     }
     let cost = equations.cost;
-    Outcome { state, cost, decrement, iterations, termination, equations: Some(equations) }
+    let damping = radius.mu;
+    Outcome { state, cost, decrement: left, iterations, damping, termination, equations: Some(equations) }
 }
 
 struct Damping {
@@ -271,16 +297,17 @@ const STRAIGHT_GAIN: f64 = 0.9;
 /// Largest acceleration over velocity.
 const BEND_LIMIT: f64 = 0.75;
 
-/// Shortens the step until the cost falls; `None` where nothing helps.
-fn accepted_step<P: Problem>(
+/// Shortens the step until the cost falls; `None` where nothing helps. With the equations come those eliminated with the damping at hand.
+fn accepted_step<'a, P: Problem>(
     problem: &P,
     state: &P::State,
-    equations: &NormalEquations,
+    (equations, mut reduced): (&'a NormalEquations, Option<Reduced<'a>>),
     damping: &mut Damping,
+    scales: &'a Step,
 ) -> Option<(P::State, NormalEquations)> {
-    let scales = problem.scales(state);
     while damping.mu < MU_MAX {
-        if let Some(trial) = trial_step(problem, state, equations, damping, &scales) {
+        let tried = reduced.as_ref().and_then(|r| trial_step(problem, state, (equations, r), damping, scales));
+        if let Some(trial) = tried {
             // Nielsen's law, allowed to fall by 100 so that the weak valley is undamped after few good steps.
             let factor = (1.0 - (2.0 * trial.gain - 1.0).powi(3)).clamp(0.01, 2.0);
             *damping =
@@ -290,6 +317,7 @@ fn accepted_step<P: Problem>(
         damping.mu *= damping.growth;
         damping.growth *= 2.0;
         damping.bent = true;
+        reduced = Reduced::of(equations, &Ridge::Scaled { mu: damping.mu, scales });
     }
     None
 }
@@ -310,11 +338,10 @@ struct Trial<S> {
 fn trial_step<P: Problem>(
     problem: &P,
     state: &P::State,
-    equations: &NormalEquations,
+    (equations, reduced): (&NormalEquations, &Reduced),
     damping: &Damping,
     scales: &Step,
 ) -> Option<Trial<P::State>> {
-    let reduced = Reduced::of(equations, &Ridge::Scaled { mu: damping.mu, scales })?;
     let velocity = reduced.step();
     let mut step = velocity.clone();
     if damping.bent

@@ -277,6 +277,59 @@ fn every_exported_function_is_declared_with_allowed_types() {
     assert!(faults.is_empty(), "{faults:#?}");
 }
 
+/// Each function's comment, name and parameters as the header has them.
+fn documented(header: &str) -> Vec<(String, String, Vec<String>)> {
+    let mut all = Vec::new();
+    for (at, _) in header.match_indices("\nint32_t spivcal_") {
+        let comment = header[..at].rsplit_once("/**").map_or("", |c| c.1);
+        // A comment that belongs to something before is none of this function.
+        let comment =
+            if comment.trim_end().ends_with("*/") && comment.matches("*/").count() == 1 { comment } else { "" };
+        let (head, rest) = header[at..].split_once('(').unwrap();
+        let inside = rest.split_once(')').unwrap().0;
+        let name = |p: &str| p.trim().rsplit([' ', '*']).next().unwrap().to_string();
+        let parameters = inside.split(',').map(name).filter(|p| p != "void").collect();
+        all.push((comment.to_string(), name(head), parameters));
+    }
+    all
+}
+
+/// Parameters that no comment explains: neither that of their function nor one that it refers to. The first parameter is the handle of the
+/// object that the function is about.
+fn unexplained(all: &[(String, String, Vec<String>)]) -> Vec<String> {
+    let explains = |comment: &str, p: &str| comment.contains(&format!("`{p}`"));
+    let mut faults = Vec::new();
+    for (comment, name, parameters) in all {
+        if comment.trim().len() < 12 {
+            faults.push(format!("{name}: no comment"));
+        }
+        for p in parameters.iter().skip(1) {
+            let referred = |other: &(String, String, Vec<String>)| {
+                other.1 != *name && comment.contains(&other.1) && other.2.contains(p) && explains(&other.0, p)
+            };
+            if !explains(comment, p) && !all.iter().any(referred) {
+                faults.push(format!("{name}: {p}"));
+            }
+        }
+    }
+    faults
+}
+
+#[test]
+fn every_function_says_what_its_parameters_are() {
+    let all = documented(&header());
+    assert_eq!(all.iter().map(|f| f.1.clone()).collect::<BTreeSet<_>>(), exported());
+    assert_eq!(unexplained(&all), Vec::<String>::new());
+    let one = |comment: &str| {
+        let head =
+            format!("/**\n * {comment}\n */\nint32_t spivcal_a(uint64_t h,\n                  const double *x_mm);\n");
+        unexplained(&documented(&head))
+    };
+    assert!(one("Does something. `x_mm`: a double.").is_empty());
+    assert_eq!(one("Does something with x_mm."), ["spivcal_a: x_mm"]);
+    assert_eq!(unexplained(&documented("\nint32_t spivcal_a(void);\n")), ["spivcal_a: no comment"]);
+}
+
 #[test]
 fn constants_are_documented_and_no_number_means_two_things() {
     let header = header();
@@ -295,6 +348,21 @@ fn constants_are_documented_and_no_number_means_two_things() {
         }
     }
     assert!(count > 100, "{count} constants");
+}
+
+fn constants(header: &str) -> std::collections::BTreeMap<&str, &str> {
+    header.lines().filter_map(|l| l.strip_prefix("#define ")?.split_once(' ')).map(|(n, v)| (n, v.trim())).collect()
+}
+
+/// Numbers are compiled into programs: those of the first release stay. (Its functions are the business of `cpp_tests/interface`.)
+#[test]
+fn constants_of_the_first_release_keep_their_numbers() {
+    let (frozen, today) = (include_str!("../cpp_tests/interface/frozen/spivcal.h"), header());
+    let (frozen, today) = (constants(frozen), constants(&today));
+    assert!(frozen.len() > 100, "{} constants", frozen.len());
+    for (name, value) in frozen {
+        assert_eq!(today.get(name), Some(&value), "{name}");
+    }
 }
 
 #[test]

@@ -22,14 +22,19 @@ fn convert(arguments: &[&str], expected: i32) -> String {
     said
 }
 
+/// Calibrates `examples/printed` into a folder; the path of its calibration.json.
+fn calibrate_printed(folder: &str) -> String {
+    let rig = example("printed").join("rig.toml");
+    let out = spivcal(&["calibrate", rig.to_str().unwrap(), "-o", folder]);
+    assert_eq!(out.status.code(), Some(0), "{}", String::from_utf8_lossy(&out.stderr));
+    format!("{folder}/calibration.json")
+}
+
 #[test]
 fn a_calibration_goes_out_and_comes_back() {
     let scratch = tempfile::tempdir().unwrap();
     let path = |name: &str| scratch.path().join(name).to_str().unwrap().to_string();
-    let rig = example("printed").join("rig.toml");
-    let out = spivcal(&["calibrate", rig.to_str().unwrap(), "-o", &path("c")]);
-    assert_eq!(out.status.code(), Some(0), "{}", String::from_utf8_lossy(&out.stderr));
-    let json = path("c/calibration.json");
+    let json = calibrate_printed(&path("c"));
     for (format, file) in [("opencv", "opencv.yml"), ("opencv-xml", "opencv.xml")] {
         convert(&[&json, "--to", format, "-o", &path("out")], 0);
         convert(&["--from", "opencv", &path(&format!("out/{file}")), "-o", &path("back")], 0);
@@ -74,10 +79,7 @@ fn a_calibration_goes_out_and_comes_back() {
 fn the_sheet_frame_is_placed_and_placed_back() {
     let scratch = tempfile::tempdir().unwrap();
     let path = |name: &str| scratch.path().join(name).to_str().unwrap().to_string();
-    let rig = example("printed").join("rig.toml");
-    let out = spivcal(&["calibrate", rig.to_str().unwrap(), "-o", &path("c")]);
-    assert_eq!(out.status.code(), Some(0), "{}", String::from_utf8_lossy(&out.stderr));
-    let json = path("c/calibration.json");
+    let json = calibrate_printed(&path("c"));
     convert(&[&json, "--to", "spivcal", "--origin-mm", "5,-2", "--turn-deg", "90", "-o", &path("a")], 0);
     let (old, new) = (record(Path::new(&json)), record(Path::new(&path("a/calibration.json"))));
     let (s, t) = (old.sheet.as_ref().unwrap(), new.sheet.as_ref().unwrap());

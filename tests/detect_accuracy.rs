@@ -8,7 +8,8 @@ use detect_table::{Condition, Light};
 use nalgebra::SVector;
 use render::Random;
 use render::accuracy::{Case, bound, cases};
-use spivcal::detect::{DetectOptions, find_discs};
+use spivcal::detect::{DetectOptions, Disc, find_discs};
+use spivcal::simulate::{Scene, simulate};
 use std::f64::consts::PI;
 
 struct Score {
@@ -99,4 +100,55 @@ fn the_table_of_conditions_in_short() {
         }
         assert!((0.6..1.6).contains(&row.z2), "row {k}: sigmas are not true, z^2 {}", row.z2);
     }
+}
+
+/// Bubbles of 5 to 15 px full of smoke, as the simulator renders them: light carries shot noise that the ground does not show, and
+/// smoke has waves of all lengths.
+#[test]
+fn sigmas_are_true_in_small_bubbles_full_of_smoke() {
+    for (divisor, length_mm) in [(12.0, 1.5), (12.0, 0.5)] {
+        let simulation = simulate(&smaller_bubbles(divisor, length_mm)).unwrap();
+        let truth: serde_json::Value = serde_json::from_str(&simulation.truth_json).unwrap();
+        let (mut z2, mut count) = ([0.0; 4], 0.0);
+        for view in truth["views"].as_array().unwrap().iter().skip(1) {
+            for (camera, file) in view["images"].as_object().unwrap() {
+                let image = &simulation.images.iter().find(|(name, _)| Some(&name[..]) == file.as_str()).unwrap().1;
+                let found = find_discs(&image.view(), &DetectOptions::default()).unwrap().discs;
+                for disc in view["discs"].as_array().unwrap() {
+                    let e = &disc["images"][camera]["ellipse"];
+                    let at = |key: &str| e[key].as_f64().unwrap();
+                    let (u, v) = (e["center_px"][0].as_f64().unwrap(), e["center_px"][1].as_f64().unwrap());
+                    let away = |d: &&Disc| (d.ellipse.center_px.u_px - u).hypot(d.ellipse.center_px.v_px - v);
+                    let d = found.iter().min_by(|a, b| away(a).total_cmp(&away(b))).unwrap();
+                    let error = [
+                        d.ellipse.center_px.u_px - u,
+                        d.ellipse.center_px.v_px - v,
+                        d.ellipse.semi_major_px - at("semi_major_px"),
+                        d.ellipse.semi_minor_px - at("semi_minor_px"),
+                    ];
+                    (0..4).for_each(|k| z2[k] += error[k] * error[k] / d.covariance[(k, k)]);
+                    count += 1.0;
+                }
+            }
+        }
+        let z2 = z2.map(|x| x / count);
+        println!("radii over {divisor}, smoke of {length_mm} mm: mean z^2 of {count} discs {z2:.2?}");
+        // Both cameras see the same smoke: about as many independent errors as bubbles.
+        let limit = 1.0 + 4.0 * (2.0 / (0.5 * count)).sqrt();
+        assert!(z2.iter().all(|x| *x < limit), "{z2:?} above {limit}");
+    }
+}
+
+/// `examples/bubbles` with its bubbles made smaller.
+fn smaller_bubbles(divisor: f64, smoke_length_mm: f64) -> Scene {
+    let text = include_str!("../examples/bubbles/scene.toml");
+    let line = |line: &str| match line.strip_prefix("radii_mm = [").and_then(|x| x.strip_suffix(']')) {
+        Some(pair) => {
+            let radii: Vec<f64> = pair.split(',').map(|x| x.trim().parse::<f64>().unwrap() / divisor).collect();
+            format!("radii_mm = {radii:?}")
+        }
+        None if line.starts_with("smoke_length_mm") => format!("smoke_length_mm = {smoke_length_mm:?}"),
+        None => line.to_string(),
+    };
+    Scene::parse(&text.lines().map(line).collect::<Vec<_>>().join("\n"), "scene.toml").unwrap()
 }

@@ -212,7 +212,50 @@ bool tangents(const Tangents& seen, const Camera& c, const Motion& m, const doub
   return true;
 }
 
+bool points(const Points& seen, const Camera& c, const Motion& m, const double* shape, double* r, double* jacobian) {
+  for (size_t i = 0; i < seen.u.size(); ++i) {
+    const auto& n = seen.node[i];
+    const double by[3][4] = {{n[0], n[1], 0.0, 0.0}, {}, {0.0, 0.0, -n[2], 0.0}};
+    const double x[3] = {n[0] * shape[0], n[1] * shape[0], -n[2] * shape[2]};
+    double p[3];
+    for (int k = 0; k < 3; ++k) p[k] = m.r[3 * k] * x[0] + m.r[3 * k + 1] * x[1] + m.r[3 * k + 2] * x[2] + m.t[k];
+    Projected at;
+    if (!at.of(c, p)) return false;
+    const double iw = 1.0 / seen.sigma[i];
+    r[2 * i] = (seen.u[i] - at.u) * iw, r[2 * i + 1] = (seen.v[i] - at.v) * iw;
+    if (!jacobian) continue;
+    for (int s = 0; s < 2; ++s) {
+      double g[3], *row = jacobian + kLocal * (2 * i + s);
+      at.derivative(c, s == 0 ? -iw : 0.0, s == 1 ? -iw : 0.0, g, row);
+      behind_intrinsics(p, g, m, by, 0.0, row);
+    }
+  }
+  return true;
+}
+
 }  // namespace
+
+bool evaluate_point(const double* intrinsics, const Motion& m, const double* x, const double* seen, double* r,
+                    double* jacobian, double* by_place) {
+  const Camera c(intrinsics);
+  double p[3];
+  for (int k = 0; k < 3; ++k) p[k] = m.r[3 * k] * x[0] + m.r[3 * k + 1] * x[1] + m.r[3 * k + 2] * x[2] + m.t[k];
+  Projected at;
+  if (!at.of(c, p)) return false;
+  const double iw = 1.0 / seen[2];
+  r[0] = (seen[0] - at.u) * iw, r[1] = (seen[1] - at.v) * iw;
+  if (!jacobian) return true;
+  for (int s = 0; s < 2; ++s) {
+    double g[3], *row = jacobian + 16 * s;
+    at.derivative(c, s == 0 ? -iw : 0.0, s == 1 ? -iw : 0.0, g, row);
+    row[10] = p[1] * g[2] - p[2] * g[1], row[11] = p[2] * g[0] - p[0] * g[2], row[12] = p[0] * g[1] - p[1] * g[0];
+    for (int k = 0; k < 3; ++k) {
+      row[13 + k] = g[k];
+      by_place[3 * s + k] = g[0] * m.r[k] + g[1] * m.r[3 + k] + g[2] * m.r[6 + k];
+    }
+  }
+  return true;
+}
 
 Motion Motion::of(const double* q) {
   const double a = q[0], b = q[1], c = q[2], d = q[3];
@@ -238,7 +281,7 @@ int Image::residuals() const {
   int n = 0;
   for (const Contour& c : contours) n += static_cast<int>(c.u.size());
   for (const Tangents& t : tangents) n += t.rank;
-  return n;
+  return n + 2 * static_cast<int>(points.u.size());
 }
 
 bool evaluate(Image& image, const double* intrinsics, const Motion& cam_from_target, const double* shape,
@@ -256,7 +299,7 @@ bool evaluate(Image& image, const double* intrinsics, const Motion& cam_from_tar
     if (!tangents(t, camera, cam_from_target, shape, residuals, jacobian)) return false;
     next(t.rank);
   }
-  return true;
+  return points(image.points, camera, cam_from_target, shape, residuals, jacobian);
 }
 
 }  // namespace by_hand

@@ -32,14 +32,26 @@ struct Tangents {
   int rank;
 };
 
+// Images of the points (node[0] s0, node[1] s0, -node[2] s2).
+struct Points {
+  std::vector<std::array<double, 3>> node;
+  std::vector<double> u, v, sigma;
+};
+
 struct Image {
   std::vector<Contour> contours;
   std::vector<Tangents> tangents;
+  Points points;
   int residuals() const;
 };
 
 // Residuals, and where `jacobian` is given their derivatives (residuals x kLocal, by rows). False where there is no image.
 bool evaluate(Image& image, const double* intrinsics, const Motion& cam_from_target, const double* shape,
               double* residuals, double* jacobian);
+
+// One point (u, v, sigma) of the place `in_target`: residuals[2], and where they are given jacobian[2 x 16] by intrinsics, turn and shift
+// of the target in the camera frame, and by_place[2 x 3].
+bool evaluate_point(const double* intrinsics, const Motion& cam_from_target, const double* in_target, const double* seen,
+                    double* residuals, double* jacobian, double* by_place);
 
 }  // namespace by_hand

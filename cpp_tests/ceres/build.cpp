@@ -131,6 +131,29 @@ struct PairResidual {
   }
 };
 
+struct PointResidual {
+  Scene scene;
+  bool offsets;
+  PointSeen seen;
+  double scale;
+
+  template <class T>
+  bool operator()(T const* const* p, T* residual) const {
+    const auto view = scene.read<T>(p);
+    Point<T> center;
+    T radius;
+    scene.disc(seen.disc, view.shape, &center, &radius);
+    if (offsets) center = center + Point<T>{(*p)[0], (*p)[1], (*p)[2]};
+    const Point<T> at = view.cam_from_target(center);
+    if (value_of(at.z) <= 0.0) return false;
+    T q[2];
+    view.camera.project(at, q);
+    residual[0] = (seen.u - q[0]) / (seen.sigma * scale);
+    residual[1] = (seen.v - q[1]) / (seen.sigma * scale);
+    return true;
+  }
+};
+
 // One number known beforehand: `index` of a block, in `unit`.
 struct Known {
   int index;
@@ -256,6 +279,11 @@ void add_images(const Problem& problem, Unknowns& u, Wrong wrong, ceres::Problem
       if (wrong == Wrong::whitening) w = independent(w);
       auto* functor = new PairResidual{scene, &pair, w};
       add(ceres, functor, w.rows(), loss_of(problem, w.rows()), sized(problem, scene, u));
+    }
+    for (const PointSeen& p : image.points) {
+      auto blocks = sized(problem, scene, u);
+      if (!u.offsets.empty()) blocks.push_back({u.offsets[p.disc].data(), 4});
+      add(ceres, new PointResidual{scene, !u.offsets.empty(), p, image.scale}, 2, loss_of(problem, 2), blocks);
     }
   }
 }

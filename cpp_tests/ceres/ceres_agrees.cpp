@@ -341,7 +341,8 @@ bool agrees(const Problem& problem, const std::string& solution) {
 // True where the fault is noticed, or where the problem has nothing that it could spoil.
 bool refuses(const Problem& problem, Wrong wrong) {
   const bool tangents = !problem.images[0].pairs.empty();
-  if ((wrong == Wrong::distance && tangents) || (wrong == Wrong::whitening && !tangents)) return true;
+  const bool contours = !problem.images[0].discs.empty();
+  if ((wrong == Wrong::distance && !contours) || (wrong == Wrong::whitening && !tangents)) return true;
   const Linear there = at_library(problem, wrong);
   const bool noticed = relative(there.cost, problem.cost) > kCost || !(there.decrement < kStationary);
   std::printf("%-22s cost %8.1e decrement %8.1e %s\n", problem.name.c_str(), relative(there.cost, problem.cost),

@@ -115,7 +115,7 @@ Image read_image(Reader& in) {
   image.view = in.count();
   image.camera = in.count();
   image.scale = in.number();
-  const int discs = in.count(), pairs = in.count();
+  const int discs = in.count(), pairs = in.count(), points = in.count();
   for (int k = 0; k < discs; ++k) {
     in.word("disc");
     Disc d;
@@ -143,6 +143,11 @@ Image read_image(Reader& in) {
         for (int j = 0; j < 10; ++j) p.by_lens(i, j) = in.number();
     }
     image.pairs.push_back(p);
+  }
+  for (int k = 0; k < points; ++k) {
+    const int disc = in.count();
+    const auto p = in.some<3>();
+    image.points.push_back({disc, p[0], p[1], p[2]});
   }
   return image;
 }

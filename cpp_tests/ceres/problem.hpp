@@ -37,11 +37,18 @@ struct Pair {
   Eigen::MatrixXd by_lens;
 };
 
+// The image of a disc's centre.
+struct PointSeen {
+  int disc;
+  double u, v, sigma;
+};
+
 struct Image {
   int view, camera;
   double scale;
   std::vector<Disc> discs;
   std::vector<Pair> pairs;
+  std::vector<PointSeen> points;
 };
 
 struct Fact {

@@ -5,6 +5,7 @@ lint.py symbols HEADER LIBRARY      the exported symbols are those of the header
 lint.py types HEADER                pycparser reads it; every type is one of the list
 lint.py stub HEADER SOURCE          writes a library of empty functions with the header's types, for abidiff
 lint.py break HEADER OTHER          writes the header with one parameter's type changed: abidiff must see it
+lint.py shorten HEADER OTHER        writes the header without one function: abidiff must see that too
 lint.py paths LIBRARY PATH...       none of the paths is in the library
 lint.py bindings HEADER RUST        bindgen's translation has every function with its types, and every constant with its value
 lint.py matlab HEADER SCRIPT        calls of a MATLAB script: functions that there are, arguments in number and type, constants
@@ -109,6 +110,14 @@ def break_header(header, other):
         file.write(text.replace("const double *z_mm", "const float *z_mm"))
 
 
+def shorten(header, other):
+    with open(header, encoding="utf-8") as file:
+        text, removed = re.subn(r"int32_t spivcal_job_wait\([^;]*;", "", file.read())
+    assert removed == 1
+    with open(other, "w", encoding="utf-8") as file:
+        file.write(text)
+
+
 def paths(library, *unwanted):
     with open(library, "rb") as file:
         content = file.read()
@@ -172,6 +181,6 @@ def exports(header, listing):
 
 
 if __name__ == "__main__":
-    tasks = {"symbols": symbols, "types": types, "stub": stub, "break": break_header, "paths": paths, "bindings": bindings,
+    tasks = {"symbols": symbols, "types": types, "stub": stub, "break": break_header, "shorten": shorten, "paths": paths, "bindings": bindings,
              "matlab": matlab_script, "def": definition, "exports": exports}
     tasks[sys.argv[1]](*sys.argv[2:])

@@ -6,6 +6,7 @@
 //! cargo run --example export_problem -- --check DIR    Newton decrement of DIR/NAME.solution in the library's own equations
 //! cargo run --example export_problem -- --bench DIR NAME...      problems of the benchmark
 //! cargo run --example export_problem -- --time NAME N [THREADS]  mean seconds of N adjustments of one of them
+//! cargo run --example export_problem -- --scale SVG    time and memory over the number of observations: a table, and a plot in SVG
 //! cargo run --example export_problem -- --once NAME    a single call, to count its instructions
 //! cargo run --example export_problem -- --discs DIR    rendered discs with truth, Cramer-Rao bound and what the library finds
 //! ```
@@ -14,6 +15,8 @@
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod check;
+#[path = "../../tests/detect_table/mod.rs"]
+mod detect_table;
 mod discs;
 mod once;
 mod problems;
@@ -22,6 +25,7 @@ mod projection;
 mod render;
 #[path = "../../tests/rig_scene/mod.rs"]
 mod rig_scene;
+mod scale;
 mod text;
 mod timing;
 
@@ -40,6 +44,8 @@ fn main() -> ExitCode {
             names.iter().for_each(|n| text::write_start(&named(n), Path::new(dir)));
             ExitCode::SUCCESS
         }
+        ["--scale", svg] => scale::all(Path::new(svg)),
+        ["--scale-one", name] => scale::one(name),
         ["--once", name] => once::run(name),
         ["--time", name, rounds] => timing::run(name, rounds.parse().expect("a number of rounds"), 1),
         ["--time", name, rounds, threads] => {
@@ -54,7 +60,7 @@ fn main() -> ExitCode {
         }
         _ => {
             eprintln!(
-                "export_problem DIR | --check DIR | --discs DIR | --bench DIR NAME... | --time NAME N [THREADS] | --once NAME"
+                "export_problem DIR | --check DIR | --discs DIR | --bench DIR NAME... | --time NAME N [THREADS] | --scale SVG | --once NAME"
             );
             ExitCode::from(2)
         }

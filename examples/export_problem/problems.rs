@@ -49,6 +49,22 @@ fn with_outliers(mut scene: Scene, loss: Loss) -> Scene {
     scene
 }
 
+/// Every fifth point moved off.
+fn points_with_outliers(mut scene: Scene) -> Scene {
+    let mut noise = Noise::new(98);
+    for p in scene.model.images.iter_mut().map(|i| &mut i.points) {
+        for i in (0..p.disc.len()).step_by(5) {
+            p.u_px[i] += 8.0 * p.sigma_px[i] * (noise.uniform() - 0.5);
+        }
+    }
+    scene.model.loss = Loss::Huber(1.5);
+    scene
+}
+
+fn two_cameras() -> Vec<Camera> {
+    vec![tilted_camera(-0.1107, 0.01), tilted_camera(0.1107, -0.02)]
+}
+
 fn with_focus(mut scene: Scene) -> Scene {
     scene.model.facts.extend([Some((50.0, 0.005)), None].iter().enumerate().map(|(camera, distance)| {
         Fact::Focus(Focus { camera, pixel_pitch_mm: 0.00625, tilt_sigma_rad: 5e-3, distance: *distance })
@@ -159,10 +175,9 @@ fn through_the_lens() -> Case {
 
 /// Two cameras, `views` views of two discs (of a grid of dots), all poses free, so many edge points per disc.
 fn many_views(views: usize, grid: Option<Grid>, edge_points: i32) -> Scene {
-    let cameras = || vec![tilted_camera(-0.1107, 0.01), tilted_camera(0.1107, -0.02)];
     let some = |seed: u64| {
         let scene = match grid {
-            Some(grid) => Scene::with_grid(seed, cameras(), grid, false),
+            Some(grid) => Scene::with_grid(seed, two_cameras(), grid, false),
             None => Scene::build(seed, false, false, false),
         };
         scene.with_edge_points(edge_points).with_noise(seed)
@@ -172,30 +187,70 @@ fn many_views(views: usize, grid: Option<Grid>, edge_points: i32) -> Scene {
         if out.truth.views.len() >= views {
             break;
         }
-        let more = some(seed);
-        let first = out.truth.views.len();
-        out.truth.views.extend(more.truth.views);
-        out.model.views.extend(more.model.views);
-        out.model.images.extend(more.model.images.into_iter().map(|mut i| {
-            i.view += first;
-            i
-        }));
+        append(&mut out, some(seed));
     }
+    shorten(&mut out, views);
+    out
+}
+
+/// Two cameras, `views` views of a perfect lattice of points over about 40 x 30 mm; truth offsets are none.
+fn many_points(points: usize, views: usize, estimated: bool) -> Scene {
+    // A lattice as near to a square as the number of points allows.
+    let rows = (1..=points).filter(|r| points.is_multiple_of(*r) && 2 * r * r <= 3 * points).max().unwrap_or(1);
+    let columns = points / rows;
+    let pitch_mm = 40.0 / columns as f64;
+    let (columns, rows) = (columns as i32, rows as i32);
+    let grid = Grid { columns, rows, pitch_mm, radius_mm: 0.3 * pitch_mm, print_error_mm: 0.0, turn: 1.0 };
+    let mut out: Option<Scene> = None;
+    for seed in SEED..SEED + views.div_ceil(6) as u64 {
+        let cameras = two_cameras();
+        let more = Scene::with_grid_unseen(seed, cameras, grid, estimated).seen_as_points(seed);
+        match &mut out {
+            None => out = Some(more),
+            Some(out) => append(out, more),
+        }
+    }
+    let mut out = out.expect("views");
+    shorten(&mut out, views);
+    out
+}
+
+/// Adds the views of a scene behind those of another.
+fn append(out: &mut Scene, more: Scene) {
+    let first = out.truth.views.len();
+    out.truth.views.extend(more.truth.views);
+    out.model.views.extend(more.model.views);
+    out.model.images.extend(more.model.images.into_iter().map(|mut i| {
+        i.view += first;
+        i
+    }));
+}
+
+fn shorten(out: &mut Scene, views: usize) {
     out.truth.views.truncate(views);
     out.model.views.truncate(views);
     out.model.images.retain(|i| i.view < views);
-    out
 }
 
 /// 25 dots of 5 mm, perfect.
 const DOTS: Grid = Grid { columns: 5, rows: 5, pitch_mm: 8.0, radius_mm: 2.5, print_error_mm: 0.0, turn: 1.0 };
 
 /// A problem of the benchmark; their names are `KIND_2xVIEWS` with KIND `tangents` (14 features of two discs per image), `contours`
-/// (two discs of 50 edge points), `grid` (25 dots of 40 edge points).
+/// (two discs of 50 edge points), `grid` (25 dots of 40 edge points), `pointsN` (a lattice of N points), `freeN` (the same, each point estimated
+/// with 0.02 mm beforehand).
 pub fn timed(name: &str) -> Option<Case> {
     let (kind, views) = name.split_once("_2x")?;
     let views = views.parse().ok()?;
     let name = Box::leak(name.to_string().into_boxed_str());
+    let count = |prefix: &str| kind.strip_prefix(prefix)?.parse::<usize>().ok();
+    if let Some(points) = count("points") {
+        return Some(case(name, many_points(points, views, false)));
+    }
+    if let Some(points) = count("free") {
+        let mut case = case(name, many_points(points, views, true));
+        case.model.target.offset_sigma_mm = Some([0.02; 4]);
+        return Some(case);
+    }
     match kind {
         "tangents" => {
             let case = case(name, many_views(views, None, 40));
@@ -214,6 +269,7 @@ pub fn all() -> Vec<Case> {
         let external = if equal { ExternalUse::Never } else { ExternalUse::WhereMeasurable };
         Case { model: with_tangents(case.model, external), ..case }
     };
+    let dots = || Scene::with_grid(SEED, two_cameras(), DOTS, false).seen_as_points(SEED);
     let huber = |k: f64| with_outliers(noisy(false, true, false), Loss::Huber(k));
     let mut robust_tangents = tangents(case("robust_tangents", noisy(false, true, false)));
     robust_tangents.model.loss = Loss::Huber(0.8);
@@ -240,5 +296,8 @@ pub fn all() -> Vec<Case> {
         tangents(case("grid_tangents", perfect_grid(true))),
         robust_tangents,
         through_the_lens(),
+        case("points", dots()),
+        case("points_huber", points_with_outliers(dots())),
+        case("points_estimated", Scene::build(SEED, false, false, true).seen_as_points(SEED)),
     ]
 }

@@ -10,9 +10,10 @@
 //! views N:         0|1 in the plane, z, then rig_from_target and 3 own lengths at the start, at the optimum
 //! facts N:         intrinsic c k value sigma | baseline value sigma | shape k v|-1 value sigma
 //!                  | focus c pitch tilt_sigma 0|1 focal_length sigma
-//! images N:        view camera scale discs pairs; disc j n [u v sigma] x n;
+//! images N:        view camera scale discs pairs points; disc j n [u v sigma] x n;
 //!                  pair j0 j1 n [kept] x n [u v] x n rank, whitening matrix by rows,
-//!                  0|1 follows the lens [10 intrinsics, 2 n x 10 derivative by rows]
+//!                  0|1 follows the lens [10 intrinsics, 2 n x 10 derivative by rows];
+//!                  [j u v sigma] x points
 //! optimum cost decrement iterations
 //! covariance N [names] N x N numbers
 //! ```
@@ -114,7 +115,7 @@ fn written(case: &Case, dir: &Path, with_covariance: bool) {
     let solution = solved(case);
     let mut out = Words::default();
     head(&mut out, case);
-    state(&mut out, case, &solution);
+    state(&mut out, case, &solution, with_covariance);
     facts(&mut out, &case.model);
     out.word("images").word(case.model.images.len()).line();
     case.model.images.iter().for_each(|i| image(&mut out, i));
@@ -141,7 +142,7 @@ fn head(out: &mut Words, case: &Case) {
     out.line();
 }
 
-fn state(out: &mut Words, case: &Case, solution: &Adjustment) {
+fn state(out: &mut Words, case: &Case, solution: &Adjustment, with_covariance: bool) {
     let (model, a, b) = (&case.model, &case.start, &solution.state);
     let (na, nb) = (Natural::of(model, a), Natural::of(model, b));
     out.word("cameras").word(model.cameras.len()).line();
@@ -168,7 +169,10 @@ fn state(out: &mut Words, case: &Case, solution: &Adjustment) {
     let offsets = if model.target.offset_sigma_mm.is_some() { a.offsets_mm.len() } else { 0 };
     out.word("offsets").word(offsets).numbers(&model.target.offset_sigma_mm.unwrap_or_default());
     if offsets > 0 {
-        let sigmas = named_covariance(solution).expect("a covariance").offset_sigmas_mm;
+        let sigmas = match with_covariance {
+            true => named_covariance(solution).expect("a covariance").offset_sigmas_mm,
+            false => vec![[0.0; 4]; offsets],
+        };
         [&a.offsets_mm, &b.offsets_mm, &sigmas].iter().for_each(|o| {
             out.numbers(o.iter().flatten());
         });
@@ -211,7 +215,7 @@ fn facts(out: &mut Words, model: &Model) {
 
 fn image(out: &mut Words, image: &ImageObservations) {
     out.word(image.view).word(image.camera).numbers(&[image.sigma_scale]);
-    out.word(image.discs.len()).word(image.pairs.len()).line();
+    out.word(image.discs.len()).word(image.pairs.len()).word(image.points.disc.len()).line();
     for d in &image.discs {
         out.word("disc").word(d.disc).word(d.edge.u_px.len());
         for i in 0..d.edge.u_px.len() {
@@ -230,6 +234,10 @@ fn image(out: &mut Words, image: &ImageObservations) {
             out.numbers(&lens.intrinsics).numbers(lens.derivative.transpose().iter());
         }
         out.line();
+    }
+    let p = &image.points;
+    for (i, disc) in p.disc.iter().enumerate() {
+        out.word(disc).numbers(&[p.u_px[i], p.v_px[i], p.sigma_px[i]]).line();
     }
 }
 

@@ -2,18 +2,22 @@
 //!
 //! The given sigmas come from grey-value noise. Real contours scatter more (rough print, a lens that the model does not
 //! know), and they do so disc by disc, not edge point by edge point. After each solve two variance factors are formed per
-//! camera: of the edge points within their discs, and of the discs' own departures (centre and size, three numbers each).
+//! camera: of the edge points within their discs, and of the discs' own departures (centre and size, three numbers each; two of a point).
 //! The larger one, where it is significant, scales the sigmas of that camera, and the solve is repeated.
 
-use super::assemble;
+use super::assemble::{self, SeenImage};
+use super::by_disc::ByDisc;
 use super::facts;
 use super::layout::{self, Places};
 use super::model::Model;
 use super::outline;
+use super::part;
+use super::points;
 use super::residuals::{DiscResidual, residuals};
 use super::retraction;
 use super::state::State;
 use crate::solve::{self, Gradient, Iteration, NormalEquations, Posterior, Problem, Step, Termination};
+use nalgebra::DMatrix;
 
 /// Options of [`adjust`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,7 +60,7 @@ pub struct Adjustment {
     pub cost: f64,
     /// Newton decrement, in sigmas.
     pub decrement: f64,
-    /// Linearisations in all rounds.
+    /// Linearisations of all observations in all rounds.
     pub iterations: usize,
     /// Why the last solve ended.
     pub termination: Termination,
@@ -70,42 +74,76 @@ pub struct Adjustment {
 
 /// The least-squares problem of a model, for solvers and tests of other makes.
 pub fn problem(model: &Model) -> impl Problem<State = State> + '_ {
-    Bundle { model, places: Places::of(model) }
+    Bundle { model, places: Places::of(model), by: None }
 }
 
-struct Bundle<'a> {
+/// The problem with one block per view, or where that is less work one per disc.
+pub(super) struct Bundle<'a> {
     model: &'a Model,
     places: Places,
+    by: Option<ByDisc>,
+}
+
+impl<'a> Bundle<'a> {
+    /// With the blocks that are the less work.
+    pub(super) fn of(model: &'a Model) -> Self {
+        let places = Places::of(model);
+        let by = ByDisc::of(model, &places);
+        Self { model, places, by }
+    }
+
+    /// Equations with one block per view.
+    fn by_view(&self, equations: NormalEquations) -> NormalEquations {
+        match &self.by {
+            Some(by) => by.equations_by_view(&equations),
+            None => equations,
+        }
+    }
 }
 
 impl Problem for Bundle<'_> {
     type State = State;
     fn layout(&self) -> solve::Layout {
-        self.places.layout()
+        self.by.as_ref().map_or_else(|| self.places.layout(), ByDisc::layout)
     }
     fn cost(&self, state: &State) -> Option<f64> {
         Some(assemble::cost(self.model, state)? + facts::cost(self.model, &self.places, state)?)
     }
     fn linearise(&self, state: &State) -> Option<NormalEquations> {
+        let scales = self.scales(state);
+        if let Some(by) = &self.by {
+            let mut e = assemble::linearise_by_disc(self.model, &self.places, by, state)?;
+            by.drop_unseen(&mut e, &scales, unseen);
+            facts::linearise_by_disc(self.model, (&self.places, by), state, &mut e)?;
+            return Some(e);
+        }
         let mut e = assemble::linearise(self.model, &self.places, state, None)?;
-        drop_unseen(&mut e, &layout::scales(self.model, &self.places, state));
+        drop_unseen(&mut e, &scales);
         facts::linearise(self.model, &self.places, state, &mut e)?;
         Some(e)
     }
     fn scales(&self, state: &State) -> Step {
-        layout::scales(self.model, &self.places, state)
+        let scales = layout::scales(self.model, &self.places, state);
+        self.by.as_ref().map_or_else(|| scales.clone(), |by| by.step_by_disc(&scales))
     }
     fn bend(&self, state: &State, velocity: &Step) -> Option<Gradient> {
         // A tenth of the step: far above rounding, near enough for a second derivative.
         const H: f64 = 0.1;
         let part = |h: f64| {
             let blocks = velocity.blocks.iter().map(|b| b * h).collect();
-            retraction::retract(self.model, &self.places, state, &Step { global: &velocity.global * h, blocks })
+            self.retract(state, &Step { global: &velocity.global * h, blocks })
         };
-        assemble::bend(self.model, &self.places, [&part(-H)?, state, &part(H)?], H)
+        let bent = assemble::bend(self.model, &self.places, [&part(-H)?, state, &part(H)?], H)?;
+        Some(match &self.by {
+            Some(by) => by.gradient_by_disc(&bent),
+            None => bent,
+        })
     }
     fn retract(&self, state: &State, step: &Step) -> Option<State> {
-        retraction::retract(self.model, &self.places, state, step)
+        match &self.by {
+            Some(by) => retraction::retract(self.model, &self.places, state, &by.step_by_view(step)),
+            None => retraction::retract(self.model, &self.places, state, step),
+        }
     }
 }
 
@@ -114,10 +152,14 @@ impl Problem for Bundle<'_> {
 /// terms a million times larger cancel.
 const UNSEEN: f64 = 1e-4;
 
+fn unseen(information: f64, scale: f64) -> bool {
+    information * scale.powi(2) < UNSEEN
+}
+
 /// Clears what rounding leaves on global unknowns that the images do not see, before facts are added: it would pass for knowledge.
 fn drop_unseen(e: &mut NormalEquations, scales: &Step) {
     for i in 0..e.h_gg.nrows() {
-        if e.h_gg[(i, i)] * scales.global[i].powi(2) < UNSEEN {
+        if unseen(e.h_gg[(i, i)], scales.global[i]) {
             e.h_gg.row_mut(i).fill(0.0);
             e.h_gg.column_mut(i).fill(0.0);
             e.b_g[i] = 0.0;
@@ -126,22 +168,76 @@ fn drop_unseen(e: &mut NormalEquations, scales: &Step) {
     }
 }
 
-/// Adjusts everything from a start. `observe` sees each iteration and returns false to cancel.
+/// Linearisations that a start from a part of the observations is given.
+const PART_ITERATIONS: usize = 50;
+/// Newton decrement of the part, in its own sigmas, at which all observations take over.
+const PART_DECREMENT: f64 = 0.3;
+
+/// A start and the damping to leave it with: from a part of the observations where that pays.
+fn first_start(
+    model: &Model,
+    start: State,
+    options: &AdjustOptions,
+    observe: &mut dyn FnMut(&Iteration) -> bool,
+) -> (State, f64, bool) {
+    let Some(part) = part::part(model) else { return (start, solve::FIRST_DAMPING, true) };
+    let bundle = Bundle::of(&part);
+    let counts = part.counts();
+    // Where the start is no further off than chance would put the part's own minimum, the part has nothing to add.
+    let near = (2.0 * counts.unknowns as f64).sqrt();
+    let (mut good_already, mut wanted) = (false, true);
+    let mut seen = |i: &Iteration| {
+        good_already |= i.number == 1 && i.decrement < near;
+        wanted &= observe(i);
+        wanted && !good_already
+    };
+    let limits = solve::Options {
+        decrement: PART_DECREMENT.max(options.solve.decrement),
+        iterations: PART_ITERATIONS.min(options.solve.iterations),
+    };
+    let out = solve::minimise(&bundle, start.clone(), &limits, &mut seen);
+    match out.termination {
+        Termination::Converged if !good_already => (out.state, out.damping, wanted),
+        _ => (start, solve::FIRST_DAMPING, wanted),
+    }
+}
+
+/// Adjusts everything from a start. `observe` sees each iteration, also those of a start from a part of the observations, and returns false
+/// to cancel.
 pub fn adjust(
     model: &Model,
     start: State,
     options: &AdjustOptions,
     observe: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Adjustment {
-    let mut model = model.clone();
-    let mut state = start;
+    adjust_owned(model.clone(), start, options, observe)
+}
+
+/// Covariance of all that the views share, in the order of the solver's unknowns: what [`super::named_covariance`] and the posterior say
+/// about them, without the poses. `None` where not everything is determined, or without equations.
+pub fn shared_covariance(adjustment: &Adjustment) -> Option<DMatrix<f64>> {
+    solve::global_covariance(adjustment.equations.as_ref()?)
+}
+
+/// [`adjust`] of a model that nobody else needs: its observations are not copied.
+pub fn adjust_owned(
+    mut model: Model,
+    start: State,
+    options: &AdjustOptions,
+    observe: &mut dyn FnMut(&Iteration) -> bool,
+) -> Adjustment {
+    let (mut state, damping, wanted) = first_start(&model, start, options, observe);
+    let mut observe = |i: &Iteration| wanted && observe(i);
+    let mut damping = Some(damping);
     let mut iterations = 0;
     let mut outliers = vec![];
     let mut ovality_mm = None;
     let mut round = 0;
     loop {
-        let bundle = Bundle { model: &model, places: Places::of(&model) };
-        let out = solve::minimise(&bundle, state, &options.solve, observe);
+        let bundle = Bundle::of(&model);
+        let first = damping.take().unwrap_or(solve::FIRST_DAMPING);
+        let mut out = solve::minimise_damped(&bundle, state, &options.solve, first, &mut observe);
+        out.equations = out.equations.map(|e| bundle.by_view(e));
         iterations += out.iterations;
         let stopped = matches!(out.termination, Termination::Cancelled | Termination::BadStart);
         let changed = round < options.rounds && !stopped && {
@@ -207,6 +303,10 @@ fn scale_of_camera(model: &Model, state: &State, posterior: &Posterior, c: usize
             edge_chi2 += (disc.edge_chi2 - disc.chi2) * unscale;
             edge_dof += disc.edges.distance_px.len() as f64 - 3.0;
         }
+        // Points are to discs what discs are to edge points.
+        let points = SeenImage::of(model, state, image).and_then(|seen| points::chi2(&seen));
+        disc_chi2 += points.unwrap_or(0.0) * unscale;
+        disc_dof += 2.0 * image.points.disc.len() as f64;
     }
     disc_dof -= unknowns_paid(model, state, posterior, c).unwrap_or(0.0);
     variance_factor(edge_chi2, edge_dof).max(variance_factor(disc_chi2, disc_dof)).sqrt()

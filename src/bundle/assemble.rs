@@ -10,12 +10,14 @@
 //! Behind a window eight more follow, its turn and its layers in the camera frame; the turn is `B dchart + E dturn`, since the
 //! window stands in the solver frame.
 
+use super::by_disc::ByDisc;
 use super::chart::SolverCamera;
 use super::contour::{self, EDGE, EDGE_BEHIND, SeenCircle};
 use super::edges::{self, Columns};
-use super::image_map::{self, MapColumn, MappedNormal, add_mapped, image_map, mapped};
+use super::image_map::{self, MapColumn, MappedNormal, add_mapped, image_map, mapped, mirror};
 use super::layout::Places;
 use super::model::{ImageObservations, Model};
+use super::points;
 use super::state::State;
 use super::tangent;
 use crate::camera::{INTRINSICS, WINDOW_STEPS};
@@ -53,10 +55,13 @@ impl<const L: usize> ImageNormal<L> {
     }
 }
 
-/// Memory that is used again from image to image.
+/// Memory that is used again from image to image of one state.
 #[derive(Default)]
 struct Scratch {
     edges: edges::Scratch,
+    points: points::Scratch,
+    /// Of the states before, at and behind a bend.
+    bent_points: [points::Scratch; 3],
     tangent: tangent::Scratch,
     map: Vec<MapColumn>,
     normal: MappedNormal,
@@ -105,8 +110,8 @@ impl<'a> SeenImage<'a> {
 
     fn cost(&self, scratch: &mut Scratch) -> Option<f64> {
         let mut sum = match edges::allows(&self.camera.camera) {
-            true => edges::cost(self, &mut scratch.edges)?,
-            false => self.plain_cost()?,
+            true => edges::cost(self, &mut scratch.edges)? + points::cost(self, &mut scratch.points)?,
+            false => self.plain_cost()? + points::plain_cost(self)?,
         };
         for pair in &self.observations.pairs {
             sum += tangent::cost(self, pair, &mut scratch.tangent)?;
@@ -149,7 +154,7 @@ impl<'a> SeenImage<'a> {
     }
 
     /// Edge unknowns (intrinsics, turn, shift, radius) of disc `j` by the image's camera space.
-    fn disc_map<const E: usize, const L: usize>(&self, j: usize) -> SMatrix<f64, E, L> {
+    pub(super) fn disc_map<const E: usize, const L: usize>(&self, j: usize) -> SMatrix<f64, E, L> {
         let mut m = SMatrix::<f64, E, L>::zeros();
         m.fixed_view_mut::<SPACE, SPACE>(0, 0).fill_with_identity();
         let d = self.model.target.disc_derivative(j);
@@ -163,7 +168,7 @@ impl<'a> SeenImage<'a> {
     }
 
     /// Edge unknowns by the offsets (dx, dy, dz, dr) of a disc.
-    fn offset_map<const E: usize>(&self) -> SMatrix<f64, E, 4> {
+    pub(super) fn offset_map<const E: usize>(&self) -> SMatrix<f64, E, 4> {
         let mut m = SMatrix::<f64, E, 4>::zeros();
         m.fixed_view_mut::<3, 3>(INTRINSICS + 3, 0).copy_from(&self.cam_from_target.rotation);
         m[(EDGE - 1, 3)] = 1.0;
@@ -193,9 +198,9 @@ const PAIR: usize = 60;
 
 fn threaded(images: &[&ImageObservations]) -> bool {
     let points = |i: &&ImageObservations| -> usize {
-        i.pairs.len() * PAIR + i.discs.iter().map(|d| d.edge.u_px.len()).sum::<usize>()
+        i.pairs.len() * PAIR + i.discs.iter().map(|d| d.edge.u_px.len()).sum::<usize>() + i.points.disc.len()
     };
-    images.iter().map(points).sum::<usize>() >= THREADED
+    rayon::current_num_threads() > 1 && images.iter().map(points).sum::<usize>() >= THREADED
 }
 
 /// Cost of all images; `None` where one of them has no meaning. Summed in the order of the images.
@@ -222,6 +227,7 @@ fn linearised(model: &Model, places: &Places, state: &State, image: &SeenImage, 
     if camera.window().is_some() {
         let mut normal = ImageNormal::<LOCAL_BEHIND>::zeros();
         image.plain_contours::<EDGE_BEHIND, LOCAL_BEHIND>(estimated, &mut normal)?;
+        points::plain_linearise::<EDGE_BEHIND, LOCAL_BEHIND>(image, estimated, &mut normal)?;
         // Tangents are refused there.
         for pair in &image.observations.pairs {
             tangent::cost(image, pair, &mut scratch.tangent)?;
@@ -236,10 +242,54 @@ fn linearised(model: &Model, places: &Places, state: &State, image: &SeenImage, 
     } else {
         image.plain_contours::<EDGE, LOCAL>(estimated, &mut normal)?;
     }
+    if edges::allows(camera) {
+        let scratch = (&mut scratch.points, &mut scratch.edges);
+        points::linearise(image, &columns, estimated, scratch, &mut normal)?;
+    } else {
+        points::plain_linearise::<EDGE, LOCAL>(image, estimated, &mut normal)?;
+    }
     for pair in &image.observations.pairs {
         tangent::linearise(image, pair, &columns, &mut scratch.tangent, &mut normal)?;
     }
     mapped(&normal, &scratch.map, &mut scratch.normal);
+    Some(())
+}
+
+/// Images whose equations exist at a time where threads form them.
+const AT_A_TIME: usize = 64;
+
+/// Gives the view and the equations of each image, or of those of one camera, to `add` in the order of the images.
+fn each_image(
+    model: &Model,
+    places: &Places,
+    state: &State,
+    camera: Option<usize>,
+    mut add: impl FnMut(usize, &MappedNormal),
+) -> Option<()> {
+    let wanted: Vec<&ImageObservations> =
+        model.images.iter().filter(|i| camera.is_none_or(|c| i.camera == c)).collect();
+    let cameras = cameras(model, state)?;
+    let of = |scratch: &mut Scratch, o: &ImageObservations| {
+        linearised(model, places, state, &SeenImage::through(model, state, o, cameras[o.camera]), scratch)
+    };
+    if !threaded(&wanted) {
+        let mut scratch = Scratch::default();
+        for o in wanted {
+            of(&mut scratch, o)?;
+            add(o.view, &scratch.normal);
+        }
+        return Some(());
+    }
+    for some in wanted.chunks(AT_A_TIME) {
+        let each: Option<Vec<MappedNormal>> = some
+            .par_iter()
+            .map_init(Scratch::default, |scratch, o| {
+                of(scratch, o)?;
+                Some(std::mem::take(&mut scratch.normal))
+            })
+            .collect();
+        some.iter().zip(each?).for_each(|(o, n)| add(o.view, &n));
+    }
     Some(())
 }
 
@@ -250,34 +300,21 @@ pub(super) fn linearise(
     state: &State,
     camera: Option<usize>,
 ) -> Option<NormalEquations> {
-    let wanted: Vec<&ImageObservations> =
-        model.images.iter().filter(|i| camera.is_none_or(|c| i.camera == c)).collect();
-    let cameras = cameras(model, state)?;
-    let of = |scratch: &mut Scratch, o: &ImageObservations| {
-        linearised(model, places, state, &SeenImage::through(model, state, o, cameras[o.camera]), scratch)
-    };
     let mut equations = NormalEquations::zeros(&places.layout());
-    if threaded(&wanted) {
-        let each: Option<Vec<MappedNormal>> = wanted
-            .par_iter()
-            .map_init(Scratch::default, |scratch, o| {
-                of(scratch, o)?;
-                Some(std::mem::take(&mut scratch.normal))
-            })
-            .collect();
-        wanted.iter().zip(each?).for_each(|(o, n)| add_mapped(&mut equations, o.view, &n, places.offsets));
-    } else {
-        let mut scratch = Scratch::default();
-        for o in wanted {
-            of(&mut scratch, o)?;
-            add_mapped(&mut equations, o.view, &scratch.normal, places.offsets);
-        }
-    }
+    each_image(model, places, state, camera, |view, n| add_mapped(&mut equations, view, n, places.offsets))?;
+    mirror(&mut equations);
     Some(equations)
 }
 
-/// Right-hand side of the geodesic acceleration from the states a part `h` of the step before and behind; of the contours
-/// only (facts and tangent features bend little).
+/// Those of all images with one block per disc.
+pub(super) fn linearise_by_disc(model: &Model, places: &Places, by: &ByDisc, state: &State) -> Option<NormalEquations> {
+    let mut equations = NormalEquations::zeros(&by.layout());
+    each_image(model, places, state, None, |view, n| by.add(&mut equations, view, n))?;
+    Some(equations)
+}
+
+/// Right-hand side of the geodesic acceleration from the states a part `h` of the step before and behind; of contours and
+/// points only (facts and tangent features bend little).
 pub(super) fn bend(model: &Model, places: &Places, states: [&State; 3], h: f64) -> Option<Gradient> {
     let all = [cameras(model, states[0])?, cameras(model, states[1])?, cameras(model, states[2])?];
     let of = |scratch: &mut Scratch, o: &ImageObservations| {
@@ -322,6 +359,7 @@ fn bend_of(
     let camera = &here.camera.camera;
     if camera.window().is_some() {
         plain_bend::<EDGE_BEHIND, LOCAL_BEHIND>(seen, h, &mut local, &mut offsets)?;
+        points::plain_bend::<EDGE_BEHIND, LOCAL_BEHIND>(seen, h, &mut local, &mut offsets)?;
     } else {
         let mut in_air = SVector::<f64, LOCAL>::zeros();
         if edges::allows(camera) {
@@ -329,6 +367,12 @@ fn bend_of(
             edges::bend(seen, &columns, h, &mut scratch.edges, (&mut in_air, &mut offsets))?;
         } else {
             plain_bend::<EDGE, LOCAL>(seen, h, &mut in_air, &mut offsets)?;
+        }
+        if edges::allows(camera) {
+            let columns = columns(model, places, here.observations.camera);
+            points::bend(seen, &columns, h, &mut scratch.bent_points, (&mut in_air, &mut offsets))?;
+        } else {
+            points::plain_bend::<EDGE, LOCAL>(seen, h, &mut in_air, &mut offsets)?;
         }
         local.fixed_rows_mut::<LOCAL>(0).copy_from(&in_air);
     }

@@ -17,21 +17,19 @@
 mod feet;
 mod rows;
 
-pub(super) use feet::Feet;
-
-use super::assemble::{ImageNormal, LOCAL, OffsetNormal, SeenImage};
+pub(super) use super::assemble::{ImageNormal, LOCAL, OffsetNormal, SeenImage};
 use super::model::Loss;
 use crate::camera::{Camera, INTRINSICS, LaneCamera, Radial};
 use crate::lanes::{self, GROUP, Kernel, Lanes};
-use feet::filled;
+pub(super) use feet::{Feet, filled, padded};
 use nalgebra::{Matrix4, SMatrix, SVector, Vector4};
-use rows::Rows;
+pub(super) use rows::Rows;
 
 /// Columns of a row: the camera space and the radius.
 const COLUMNS: usize = LOCAL + 1;
 const RADIUS: usize = LOCAL;
 /// Rows are multiplied out when this many edge points have been collected: they still fit the first-level cache.
-const COLLECTED: usize = 128;
+pub(super) const COLLECTED: usize = 128;
 
 /// True where an image's camera allows this path.
 pub(super) fn allows(camera: &Camera) -> bool {
@@ -54,6 +52,11 @@ impl Columns {
             out.len += 1;
         }
         out
+    }
+    /// Without the radius.
+    pub(super) fn without_radius(&self) -> Self {
+        let len = self.len - usize::from(self.list().last() == Some(&RADIUS));
+        Self { at: self.at, len }
     }
     /// In ascending order, the radius last.
     pub(super) fn list(&self) -> &[usize] {
@@ -141,8 +144,7 @@ impl Kernel for Normal<'_> {
         let (image, columns, out) = (self.image, self.columns, self.out);
         let camera = LaneCamera::<L>::of(&image.camera.camera)?;
         let (used, estimated) = (columns.len + 1, columns.list().contains(&RADIUS));
-        let mut rows = Rows::new(self.scratch, used.next_multiple_of(4));
-        rows.clear();
+        let mut rows = Rows::for_products(self.scratch, used);
         let mut rho = 0.0;
         for seen in image.observations.discs.iter().filter(|d| !d.edge.u_px.is_empty()) {
             let n = seen.edge.u_px.len();
@@ -168,7 +170,7 @@ impl Kernel for Normal<'_> {
 
 /// Adds the running sums to the normal equations.
 #[inline(always)]
-fn add(rows: &Rows, columns: &Columns, out: &mut ImageNormal<LOCAL>) {
+pub(super) fn add(rows: &Rows, columns: &Columns, out: &mut ImageNormal<LOCAL>) {
     for (m, &i) in columns.list().iter().enumerate().filter(|(_, i)| **i != RADIUS) {
         out.b[i] += rows.product(m, columns.len);
         for (n, &j) in columns.list()[..=m].iter().enumerate() {

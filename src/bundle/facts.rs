@@ -11,6 +11,7 @@
 //! | a window parallel to the common plane | m_x, m_y of `m = R^T n`, R camera from plane | `R^T (w x n)` by its turn, the opposite by the motion, `-w x m` by the plane |
 //! | focus | the sheet lies in the plane of focus | see [`super::focus`] |
 
+use super::by_disc::ByDisc;
 use super::chart::{self, ChartDerivative, SolverCamera};
 use super::focus::Focus;
 use super::image_map::{Slot, add_row};
@@ -226,6 +227,17 @@ pub(super) fn linearise(model: &Model, places: &Places, state: &State, e: &mut N
         add_row(e, row.view, &row.slots, row.residual);
         e.cost += 0.5 * row.residual * row.residual;
     }
+    Some(())
+}
+
+/// The same with one block per disc.
+pub(super) fn linearise_by_disc(
+    model: &Model,
+    (places, by): (&Places, &ByDisc),
+    state: &State,
+    e: &mut NormalEquations,
+) -> Option<()> {
+    rows(model, places, state)?.iter().for_each(|(_, row)| by.add_row(e, row));
     Some(())
 }
 

@@ -4,7 +4,7 @@
 //! `H_unknowns = M^T H M` and `M^T b` are summed over the entries of M that are not zero, about four per column, and the lower triangle
 //! alone is formed.
 
-use super::assemble::{ImageNormal, LOCAL, OffsetNormal, SPACE, SeenImage};
+use super::assemble::{ImageNormal, LOCAL, SPACE, SeenImage};
 use super::chart;
 use super::layout::Places;
 use super::model::Model;
@@ -114,21 +114,22 @@ pub(super) fn image_map(model: &Model, places: &Places, state: &State, image: &S
 /// Normal equations of one image in the unknowns that it touches.
 #[derive(Debug, Default)]
 pub(super) struct MappedNormal {
-    slots: Vec<Slot>,
+    pub(super) slots: Vec<Slot>,
     /// Lower triangle by rows.
-    h: Vec<f64>,
-    b: Vec<f64>,
-    offsets: Vec<MappedOffset>,
+    pub(super) h: Vec<f64>,
+    pub(super) b: Vec<f64>,
+    pub(super) offsets: Vec<MappedOffset>,
+    /// Coupling of each of them with each of the slots.
+    pub(super) crosses: Vec<Vector4<f64>>,
     pub(super) cost: f64,
 }
 
-/// Coupling of one estimated disc with those unknowns.
+/// Equations of one estimated disc.
 #[derive(Debug)]
-struct MappedOffset {
-    disc: usize,
-    own: Matrix4<f64>,
-    cross: Vec<Vector4<f64>>,
-    b: Vector4<f64>,
+pub(super) struct MappedOffset {
+    pub(super) disc: usize,
+    pub(super) own: Matrix4<f64>,
+    pub(super) b: Vector4<f64>,
 }
 
 /// `M^T H M` and `M^T b`.
@@ -147,56 +148,63 @@ pub(super) fn mapped<const L: usize>(normal: &ImageNormal<L>, map: &[MapColumn],
         }
         out.h.extend(map[..=i].iter().map(|other| other.dot(&moved)));
     }
-    let offset = |o: &OffsetNormal<L>| MappedOffset {
-        disc: o.disc,
-        own: o.own,
-        cross: map.iter().map(|z| z.entries().map(|(k, v)| o.with_local.column(k) * v).sum()).collect(),
-        b: o.b,
-    };
     out.offsets.clear();
-    out.offsets.extend(normal.offsets.iter().map(offset));
+    out.offsets.extend(normal.offsets.iter().map(|o| MappedOffset { disc: o.disc, own: o.own, b: o.b }));
+    out.crosses.clear();
+    for o in &normal.offsets {
+        out.crosses
+            .extend(map.iter().map(|z| z.entries().map(|(k, v)| o.with_local.column(k) * v).sum::<Vector4<f64>>()));
+    }
 }
 
-/// Adds one image to the block-arrow equations; `first_offset` is the place of the first disc's offsets.
+/// Adds one image to the block-arrow equations, of symmetric parts their lower triangles only ([`mirror`]); `first_offset` is the place of the first
+/// disc's offsets.
 pub(super) fn add_mapped(e: &mut NormalEquations, view: usize, image: &MappedNormal, first_offset: Option<usize>) {
     e.cost += image.cost;
-    let block = &mut e.blocks[view];
+    let (block, n) = (&mut e.blocks[view], e.b_g.len());
+    let d = block.b_v.len();
+    let (h_gg, h_vv, h_vg) = (e.h_gg.as_mut_slice(), block.h_vv.as_mut_slice(), block.h_vg.as_mut_slice());
     let mut h = image.h.iter();
     for (i, si) in image.slots.iter().enumerate() {
         match *si {
             Slot::Global(g) => e.b_g[g] += image.b[i],
             Slot::Block(v) => block.b_v[v] += image.b[i],
         }
-        for ((j, sj), h) in image.slots[..=i].iter().enumerate().zip(&mut h) {
+        for (sj, h) in image.slots[..=i].iter().zip(&mut h) {
             match (*si, *sj) {
-                (Slot::Global(p), Slot::Global(q)) => {
-                    e.h_gg[(p, q)] += h;
-                    if i != j {
-                        e.h_gg[(q, p)] += h;
-                    }
-                }
-                (Slot::Block(p), Slot::Block(q)) => {
-                    block.h_vv[(p, q)] += h;
-                    if i != j {
-                        block.h_vv[(q, p)] += h;
-                    }
-                }
-                (Slot::Block(p), Slot::Global(q)) | (Slot::Global(q), Slot::Block(p)) => block.h_vg[(p, q)] += h,
+                (Slot::Global(p), Slot::Global(q)) => h_gg[p.min(q) * n + p.max(q)] += h,
+                (Slot::Block(p), Slot::Block(q)) => h_vv[p.min(q) * d + p.max(q)] += h,
+                (Slot::Block(p), Slot::Global(q)) | (Slot::Global(q), Slot::Block(p)) => h_vg[q * d + p] += h,
             }
         }
     }
     if let Some(first) = first_offset {
-        image.offsets.iter().for_each(|o| add_offset(e, view, &image.slots, first + 4 * o.disc, o));
+        let wide = image.slots.len().max(1);
+        for (o, crosses) in image.offsets.iter().zip(image.crosses.chunks_exact(wide)) {
+            add_offset(e, view, &image.slots, first + 4 * o.disc, (o, crosses));
+        }
     }
 }
 
-fn add_offset(e: &mut NormalEquations, view: usize, slots: &[Slot], at: usize, offset: &MappedOffset) {
+/// Copies the lower triangles of the symmetric parts to the upper ones.
+pub(super) fn mirror(e: &mut NormalEquations) {
+    e.h_gg.fill_upper_triangle_with_lower_triangle();
+    e.blocks.iter_mut().for_each(|b| b.h_vv.fill_upper_triangle_with_lower_triangle());
+}
+
+fn add_offset(
+    e: &mut NormalEquations,
+    view: usize,
+    slots: &[Slot],
+    at: usize,
+    (offset, crosses): (&MappedOffset, &[Vector4<f64>]),
+) {
     for k in 0..4 {
         e.b_g[at + k] += offset.b[k];
         for m in 0..4 {
             e.h_gg[(at + k, at + m)] += offset.own[(k, m)];
         }
-        for (slot, cross) in slots.iter().zip(&offset.cross) {
+        for (slot, cross) in slots.iter().zip(crosses) {
             match *slot {
                 Slot::Global(g) => {
                     e.h_gg[(at + k, g)] += cross[k];

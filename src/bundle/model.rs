@@ -189,6 +189,20 @@ pub struct LensDependence {
     pub derivative: DMatrix<f64>,
 }
 
+/// Points of one image, structure of arrays: the images of the discs' own centres, or of corners that stand in their places. Not the
+/// centre of an imaged ellipse, which lies beside the image of the centre.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PointObservations {
+    /// Index of the disc in the target; taken fastest where the indices ascend one by one.
+    pub disc: Vec<u32>,
+    /// Its image, px.
+    pub u_px: Vec<f64>,
+    /// Its image, px.
+    pub v_px: Vec<f64>,
+    /// Standard deviation of either coordinate, px.
+    pub sigma_px: Vec<f64>,
+}
+
 /// Everything observed in one image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImageObservations {
@@ -200,6 +214,8 @@ pub struct ImageObservations {
     pub discs: Vec<DiscObservation>,
     /// Pairs (observation model `bitangent`).
     pub pairs: Vec<PairObservation>,
+    /// Points (observation model `points`).
+    pub points: PointObservations,
     /// Factor on all given sigmas: how much larger the real scatter was found to be.
     pub sigma_scale: f64,
 }
@@ -268,7 +284,7 @@ impl Model {
         let layout = super::layout::Places::of(self).layout();
         let of_image = |i: &ImageObservations| -> usize {
             let edges: usize = i.discs.iter().map(|d| d.edge.u_px.len()).sum();
-            edges + i.pairs.iter().map(|p| p.whitening.nrows()).sum::<usize>()
+            edges + i.pairs.iter().map(|p| p.whitening.nrows()).sum::<usize>() + 2 * i.points.disc.len()
         };
         Observed {
             observations: self.images.iter().map(of_image).sum(),

@@ -101,7 +101,17 @@ pub(super) fn retract(model: &Model, places: &Places, state: &State, step: &Step
     let eyes =
         |s: &State| -> Option<Vec<Eye>> { model.cameras.iter().zip(&s.cameras).map(|(m, i)| Eye::of(m, i)).collect() };
     let (before, after) = (eyes(state)?, eyes(&next)?);
-    let moving: Vec<Moving> = (0..state.views.len()).map(|v| moving(model, places, state, step, v)).collect();
+    // The middle of many discs is the same for all views that share a shape.
+    let mut scene = None;
+    let mut all = Vec::with_capacity(state.views.len());
+    for v in 0..state.views.len() {
+        let shapes = match scene {
+            Some(shapes) if !model.target.per_view() => shapes,
+            _ => *scene.insert(Shapes::of(model, places, state, step, v)),
+        };
+        all.push(moving(model, places, state, step, v, &shapes));
+    }
+    let moving = all;
     let eye = (&before[0], &after[0]);
     let body = (model.cameras.len() > 1).then(|| Body::of(&moving, eye));
     move_plane(places, state, &mut next, g, body.as_ref(), eye);
@@ -143,21 +153,35 @@ fn grown(length: f64, step: f64) -> f64 {
     if length > 0.0 { length * (step / length).exp() } else { length + step }
 }
 
-fn moving(model: &Model, places: &Places, state: &State, step: &Step, v: usize) -> Moving {
-    let (view, b, g) = (&state.views[v], &step.blocks[v], &step.global);
-    let per_view = model.target.per_view();
-    let old_shape = if per_view { view.shape_mm } else { state.shape_mm };
-    let mut d_shape = [0.0; 3];
-    for k in 0..3 {
-        d_shape[k] = if per_view {
-            places.view_shape[k].map_or(0.0, |at| b[places.pose_sizes[v] + at])
-        } else {
-            places.shape[k].map_or(0.0, |at| g[at])
-        };
+/// Lengths of the target of a view after a step, and the middle of its discs before, after the linear step, and after the step.
+#[derive(Clone, Copy)]
+struct Shapes {
+    after: [f64; 3],
+    middles: [Vector3<f64>; 3],
+}
+
+impl Shapes {
+    fn of(model: &Model, places: &Places, state: &State, step: &Step, v: usize) -> Self {
+        let (view, b, g) = (&state.views[v], &step.blocks[v], &step.global);
+        let per_view = model.target.per_view();
+        let old_shape = if per_view { view.shape_mm } else { state.shape_mm };
+        let mut d_shape = [0.0; 3];
+        for k in 0..3 {
+            d_shape[k] = if per_view {
+                places.view_shape[k].map_or(0.0, |at| b[places.pose_sizes[v] + at])
+            } else {
+                places.shape[k].map_or(0.0, |at| g[at])
+            };
+        }
+        let after = std::array::from_fn(|k| grown(old_shape[k], d_shape[k]));
+        let linear = std::array::from_fn(|k| old_shape[k] + d_shape[k]);
+        Self { after, middles: [old_shape, linear, after].map(|s| middle(model, &s)) }
     }
-    let old_middle = middle(model, &old_shape);
-    let shape = std::array::from_fn(|k| grown(old_shape[k], d_shape[k]));
-    let linear_shape = std::array::from_fn(|k| old_shape[k] + d_shape[k]);
+}
+
+fn moving(model: &Model, places: &Places, state: &State, step: &Step, v: usize, shapes: &Shapes) -> Moving {
+    let (view, b, g) = (&state.views[v], &step.blocks[v], &step.global);
+    let [old_middle, linear_middle, new_middle] = shapes.middles;
     let pose = &view.first_from_target;
     let c = pose.apply(&old_middle);
     let d: SVector<f64, 6> = match (&state.first_from_plane, &view.plane_from_target, places.plane) {
@@ -168,8 +192,8 @@ fn moving(model: &Model, places: &Places, state: &State, step: &Step, v: usize) 
         _ => b.fixed_rows::<6>(0).into_owned(),
     };
     let w = d.fixed_rows::<3>(0).into_owned();
-    let dc = w.cross(&c) + d.fixed_rows::<3>(3) + pose.rotation * (middle(model, &linear_shape) - old_middle);
-    Moving { c, dc, w, middle: middle(model, &shape), shape }
+    let dc = w.cross(&c) + d.fixed_rows::<3>(3) + pose.rotation * (linear_middle - old_middle);
+    Moving { c, dc, w, middle: new_middle, shape: shapes.after }
 }
 
 /// The scene as a rigid body: its middle before and after, its turn.

@@ -17,7 +17,8 @@ use crate::camera::{Camera, INTRINSICS, LaneCamera};
 use crate::lanes::{self, GROUP, Kernel, Lanes, splats};
 use nalgebra::{Matrix3x2, SMatrix, SVector, Vector3};
 
-fn pair_loss(loss: Loss, rank: usize) -> Loss {
+/// The loss of so many numbers that are judged together.
+pub(super) fn pair_loss(loss: Loss, rank: usize) -> Loss {
     let root = (rank as f64).sqrt();
     match loss {
         Loss::None => Loss::None,

@@ -149,6 +149,64 @@ impl<L: Lanes> LaneCamera<L> {
     }
 }
 
+/// Derivative of one weighted coordinate of an image by the intrinsics, by a turn of the point about the camera's centre (the point times the
+/// next), and by the point.
+pub(crate) type LaneRow<L> = [L; INTRINSICS + 6];
+
+/// From the derivatives by the distorted point (that of the distorted by the ideal point given), by f, aspect, axis point, and by both
+/// tilts and the pupil ratio.
+#[inline(always)]
+fn lane_row<L: Lanes>(
+    at: &LaneImage<L>,
+    [xx, xy, yy]: [L; 3],
+    [xd, yd]: [L; 2],
+    [f, aspect, cx, cy]: [L; 4],
+    [alpha, beta, pupil]: [L; 3],
+) -> LaneRow<L> {
+    let (x, y) = (xd * xx + yd * xy, xd * xy + yd * yy);
+    let (depth, w) = (at.x * x + at.y * y, at.s * (at.x * xd + at.y * yd));
+    let sw = at.s * w;
+    let turn = [-(at.y * depth) - y, x + at.x * depth, at.x * y - at.y * x];
+    let point = [x * at.iz, y * at.iz, -(depth * at.iz)];
+    [f, aspect, cx, cy, alpha, beta, w, sw, at.s * sw, pupil, turn[0], turn[1], turn[2], point[0], point[1], point[2]]
+}
+
+impl<L: Lanes> LaneCamera<L> {
+    /// Derivatives of either coordinate of the pixel times a weight.
+    #[inline(always)]
+    pub(crate) fn rows(&self, at: &LaneImage<L>, weight: L) -> [LaneRow<L>; 2] {
+        let zero = L::splat(0.0);
+        let (a, b, weighted) = (&self.alpha, &self.beta, at.ih * weight);
+        let (fu, fv) = (self.f * weighted, self.fv * weighted);
+        let bend = L::splat(2.0) * at.slope;
+        let (bx, by) = (bend * at.x, bend * at.y);
+        let [xx, xy, yy] = [at.gain + bx * at.x, bx * at.y, at.gain + by * at.y];
+        let h_by_beta = at.xd * b[1][0] + at.yd * b[1][1];
+        let h_by_pupil = at.xd * self.pupil[0] + at.yd * self.pupil[1];
+        let (tu, tv) = (fu * at.tx, fv * at.ty);
+        [
+            lane_row(
+                at,
+                [xx, xy, yy],
+                [fu * self.x_by[0] + tu * self.h_by[0], fu * self.x_by[1] + tu * self.h_by[1]],
+                [weight * at.tx, zero, weight, zero],
+                [
+                    at.yd * (fu * a[0] - tu * a[2]),
+                    fu * (at.xd * b[0][0] + at.yd * b[0][1]) - tu * h_by_beta,
+                    -(tu * h_by_pupil),
+                ],
+            ),
+            lane_row(
+                at,
+                [xx, xy, yy],
+                [tv * self.h_by[0], fv * self.y_by + tv * self.h_by[1]],
+                [weight * self.aspect * at.ty, weight * self.f * at.ty, zero, weight],
+                [at.yd * (fv * a[1] - tv * a[2]), -(tv * h_by_beta), -(tv * h_by_pupil)],
+            ),
+        ]
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -215,6 +273,55 @@ mod tests {
             (0..3).for_each(|k| near(x[4 + k], by_p[k]));
             (0..INTRINSICS).for_each(|k| near(x[7 + k], by_i[k]));
             assert_eq!(x[17], 1.0);
+        }
+    }
+
+    /// Both rows of each point, weighted by 1.3.
+    #[derive(Clone)]
+    struct BothRows(Images);
+    impl Kernel for BothRows {
+        type Output = Vec<[[f64; 16]; 2]>;
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> Self::Output {
+            let camera = LaneCamera::<L>::of(&self.0.camera).unwrap();
+            let mut out = vec![[[0.0; 16]; 2]; GROUP];
+            for first in (0..GROUP).step_by(L::N) {
+                let part: [L; 3] = std::array::from_fn(|k| {
+                    L::load(&(0..L::N).map(|i| self.0.points[first + i][k]).collect::<Vec<_>>())
+                });
+                let rows = camera.rows(&camera.image(part), L::splat(1.3));
+                for (s, row) in rows.into_iter().enumerate() {
+                    for (k, x) in row.into_iter().enumerate() {
+                        let mut place = [0.0; GROUP];
+                        x.store(&mut place);
+                        (0..L::N).for_each(|n| out[first + n][s][k] = place[n]);
+                    }
+                }
+            }
+            out
+        }
+    }
+
+    #[test]
+    fn rows_agree_with_the_plain_camera_and_each_other() {
+        let all = run_all(&BothRows(Images { camera: camera(), points: points() }));
+        for widths in &all {
+            assert_eq!(*widths, all[0]);
+        }
+        for (p, rows) in points().iter().zip(&all[0]) {
+            let p = Vector3::from(*p);
+            let jet = camera().project_jet(&p).unwrap();
+            for (s, row) in rows.iter().enumerate() {
+                let g: Vector3<f64> = jet.dq_dp.row(s).transpose() * 1.3;
+                let wanted = (0..INTRINSICS).map(|k| 1.3 * jet.dq_dintrinsics[(s, k)]);
+                let wanted = wanted.chain(p.cross(&g).iter().copied().collect::<Vec<_>>()).chain(g.iter().copied());
+                for (k, (a, b)) in row.iter().zip(wanted).enumerate() {
+                    // A turn is a difference of terms as long as the point times g.
+                    let size =
+                        if (INTRINSICS..INTRINSICS + 3).contains(&k) { p.norm() * g.norm() } else { 1.0 + b.abs() };
+                    assert!((a - b).abs() < 1e-13 * size, "{s} {k}: {a} {b}");
+                }
+            }
         }
     }
 

@@ -4,14 +4,16 @@
 //! ([`crate::detect::profile`]) and light ([`crate::detect::surface`]). Gauss-Newton in geometry and blur, exact in the light.
 //!
 //! Smoke is a random field: waves on a lattice of wave vectors `k` in units of the semi-axes, whose heights are
-//! unknowns with the prior of a squared-exponential covariance, variance of a height `~ amp^2 exp(-(k l)^2 / 2)`.
-//! Amplitude and length are those with the largest restricted likelihood of the image,
+//! unknowns with a prior, variance of a height `~ amp^2 S(k l)`, of smooth light, `S = exp(-(k l)^2 / 2)`, or of turbulence cut
+//! by a sheet, `S = (1 + (k l)^2)^(-4/3)`. Spectrum, amplitude and length are those with the largest restricted likelihood of the image,
 //!
 //! ```text
 //! -2 ln L = chi^2 + ln det(J^T W J + Lambda^-1) + ln det Lambda + sum ln variance
 //! ```
 //!
-//! with all unknowns, geometry and blur among them, integrated out: so the sigmas say what not knowing the smoke costs.
+//! with all unknowns, geometry and blur among them, integrated out; the result is the mean over all of them, each with its
+//! likelihood as weight: so the sigmas say what not knowing the smoke, nor of which kind it is, costs. Noise inside is what
+//! is left over the degrees of freedom that the waves did not spend, for light carries shot noise that the ground does not show.
 //!
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
@@ -20,7 +22,9 @@
 //! | J^T W J | `gram` | n x n | | products of all columns, the grey values last |
 
 mod field;
+mod left;
 pub(crate) use field::Field;
+pub(crate) use left::Share;
 
 use crate::conic::{Ellipse, Frame, from_regular, to_regular};
 use crate::detect::band::{Band, LANES, Reach};
@@ -33,7 +37,8 @@ use crate::detect::rim::Rim;
 use crate::detect::surface::{At, on_contour};
 use crate::image::GrayView;
 use crate::lanes::{self, Kernel, Lanes as Width};
-use field::PRIOR_PIXELS;
+use field::{PRIOR_PIXELS, Verdict};
+use left::Within;
 use nalgebra::{SMatrix, SVector};
 
 /// Blur and geometry.
@@ -42,8 +47,8 @@ const FIXED: usize = 6;
 const CHUNK: usize = 64;
 /// Rounds at most.
 const MOST_ROUNDS: usize = 8;
-/// Longest contour around which a field is fitted, px: its price grows with the area, and nodes along the contour do as well there.
-pub(crate) const MOST_CONTOUR_PX: f64 = 300.0;
+/// Longest contour around which a field is fitted, px: its price grows with the area, and the short waves in large discs are too many; nodes along the contour do as well there.
+pub(crate) const MOST_CONTOUR_PX: f64 = 130.0;
 /// Product of curvature and blur above which the local profile no longer holds.
 pub(crate) const SMALL: f64 = 0.33;
 /// How much `chi^2` must fall for a slope of the light: its two coefficients, 3.5 standard deviations, and 4 for having looked.
@@ -68,34 +73,6 @@ impl State {
     fn exact_rim(&self) -> bool {
         let e = &self.ellipse;
         self.field.is_none() && self.blur_px * e.semi_major_px > SMALL * e.semi_minor_px * e.semi_minor_px
-    }
-}
-
-/// One sector's share in the result.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Share {
-    /// Weighted residuals times response, 1/px.
-    score: f64,
-    /// Information about the shift of the edge, 1/px^2.
-    pub(crate) information: f64,
-    /// Weighted squared residuals and their number.
-    pub(crate) squares: f64,
-    pub(crate) pixels: f64,
-}
-
-impl Share {
-    /// Takes in a pixel with the response `h` and the residual `left`, both over the noise.
-    #[inline]
-    pub(crate) fn push(&mut self, h: f64, left: f64) {
-        self.score += h * left;
-        self.information += h * h;
-        self.squares += left * left;
-        self.pixels += 1.0;
-    }
-
-    /// Outward shift of the edge beyond that of the ellipse, px.
-    pub(crate) fn shift_px(&self) -> f64 {
-        -self.score / self.information
     }
 }
 
@@ -124,6 +101,9 @@ pub(crate) struct Exact {
     pub(crate) shares: Vec<Share>,
     /// Sums of residuals far from the edge: squares and number of either side.
     away: [[f64; 2]; 2],
+    within: Within,
+    /// What all fields together say, where there is one.
+    verdict: Option<Verdict>,
     /// Products of neighbouring residuals inside and their number.
     neighbours: [f64; 2],
     chi2: f64,
@@ -132,11 +112,14 @@ pub(crate) struct Exact {
 impl Exact {
     /// Covariance of the regular coordinates.
     pub(crate) fn covariance(&self) -> SMatrix<f64, 5, 5> {
-        self.dense.covariance
+        self.verdict.map_or(self.dense.covariance, |v| v.covariance)
     }
+
     pub(crate) fn widen(&self) -> f64 {
-        self.dense.widen
+        let own = self.dense.covariance.trace();
+        self.verdict.map_or(1.0, |v| (v.covariance.trace() / own).sqrt()) * self.dense.widen
     }
+
     /// Number of unknowns of the light.
     fn lights(state: &State) -> usize {
         let waves = state.field.as_ref().map_or(0, |f| 2 * f.waves.len());
@@ -358,43 +341,6 @@ impl Exact {
         Some(self.chi2 + log_det + log_prior)
     }
 
-    /// What each sector and each side leave unexplained.
-    fn shares(&mut self, state: &State, sectors: usize) {
-        let lights = Self::lights(state);
-        let frame = Frame::new(&state.ellipse);
-        self.shares.clear();
-        self.shares.resize(sectors, Share::default());
-        self.away = [[0.0; 2]; 2];
-        self.neighbours = [0.0; 2];
-        self.prepare(state, &frame);
-        let mut before: Option<(f64, f64)> = None;
-        for start in (0..self.count).step_by(LANES) {
-            self.fill(state, &frame, start, 0);
-            for l in 0..LANES.min(self.count - start) {
-                let p = start + l;
-                let column = &self.columns[l..];
-                let model: f64 = self.found.iter().enumerate().map(|(j, x)| x * column[j * CHUNK]).sum();
-                let left = column[(lights + FIXED) * CHUNK] - model;
-                let (q, h) = (self.inside[p], self.response[p]);
-                let share = &mut self.shares[self.band.sector[p] as usize];
-                share.push(h, left);
-                let far = if q > 0.995 { Some(0) } else { (q < 0.005).then_some(1) };
-                if let Some(side) = far {
-                    self.away[side][0] += left * left / Self::weight(state, q);
-                    self.away[side][1] += 1.0;
-                }
-                let here = (q > 0.9).then_some((self.band.x[p], left));
-                if let (Some((x, r)), Some((x1, r1))) = (before, here) {
-                    if (x1 - x).abs() < 1.01 {
-                        self.neighbours[0] += r * r1;
-                        self.neighbours[1] += 1.0;
-                    }
-                }
-                before = here;
-            }
-        }
-    }
-
     /// Fits with noise and light as the image asks: the poorest polynomials that explain it, or a field where `state` asks for one.
     /// Returns the sectors that counted, of the contour as it was cut last.
     pub(crate) fn settle(
@@ -413,6 +359,7 @@ impl Exact {
             Reach { inner_px: if whole { 2.0 * state.ellipse.semi_major_px } else { inner }, outer_px: wanted }
         };
         let cut = |contour: &mut Contour, e: &Ellipse| contour.cut(e, start.neighbours);
+        self.verdict = None;
         let mut kept = self.fit(view, state, contour, keep, &reach, &cut)?;
         for _ in 0..4 {
             let before = (state.variance, state.sides);
@@ -424,17 +371,25 @@ impl Exact {
                 [Some(a), None] | [None, Some(a)] => [a, a],
                 [None, None] => state.variance,
             };
-            // A field follows the noise a little; its own noise is found with it.
-            let least = floor.max(found[0].max(found[1]) / 16.0);
-            let found = found.map(|x| x.max(least));
+            let found = found.map(|x| x.max(floor));
             let alike = |side: usize| (0.8..1.25).contains(&(found[side] / before.0[side]));
             let richer = (0..2).any(|i| state.sides[i].degree != before.1[i].degree);
-            if state.field.is_some() || !richer && alike(0) && alike(1) {
+            if state.field.is_some() {
+                let factor = self.noise_in_field(state);
+                if (0.85..1.18).contains(&factor) {
+                    break;
+                }
+                state.variance[0] = (factor * state.variance[0]).max(floor);
+                kept = self.fit(view, state, contour, keep, &reach, &cut)?;
+                continue;
+            }
+            if !richer && alike(0) && alike(1) {
                 break;
             }
             state.variance = found;
             kept = self.fit(view, state, contour, keep, &reach, &cut)?;
         }
+        self.verdict = self.weigh_fields(state);
         Some(kept)
     }
 
@@ -475,6 +430,7 @@ impl Exact {
         self.light.clear();
         let mut kept;
         let (mut round, mut chosen) = (0, 0);
+        let afresh = state.field.as_ref().is_some_and(|f| f.waves.is_empty());
         self.held.clear();
         self.tilt = [0.0; FIXED];
         loop {
@@ -488,7 +444,7 @@ impl Exact {
             }
             if round == 0 && state.field.is_some() {
                 chosen = 1;
-                self.choose_field(state);
+                self.choose_field(state, afresh);
             }
             self.sum_up(state);
             self.solve(state)?;
@@ -516,7 +472,7 @@ impl Exact {
                 chosen = 2;
                 round = round.min(MOST_ROUNDS - 3);
                 self.hold_steps(state);
-                self.choose_field(state);
+                self.choose_field(state, afresh);
                 self.sum_up(state);
                 self.solve(state)?;
                 self.held.clear();
@@ -539,32 +495,13 @@ impl Exact {
     pub(crate) fn finished(&self, state: &State) -> Option<(Ellipse, SVector<f64, 5>, f64)> {
         let lights = Self::lights(state);
         let mut q = to_regular(&state.ellipse);
-        let change = SVector::<f64, 5>::from_fn(|i, _| self.found[lights + 1 + i]);
-        q += change;
-        Some((from_regular(&q)?, change, state.blur_px + self.found[lights]))
-    }
-
-    /// Whether what is left inside looks like light rather than noise: alike from pixel to pixel.
-    pub(crate) fn smoke_left(&self, perimeter_px: f64) -> bool {
-        let [product, n] = self.neighbours;
-        if perimeter_px > MOST_CONTOUR_PX {
-            return false;
-        }
-        if n < 12.0 {
-            return self.misfit() > 2.0;
-        }
-        product > 0.25 * n && product > 3.0 * n.sqrt()
-    }
-
-    /// Mean squared residual over the noise.
-    pub(crate) fn misfit(&self) -> f64 {
-        let sum = |f: &dyn Fn(&Share) -> f64| self.shares.iter().map(f).sum::<f64>();
-        sum(&|s| s.squares) / sum(&|s| s.pixels).max(1.0)
-    }
-
-    /// Noise variances of either side where enough pixels show them, grey^2.
-    pub(crate) fn noise(&self) -> [Option<f64>; 2] {
-        self.away.map(|[squares, n]| (n > 12.0).then(|| squares / n))
+        let change = match &self.verdict {
+            Some(v) => v.change,
+            None => SVector::<f64, FIXED>::from_fn(|i, _| self.found[lights + i]),
+        };
+        let moved = change.fixed_rows::<5>(1).into_owned();
+        q += moved;
+        Some((from_regular(&q)?, moved, state.blur_px + change[0]))
     }
 }
 

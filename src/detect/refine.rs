@@ -31,6 +31,8 @@ use nalgebra::{SMatrix, SVector};
 const MOST_ROUNDS: usize = 10;
 /// A change of the geometry below this ends the rounds, px: what is left of it is of third order in the ratio to the blur.
 const STILL_PX: f64 = 0.02;
+/// By how much the noise that a field of smoke leaves may surpass, as a variance, that which neighbouring pixels showed.
+const LOUDER: f64 = 1.5;
 
 /// Buffers reused from disc to disc.
 #[derive(Debug, Default)]
@@ -469,13 +471,17 @@ fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: &mut Scratc
     if start.smoke && (smoke || s.exact.smoke_left(perimeter_px)) {
         let mut smoky = State { field: Some(Field::default()), ..before };
         smoky.sides[0] = Side::plain(0, model.step.abs());
-        // Noise inside cannot be told from smoke before the smoke is known.
-        smoky.variance = [s.exact.noise()[1].unwrap_or(state.variance[1]).max(floor); 2];
+        // Noise inside is told from smoke only once the smoke is known.
+        let outside = s.exact.noise()[1].unwrap_or(state.variance[1]).max(floor);
+        let inside = s.exact.noise_between_neighbours(&state).unwrap_or(outside).max(floor);
+        smoky.variance = [inside, outside];
+        // What is no smoke is not to pass for noise.
+        let quiet = |state: &State| state.variance[0] < LOUDER * inside;
         // Smoke looked like disagreement before it was known.
         let all = vec![true; keep.len()];
         let mut whole_contour = smoky.clone();
         let mut settled = s.exact.settle(view, &mut whole_contour, &mut s.fine, &all, start, floor);
-        if settled.is_some() && s.exact.misfit() < 1.3 {
+        if settled.is_some() && quiet(&whole_contour) && s.exact.misfit() < 1.3 {
             smoky = whole_contour;
         } else {
             settled = s.exact.settle(view, &mut smoky, &mut s.fine, &keep, start, floor);
@@ -483,7 +489,7 @@ fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: &mut Scratc
         if let Some(keep) = settled {
             // Where there is another edge inside, the field must explain what it is said to be.
             let whole = start.inner_px >= 0.85 * model.ellipse.semi_minor_px;
-            if smoky.field.is_some() && (whole || s.exact.misfit() < 1.5) {
+            if smoky.field.is_some() && quiet(&smoky) && (whole || s.exact.misfit() < 1.5) {
                 (state, kept) = (smoky, keep);
             } else if smoke {
                 return None;

@@ -1,9 +1,10 @@
 //! The exact map of one camera, in bulk, structure of arrays.
 
-use super::bulk::{hits, images};
+use super::bulk::{hits, in_blocks};
 use crate::camera::{Camera, Refusal};
-use crate::error::{Invalid, Result};
+use crate::error::{Invalid, Result, same_length};
 use crate::frames::{Cam, Sheet};
+use crate::lanes::{Column, ColumnMut};
 use crate::record::Record;
 use crate::rigid::Motion;
 use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Vector2, Vector3};
@@ -109,18 +110,6 @@ pub struct SheetMap {
     size_px: [usize; 2],
     /// Projection centre in the sheet frame, mm.
     center_mm: Vector3<f64>,
-}
-
-pub(super) fn same_length(name: &str, wanted: usize, lists: &[&[f64]]) -> Result<()> {
-    match lists.iter().find(|l| l.len() != wanted) {
-        None => Ok(()),
-        Some(l) => Err(Invalid::value(
-            format!("number of {name}"),
-            l.len() as f64,
-            format!("lists of one length, as the first with {wanted}"),
-        )
-        .into()),
-    }
 }
 
 impl SheetMap {
@@ -271,14 +260,9 @@ impl SheetMap {
 
     /// Images of points, lists of one length.
     pub(super) fn images_into(&self, from: [&[f64]; 3], to: [&mut [f64]; 2]) {
-        if self.camera.window().is_none() {
-            return images(self, from, to);
-        }
-        for i in 0..from[0].len() {
-            let q = self.project(&Vector3::new(from[0][i], from[1][i], from[2][i]));
-            let q = q.unwrap_or(Vector2::repeat(f64::NAN));
-            (to[0][i], to[1][i]) = (q.x, q.y);
-        }
+        in_blocks(from, to, &|(from, to)| {
+            self.camera.images_into(&self.cam_from_sheet, from.map(Column::from), to.map(ColumnMut::from));
+        });
     }
 
     /// As [`SheetMap::pixel_of_sheet`], with derivatives by x, y and z.
@@ -329,16 +313,26 @@ impl SheetMap {
         same_length("pixels", u_px.len(), &[v_px, z_mm])?;
         out.x_mm.resize(u_px.len(), 0.0);
         out.y_mm.resize(u_px.len(), 0.0);
-        if self.camera.window().is_none() {
-            hits(self, &self.center_mm, [u_px, v_px, z_mm], [&mut out.x_mm, &mut out.y_mm]);
-            return Ok(());
-        }
-        for i in 0..u_px.len() {
-            let p = self.sheet_from_pixel(&Vector2::new(u_px[i], v_px[i]), z_mm[i]);
-            let p = p.unwrap_or(Vector2::repeat(f64::NAN));
-            (out.x_mm[i], out.y_mm[i]) = (p.x, p.y);
-        }
+        in_blocks([u_px, v_px, z_mm], [&mut out.x_mm, &mut out.y_mm], &|(from, to)| {
+            self.hits_into(from.map(Column::from), to.map(ColumnMut::from));
+        });
         Ok(())
+    }
+
+    /// Where pixels (u, v) see planes z = const, columns of one length; `NaN` where they do not. Whether every pixel sees its plane; `false` is
+    /// also said where that was not looked at.
+    pub(crate) fn hits_into(&self, from: [Column; 3], to: [ColumnMut; 2]) -> bool {
+        if self.camera.window().is_none() {
+            return hits(self, &self.center_mm, from, to);
+        }
+        let ([u_px, v_px, z_mm], [mut x_mm, mut y_mm]) = (from, to);
+        for i in 0..u_px.len() {
+            let p = self.sheet_from_pixel(&Vector2::new(u_px.get(i), v_px.get(i)), z_mm.get(i));
+            let p = p.unwrap_or(Vector2::repeat(f64::NAN));
+            x_mm.set(i, p.x);
+            y_mm.set(i, p.y);
+        }
+        false
     }
 
     /// As [`SheetMap::sheet_of_pixel`], with derivatives by u and v, and along the ray by z.

@@ -11,7 +11,7 @@
 //! Source: Soloff, Adrian, Liu, Meas. Sci. Technol. 8 (1997) 1441, eq 17.
 
 use super::map::{PixelJets, SheetMap};
-use crate::error::{Insufficient, Invalid, Result};
+use crate::error::{Insufficient, Invalid, Result, same_length};
 use nalgebra::{DMatrix, Matrix2x3, Vector2, Vector3};
 
 /// Nodes of the fit along x, y, z.
@@ -187,7 +187,7 @@ impl Soloff {
     /// # Errors
     /// [`Invalid::Value`] where the lists differ in length.
     pub fn pixel_of_sheet_jets(&self, x_mm: &[f64], y_mm: &[f64], z_mm: &[f64]) -> Result<PixelJets> {
-        super::map::same_length("points", x_mm.len(), &[y_mm, z_mm])?;
+        same_length("points", x_mm.len(), &[y_mm, z_mm])?;
         let (middle, half) = (&self.volume.middle_mm, &self.volume.half_mm);
         let mut out = PixelJets::default();
         for i in 0..x_mm.len() {
@@ -204,7 +204,7 @@ impl Soloff {
     /// # Errors
     /// [`Invalid::Value`] where the lists differ in length.
     pub fn sheet_of_pixel(&self, u_px: &[f64], v_px: &[f64], z_mm: &[f64]) -> Result<super::SheetPoints> {
-        super::map::same_length("pixels", u_px.len(), &[v_px, z_mm])?;
+        same_length("pixels", u_px.len(), &[v_px, z_mm])?;
         let mut out = super::SheetPoints::default();
         for i in 0..u_px.len() {
             let scaled_z = (z_mm[i] - self.volume.middle_mm[2]) / self.volume.half_mm[2];

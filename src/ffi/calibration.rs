@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 /// Loads a calibration from the file calibration.json that the program or spivcal_calibration_save wrote.
 ///
-/// `path_utf8`: the file. `calibration`: receives the handle.
+/// `path_utf8`: the file. `calibration`: receives the handle. SPIVCAL_ERROR_INVALID_INPUT where it cannot be read or holds no calibration.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_calibration_load(
     context: u64,
@@ -34,7 +34,7 @@ pub unsafe extern "C" fn spivcal_calibration_load(
 
 /// Makes a calibration from the text of a calibration.json.
 ///
-/// `json_utf8`: zero-terminated. `calibration`: receives the handle.
+/// `json_utf8`: zero-terminated. `calibration`: receives the handle. SPIVCAL_ERROR_INVALID_INPUT where it holds no calibration.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_calibration_parse(
     context: u64,
@@ -57,6 +57,7 @@ fn read(context: u64, json: &str, name: &str, out: Out<u64>) -> Outcome {
 /// to the bit.
 ///
 /// `path_utf8`: the file; written under a temporary name and renamed, so that a failure leaves the old file. Missing folders are made.
+/// SPIVCAL_ERROR_INVALID_INPUT where it cannot be written.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_calibration_save(calibration: u64, path_utf8: *const c_char) -> i32 {
     on(calibration, |state| {
@@ -128,7 +129,8 @@ pub unsafe extern "C" fn spivcal_calibration_number(
 /// An array of a calibration.
 ///
 /// `key`: SPIVCAL_ARRAY_*, which says length, order, unit and what `index` counts (0 where nothing).
-/// `buffer`: `capacity` doubles. `needed`: receives their number. `capacity` 0 asks for `needed` alone.
+/// `buffer`: `capacity` doubles. `needed`: receives their number. `capacity` 0 asks for `needed` alone. SPIVCAL_ERROR_NOT_AVAILABLE where
+/// the calibration has no such array.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_calibration_array_copy(
     calibration: u64,
@@ -148,7 +150,7 @@ pub unsafe extern "C" fn spivcal_calibration_array_copy(
 /// A text of a calibration.
 ///
 /// `key`: SPIVCAL_TEXT_*, which says what `index` counts (0 where nothing).
-/// `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy.
+/// `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy. SPIVCAL_ERROR_NOT_AVAILABLE where the calibration has no such text.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_calibration_text_copy(
     calibration: u64,

@@ -76,7 +76,7 @@ pub extern "C" fn spivcal_detection_set_number(detection: u64, key: i32, value: 
 
 /// Finds the discs of an image. What an earlier run found is replaced.
 ///
-/// Blocks until it is done. SPIVCAL_OK also where no disc was found: see SPIVCAL_COUNT_DISCS.
+/// `image`: handle of the image. Blocks until it is done. SPIVCAL_OK also where no disc was found: see SPIVCAL_COUNT_DISCS.
 #[unsafe(no_mangle)]
 pub extern "C" fn spivcal_detection_run(detection: u64, image: u64) -> i32 {
     enter(detection, Kind::Detection, |object| {
@@ -91,7 +91,8 @@ pub extern "C" fn spivcal_detection_run(detection: u64, image: u64) -> i32 {
 
 /// How many of something a detection holds.
 ///
-/// `key`: SPIVCAL_COUNT_DISCS or SPIVCAL_COUNT_REJECTIONS. `count`: receives the number.
+/// `key`: SPIVCAL_COUNT_DISCS or SPIVCAL_COUNT_REJECTIONS. `count`: receives the number. SPIVCAL_ERROR_NOT_AVAILABLE before
+/// spivcal_detection_run.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_detection_count(detection: u64, key: i32, count: *mut u64) -> i32 {
     on_found(detection, |found| {
@@ -109,7 +110,8 @@ pub unsafe extern "C" fn spivcal_detection_count(detection: u64, key: i32, count
 /// Numbers of all discs (SPIVCAL_DISC_*, `disc` is not looked at), or of one disc (SPIVCAL_DISC_COVARIANCE and SPIVCAL_CONTOUR_*).
 ///
 /// `key`: says what, its length and its unit. `disc`: from 0.
-/// `buffer`: `capacity` doubles. `needed`: receives their number. `capacity` 0 asks for `needed` alone.
+/// `buffer`: `capacity` doubles. `needed`: receives their number. `capacity` 0 asks for `needed` alone. SPIVCAL_ERROR_NOT_AVAILABLE before
+/// spivcal_detection_run.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_detection_array_copy(
     detection: u64,
@@ -130,7 +132,7 @@ pub unsafe extern "C" fn spivcal_detection_array_copy(
 ///
 /// `key`: SPIVCAL_TEXT_JSON (everything that was found, with contours, features of a pair and rejections) or
 /// SPIVCAL_TEXT_REJECTION (why candidate `index` was turned down). `image_name_utf8`: named in the JSON, may be NULL.
-/// `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy.
+/// `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy. SPIVCAL_ERROR_NOT_AVAILABLE before spivcal_detection_run.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_detection_text_copy(
     detection: u64,

@@ -68,7 +68,7 @@ pub unsafe extern "C" fn spivcal_image_create_f32(
 
 /// Image from a file: PNG, TIFF (8, 16 bit, floating point), BMP, PGM, JPEG. Colours become grey.
 ///
-/// `path_utf8`: zero-terminated. `image`: receives the handle.
+/// `path_utf8`: zero-terminated. `image`: receives the handle. SPIVCAL_ERROR_INVALID_INPUT where it cannot be read.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_image_load(context: u64, path_utf8: *const c_char, image: *mut u64) -> i32 {
     enter(context, Kind::Context, |_| {
@@ -78,7 +78,9 @@ pub unsafe extern "C" fn spivcal_image_load(context: u64, path_utf8: *const c_ch
     })
 }
 
-/// Width and height of an image, px.
+/// Size of an image.
+///
+/// `width`, `height`: receive it, px.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_image_size(image: u64, width: *mut u32, height: *mut u32) -> i32 {
     enter(image, Kind::Image, |object| {

@@ -168,8 +168,8 @@ unsafe fn at_once(rig: &Object, known: Option<u64>, calibration: *mut u64) -> Ou
 
 /// Starts spivcal_calibration_run in a thread of its own.
 ///
-/// The description is copied: `rig` may be changed or destroyed meanwhile. `job`: receives the handle. Errors of the description
-/// itself are found here, those of the images by spivcal_job_result.
+/// The description is copied: `rig` may be changed or destroyed meanwhile. `job`: receives the handle. What is wrong with the description
+/// itself is found here (SPIVCAL_ERROR_INVALID_INPUT), with the images by spivcal_job_result.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_job_start(rig: u64, job: *mut u64) -> i32 {
     // SAFETY: the contract of the header.

@@ -3,11 +3,12 @@
 use super::abi::{SPIVCAL_ERROR_NOT_AVAILABLE, SPIVCAL_OK, SPIVCAL_WARNING_POINTS};
 use super::door::{Fault, Outcome, enter};
 use super::keys::*;
-use super::memory::{Filled, In};
+use super::memory::{Filled, length_of};
 use super::results::state_of;
 use super::table::Kind;
 use crate::camera::Refusal;
 use crate::dewarp::{NoMeeting, SheetMap};
+use crate::lanes::{Column, ColumnMut};
 use crate::record::PlacedCamera;
 use nalgebra::{Vector2, Vector3};
 
@@ -15,7 +16,8 @@ use nalgebra::{Vector2, Vector3};
 ///
 /// `camera`: from 0. `x_mm`, `y_mm`, `z_mm`: `count` doubles each, mm, rig frame (that of the first camera: x right, y down, z forward).
 /// `u_px`, `v_px`: receive `count` doubles each; (0, 0) is the centre of the first pixel. NaN where a point has no image.
-/// `point_status`: receives `count` SPIVCAL_POINT_*; may be NULL. Arrays that are written must not overlap others.
+/// `point_status`: receives `count` SPIVCAL_POINT_*; may be NULL. Arrays that are written must not overlap others. A point has the same
+/// result, to the bit, alone and among others: a call with many points is what is quick.
 /// SPIVCAL_OK, or SPIVCAL_WARNING_POINTS where at least one point has no image.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_calibration_project(
@@ -30,17 +32,13 @@ pub unsafe extern "C" fn spivcal_calibration_project(
     point_status: *mut i32,
 ) -> i32 {
     on(calibration, camera, |camera| {
+        let (points, pixels) = ([(x_mm, "x_mm"), (y_mm, "y_mm"), (z_mm, "z_mm")], [(u_px, "u_px"), (v_px, "v_px")]);
         // SAFETY: the contract of the header.
-        let (points, images, status) = unsafe {
-            (
-                [In::new(x_mm, count, "x_mm")?, In::new(y_mm, count, "y_mm")?, In::new(z_mm, count, "z_mm")?],
-                [Filled::new(u_px, count, "u_px")?, Filled::new(v_px, count, "v_px")?],
-                status_of(point_status, count),
-            )
-        };
-        map(count, points, images, status, |[x, y, z]| {
-            camera.pixel_from_rig(&Vector3::new(x, y, z)).map(|q| [q.x, q.y]).map_err(refusal)
-        })
+        let lists = unsafe { Lists::new(count, points, pixels, point_status) }?;
+        lists.map(
+            |p, q| camera.camera.images_into(&camera.cam_from_rig, p, q),
+            |[x, y, z]| camera.pixel_from_rig(&Vector3::new(x, y, z)).map(|q| [q.x, q.y]).map_err(refusal),
+        )
     })
 }
 
@@ -63,17 +61,14 @@ pub unsafe extern "C" fn spivcal_calibration_unproject(
     point_status: *mut i32,
 ) -> i32 {
     on(calibration, camera, |camera| {
+        let (pixels, rays) = ([(u_px, "u_px"), (v_px, "v_px")], [(dx, "dx"), (dy, "dy"), (dz, "dz")]);
         // SAFETY: the contract of the header.
-        let (pixels, rays, status) = unsafe {
-            (
-                [In::new(u_px, count, "u_px")?, In::new(v_px, count, "v_px")?],
-                [Filled::new(dx, count, "dx")?, Filled::new(dy, count, "dy")?, Filled::new(dz, count, "dz")?],
-                status_of(point_status, count),
-            )
-        };
-        map(count, pixels, rays, status, |[u, v]| {
-            camera.ray_in_rig(&Vector2::new(u, v)).map(|d| [d.x, d.y, d.z]).map_err(refusal)
-        })
+        let lists = unsafe { Lists::new(count, pixels, rays, point_status) }?;
+        let rig_from_cam = camera.cam_from_rig.rotation.transpose();
+        lists.map(
+            |q, d| camera.camera.rays_into(&rig_from_cam, q, d),
+            |[u, v]| camera.ray_in_rig(&Vector2::new(u, v)).map(|d| [d.x, d.y, d.z]).map_err(refusal),
+        )
     })
 }
 
@@ -98,21 +93,26 @@ pub unsafe extern "C" fn spivcal_calibration_sight_from_pixel(
     point_status: *mut i32,
 ) -> i32 {
     on(calibration, camera, |camera| {
+        let pixels = [(u_px, "u_px"), (v_px, "v_px")];
+        let sights = [(x_mm, "x_mm"), (y_mm, "y_mm"), (z_mm, "z_mm"), (dx, "dx"), (dy, "dy"), (dz, "dz")];
         // SAFETY: the contract of the header.
-        let (pixels, lines, status) = unsafe {
-            let [x, y, z] =
-                [(x_mm, "x_mm"), (y_mm, "y_mm"), (z_mm, "z_mm")].map(|(p, name)| Filled::new(p, count, name));
-            let [dx, dy, dz] = [(dx, "dx"), (dy, "dy"), (dz, "dz")].map(|(p, name)| Filled::new(p, count, name));
-            (
-                [In::new(u_px, count, "u_px")?, In::new(v_px, count, "v_px")?],
-                [x?, y?, z?, dx?, dy?, dz?],
-                status_of(point_status, count),
-            )
-        };
-        map(count, pixels, lines, status, |[u, v]| {
-            let (p, d) = camera.sight_in_rig(&Vector2::new(u, v)).map_err(refusal)?;
-            Ok([p.x, p.y, p.z, d.x, d.y, d.z])
-        })
+        let lists = unsafe { Lists::new(count, pixels, sights, point_status) }?;
+        let (rig_from_cam, center_mm) = (camera.cam_from_rig.rotation.transpose(), camera.center_in_rig());
+        lists.map(
+            |q, [x, y, z, dx, dy, dz]| {
+                let in_air = camera.camera.window().is_none();
+                // Behind a window every line begins elsewhere.
+                let begin_mm = if in_air { center_mm } else { Vector3::repeat(f64::NAN) };
+                for (mut list, at) in [x, y, z].into_iter().zip(&begin_mm) {
+                    list.fill(*at);
+                }
+                in_air && camera.camera.rays_into(&rig_from_cam, q, [dx, dy, dz])
+            },
+            |[u, v]| {
+                let (p, d) = camera.sight_in_rig(&Vector2::new(u, v)).map_err(refusal)?;
+                Ok([p.x, p.y, p.z, d.x, d.y, d.z])
+            },
+        )
     })
 }
 
@@ -132,18 +132,14 @@ pub unsafe extern "C" fn spivcal_calibration_sheet_from_pixel(
     y_mm: *mut f64,
     point_status: *mut i32,
 ) -> i32 {
-    on_sheet(calibration, camera, |map_of_camera| {
+    on_sheet(calibration, camera, |map| {
+        let (pixels, points) = ([(u_px, "u_px"), (v_px, "v_px")], [(x_mm, "x_mm"), (y_mm, "y_mm")]);
         // SAFETY: the contract of the header.
-        let (pixels, points, status) = unsafe {
-            (
-                [In::new(u_px, count, "u_px")?, In::new(v_px, count, "v_px")?],
-                [Filled::new(x_mm, count, "x_mm")?, Filled::new(y_mm, count, "y_mm")?],
-                status_of(point_status, count),
-            )
-        };
-        map(count, pixels, points, status, |[u, v]| {
-            map_of_camera.sheet_from_pixel(&Vector2::new(u, v), 0.0).map(|p| [p.x, p.y]).map_err(no_meeting)
-        })
+        let lists = unsafe { Lists::new(count, pixels, points, point_status) }?;
+        lists.map(
+            |[u, v], p| map.hits_into([u, v, in_sheet(u.len())], p),
+            |[u, v]| map.sheet_from_pixel(&Vector2::new(u, v), 0.0).map(|p| [p.x, p.y]).map_err(no_meeting),
+        )
     })
 }
 
@@ -162,52 +158,100 @@ pub unsafe extern "C" fn spivcal_calibration_pixel_from_sheet(
     v_px: *mut f64,
     point_status: *mut i32,
 ) -> i32 {
-    on_sheet(calibration, camera, |map_of_camera| {
+    on_sheet(calibration, camera, |map| {
+        let (points, pixels) = ([(x_mm, "x_mm"), (y_mm, "y_mm")], [(u_px, "u_px"), (v_px, "v_px")]);
         // SAFETY: the contract of the header.
-        let (points, pixels, status) = unsafe {
-            (
-                [In::new(x_mm, count, "x_mm")?, In::new(y_mm, count, "y_mm")?],
-                [Filled::new(u_px, count, "u_px")?, Filled::new(v_px, count, "v_px")?],
-                status_of(point_status, count),
-            )
-        };
-        map(count, points, pixels, status, |[x, y]| {
-            map_of_camera.pixel_from_sheet(&Vector3::new(x, y, 0.0)).map(|q| [q.x, q.y]).map_err(refusal)
-        })
+        let lists = unsafe { Lists::new(count, points, pixels, point_status) }?;
+        lists.map(
+            |[x, y], q| map.camera().images_into(map.cam_from_sheet(), [x, y, in_sheet(x.len())], q),
+            |[x, y]| map.pixel_from_sheet(&Vector3::new(x, y, 0.0)).map(|q| [q.x, q.y]).map_err(refusal),
+        )
     })
 }
 
-/// The one loop: NaN and a status where a point has no result.
-fn map<const N: usize, const M: usize>(
-    count: u64,
-    from: [In<f64>; N],
-    to: [Filled<f64>; M],
+/// Points of a block: what was found is still in a core's own cache where a reason has to be given.
+const BLOCK: usize = 4096;
+
+/// z of points of the sheet, of a block at most.
+fn in_sheet(count: usize) -> Column<'static> {
+    const Z_MM: &[f64; BLOCK] = &[0.0; BLOCK];
+    Z_MM[..count].into()
+}
+
+/// The caller's arrays: N that are read, M that are written, and one for the status of each point.
+struct Lists<'a, const N: usize, const M: usize> {
+    count: usize,
+    from: [Column<'a>; N],
+    to: [ColumnMut<'a>; M],
     status: Option<Filled<i32>>,
-    each: impl Fn([f64; N]) -> Result<[f64; M], i32>,
-) -> Outcome {
-    let mut refused = false;
-    // `In::new` has checked that the count is one of memory.
-    for i in 0..count as usize {
-        let (values, why) = match each(std::array::from_fn(|k| from[k].get(i))) {
+}
+
+impl<const N: usize, const M: usize> Lists<'_, N, M> {
+    /// # Safety
+    /// All that is not null can be read or written for `count` elements.
+    unsafe fn new(
+        count: u64,
+        from: [(*const f64, &str); N],
+        to: [(*mut f64, &str); M],
+        status: *mut i32,
+    ) -> Result<Self, Fault> {
+        let mut n = 0;
+        for (list, argument) in from {
+            n = length_of(list, count, argument)?;
+        }
+        for (list, argument) in to {
+            length_of(list, count, argument)?;
+        }
+        // SAFETY: the contract of this function.
+        unsafe {
+            let status = if status.is_null() { None } else { Some(Filled::new(status, count, "point_status")?) };
+            let from = from.map(|(list, _)| Column::new(list, n));
+            Ok(Self { count: n, from, to: to.map(|(list, _)| ColumnMut::new(list, n)), status })
+        }
+    }
+
+    /// Maps all points, block by block: `all` is quick, leaves what is not finite where a point has no result, and says whether there is none;
+    /// `one` says why, or has the result where the two differ in rounding.
+    fn map(
+        mut self,
+        all: impl Fn([Column; N], [ColumnMut; M]) -> bool,
+        one: impl Fn([f64; N]) -> Result<[f64; M], i32>,
+    ) -> Outcome {
+        let mut refused = false;
+        for first in (0..self.count).step_by(BLOCK) {
+            let n = BLOCK.min(self.count - first);
+            let from = self.from.map(|list| list.part(first, n));
+            let done = all(from, self.to.each_mut().map(|list| list.part(first, n)));
+            if let Some(status) = &self.status {
+                (first..first + n).for_each(|i| status.set(i, SPIVCAL_POINT_OK));
+            }
+            if done {
+                continue;
+            }
+            for i in first..first + n {
+                refused |= self.explain(i, &one);
+            }
+        }
+        Ok(if refused { SPIVCAL_WARNING_POINTS } else { SPIVCAL_OK })
+    }
+
+    /// NaN and a reason where point `i` has no result; whether that is so.
+    fn explain(&mut self, i: usize, one: impl Fn([f64; N]) -> Result<[f64; M], i32>) -> bool {
+        if self.to.iter().all(|list| list.get(i).is_finite()) {
+            return false;
+        }
+        let (values, why) = match one(self.from.map(|list| list.get(i))) {
             Ok(values) => (values, SPIVCAL_POINT_OK),
             Err(why) => ([f64::NAN; M], why),
         };
-        refused |= why != SPIVCAL_POINT_OK;
-        for k in 0..M {
-            to[k].set(i, values[k]);
+        for (list, value) in self.to.iter_mut().zip(values) {
+            list.set(i, value);
         }
-        if let Some(status) = &status {
+        if let Some(status) = &self.status {
             status.set(i, why);
         }
+        why != SPIVCAL_POINT_OK
     }
-    Ok(if refused { SPIVCAL_WARNING_POINTS } else { SPIVCAL_OK })
-}
-
-/// # Safety
-/// `to` is null or can be written for `count` elements.
-unsafe fn status_of(to: *mut i32, count: u64) -> Option<Filled<i32>> {
-    // SAFETY: the contract of this function.
-    if to.is_null() { None } else { unsafe { Filled::new(to, count, "point_status") }.ok() }
 }
 
 fn refusal(refusal: Refusal) -> i32 {
@@ -228,11 +272,7 @@ fn no_meeting(why: NoMeeting) -> i32 {
 }
 
 fn on(calibration: u64, camera: u64, call: impl FnOnce(&PlacedCamera) -> Outcome) -> i32 {
-    // A copy that no pointer of the caller can reach: its numbers need not be read again after every result.
-    enter(calibration, Kind::Calibration, |object| {
-        let camera = *one(&state_of(object)?.cameras, camera)?;
-        call(&camera)
-    })
+    enter(calibration, Kind::Calibration, |object| call(one(&state_of(object)?.cameras, camera)?))
 }
 
 fn on_sheet(calibration: u64, camera: u64, call: impl FnOnce(&SheetMap) -> Outcome) -> i32 {

@@ -49,28 +49,10 @@ impl<T: Plain> Out<T> {
     }
 }
 
-/// An array that the caller gives.
-#[derive(Clone, Copy)]
-pub(super) struct In<T> {
-    from: *const T,
-    count: usize,
-}
-
-impl<T: Plain> In<T> {
-    /// # Safety
-    /// `from` is null or can be read for `count` elements.
-    pub(super) unsafe fn new(from: *const T, count: u64, argument: &str) -> Result<Self, Fault> {
-        let count = checked::<T>(count, argument)?;
-        if from.is_null() && count > 0 { Err(Fault::null(argument)) } else { Ok(Self { from, count }) }
-    }
-
-    /// Element `i`; the caller of this function stays below the count.
-    #[inline]
-    pub(super) fn get(&self, i: usize) -> T {
-        assert!(i < self.count);
-        // SAFETY: inside the array by the contract of `new`.
-        unsafe { self.from.add(i).read_unaligned() }
-    }
+/// Length of an array of the caller, which is null only where it is empty.
+pub(super) fn length_of<T: Plain>(array: *const T, count: u64, argument: &str) -> Result<usize, Fault> {
+    let count = checked::<T>(count, argument)?;
+    if array.is_null() && count > 0 { Err(Fault::null(argument)) } else { Ok(count) }
 }
 
 /// An array that the caller wants filled, of a length that both know.
@@ -84,8 +66,7 @@ impl<T: Plain> Filled<T> {
     /// # Safety
     /// `to` is null or can be written for `count` elements.
     pub(super) unsafe fn new(to: *mut T, count: u64, argument: &str) -> Result<Self, Fault> {
-        let count = checked::<T>(count, argument)?;
-        if to.is_null() && count > 0 { Err(Fault::null(argument)) } else { Ok(Self { to, count }) }
+        Ok(Self { to, count: length_of(to, count, argument)? })
     }
 
     #[inline]

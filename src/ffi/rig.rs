@@ -121,7 +121,7 @@ pub unsafe extern "C" fn spivcal_rig_parse(
 /// Makes a rig description from a rig file.
 ///
 /// `path_utf8`: the file. `images_dir_utf8`: folder that relative paths of images begin at; NULL or "": that of the file.
-/// `rig`: receives the handle. Images are read when a calibration asks for them.
+/// `rig`: receives the handle; SPIVCAL_ERROR_INVALID_INPUT as for spivcal_rig_parse. Images are read when a calibration asks for them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_rig_load(
     context: u64,
@@ -193,6 +193,7 @@ pub unsafe extern "C" fn spivcal_rig_add_mark(
 /// Sets a number of the description.
 ///
 /// `key`: one of the number keys SPIVCAL_RIG_*, which say unit and what `index` counts. `index`: 0 where nothing is counted.
+/// `value`: a finite number.
 #[unsafe(no_mangle)]
 pub extern "C" fn spivcal_rig_set_number(rig: u64, key: i32, index: u64, value: f64) -> i32 {
     on(rig, |state| state.document.set_number(key, index, value).map(|()| SPIVCAL_OK))
@@ -200,7 +201,7 @@ pub extern "C" fn spivcal_rig_set_number(rig: u64, key: i32, index: u64, value: 
 
 /// Sets a word of the description.
 ///
-/// `key`: one of the text keys SPIVCAL_RIG_*, which list the words. `index`: 0.
+/// `key`: one of the text keys SPIVCAL_RIG_*, which list the words. `index`: 0. `text_utf8`: zero-terminated.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_rig_set_text(rig: u64, key: i32, index: u64, text_utf8: *const c_char) -> i32 {
     on(rig, |state| {
@@ -212,7 +213,7 @@ pub unsafe extern "C" fn spivcal_rig_set_text(rig: u64, key: i32, index: u64, te
 
 /// States what is known of a parameter of a camera beforehand.
 ///
-/// `parameter`: SPIVCAL_PARAMETER_*, with the unit of `value` and `sigma`. `sigma` > 0: a prior; 0: the value is exact.
+/// `camera`: from 0. `parameter`: SPIVCAL_PARAMETER_*, with the unit of `value` and `sigma`. `sigma` > 0: a prior; 0: the value is exact.
 #[unsafe(no_mangle)]
 pub extern "C" fn spivcal_rig_set_known(rig: u64, camera: u64, parameter: i32, value: f64, sigma: f64) -> i32 {
     on(rig, |state| state.document.set_known(camera, parameter, value, sigma).map(|()| SPIVCAL_OK))
@@ -236,7 +237,7 @@ pub extern "C" fn spivcal_rig_set_scale(
 
 /// Gives the image that a camera saw in a view. It takes the place of a file that the description names.
 ///
-/// `image`: handle; the rig keeps the image, the handle may be destroyed.
+/// `view`, `camera`: from 0. `image`: handle; the rig keeps the image, the handle may be destroyed.
 #[unsafe(no_mangle)]
 pub extern "C" fn spivcal_rig_set_image(rig: u64, view: u64, camera: u64, image: u64) -> i32 {
     on(rig, |state| {
@@ -250,6 +251,8 @@ pub extern "C" fn spivcal_rig_set_image(rig: u64, view: u64, camera: u64, image:
 }
 
 /// Names the file of the image that a camera saw in a view; it is read when a calibration asks for it.
+///
+/// `view`, `camera`: from 0. `path_utf8`: the file, zero-terminated; a relative path begins at the folder of the images.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_rig_set_image_file(rig: u64, view: u64, camera: u64, path_utf8: *const c_char) -> i32 {
     on(rig, |state| {

@@ -91,6 +91,16 @@ impl Lanes for Four {
         unsafe { _mm256_storeu_pd(out[..4].as_mut_ptr(), self.0) }
     }
     #[inline(always)]
+    unsafe fn load_at(x: *const f64) -> Self {
+        // SAFETY: as above, and the contract of this function.
+        Self(unsafe { _mm256_loadu_pd(x) })
+    }
+    #[inline(always)]
+    unsafe fn store_at(self, out: *mut f64) {
+        // SAFETY: as above, and the contract of this function.
+        unsafe { _mm256_storeu_pd(out, self.0) }
+    }
+    #[inline(always)]
     fn sqrt(self) -> Self {
         // SAFETY: see the head of the file.
         Self(unsafe { _mm256_sqrt_pd(self.0) })
@@ -134,6 +144,16 @@ impl Lanes for Eight {
     fn store(self, out: &mut [f64]) {
         // SAFETY: as above; the slice has eight places.
         unsafe { _mm512_storeu_pd(out[..8].as_mut_ptr(), self.0) }
+    }
+    #[inline(always)]
+    unsafe fn load_at(x: *const f64) -> Self {
+        // SAFETY: as above, and the contract of this function.
+        Self(unsafe { _mm512_loadu_pd(x) })
+    }
+    #[inline(always)]
+    unsafe fn store_at(self, out: *mut f64) {
+        // SAFETY: as above, and the contract of this function.
+        unsafe { _mm512_storeu_pd(out, self.0) }
     }
     #[inline(always)]
     fn sqrt(self) -> Self {

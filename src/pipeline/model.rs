@@ -2,8 +2,8 @@
 
 use super::images::SeenImage;
 use crate::bundle::{
-    CameraModel, DiscObservation, Fact, Focus, ImageObservations, Loss, Model, Node, PlanePosition, TargetModel,
-    TargetShape, ViewModel, ViewPlace, WindowModel,
+    CameraModel, DiscObservation, Fact, Focus, ImageObservations, Loss, Model, Node, PlanePosition, PointObservations,
+    TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
 };
 use crate::camera::INTRINSICS;
 use crate::conic::Ellipse;
@@ -116,7 +116,8 @@ fn observations(images: &[SeenImage], labels: &[DotId]) -> (Vec<ImageObservation
                 own.push(found.ellipse);
             }
         }
-        out.push(ImageObservations { view: image.view, camera: image.camera, discs, pairs: vec![], sigma_scale: 1.0 });
+        let (view, camera, points) = (image.view, image.camera, PointObservations::default());
+        out.push(ImageObservations { view, camera, discs, pairs: vec![], points, sigma_scale: 1.0 });
         ellipses.push(own);
     }
     (out, ellipses)

@@ -3,8 +3,9 @@
 use super::schema::{self, Effective, Pose, Record};
 use super::sigma::CameraSigma;
 use crate::camera::{Camera, Refusal};
-use crate::error::Result;
+use crate::error::{Result, same_length};
 use crate::frames::{Cam, Rig};
+use crate::lanes::{Column, ColumnMut};
 use crate::rigid::Motion;
 use nalgebra::{Vector2, Vector3};
 
@@ -47,6 +48,29 @@ impl PlacedCamera {
         let sight = self.camera.line_of_sight(pixel)?;
         let rig_from_cam = self.cam_from_rig.inverse();
         Ok((rig_from_cam.apply(&sight.from_mm), rig_from_cam.rotation * sight.direction))
+    }
+
+    /// Images (u, v), px, of points (x, y, z) of the rig frame, mm; `NaN` where a point has none. Several at a time, in this thread;
+    /// [`PlacedCamera::pixel_from_rig`] to rounding.
+    ///
+    /// # Errors
+    /// [`crate::error::Invalid::Value`] where the lists differ in length.
+    pub fn pixels_from_rig_into(&self, p_mm: [&[f64]; 3], q_px: [&mut [f64]; 2]) -> Result<()> {
+        same_length("points", p_mm[0].len(), &[p_mm[1], p_mm[2], q_px[0], q_px[1]])?;
+        self.camera.images_into(&self.cam_from_rig, p_mm.map(Column::from), q_px.map(ColumnMut::from));
+        Ok(())
+    }
+
+    /// Rays of pixels (u, v), px: unit directions (x, y, z) in the rig frame; `NaN` where no ray reaches a pixel. Several at a time, in
+    /// this thread; [`PlacedCamera::ray_in_rig`] to rounding.
+    ///
+    /// # Errors
+    /// [`crate::error::Invalid::Value`] where the lists differ in length.
+    pub fn rays_in_rig_into(&self, q_px: [&[f64]; 2], d: [&mut [f64]; 3]) -> Result<()> {
+        same_length("pixels", q_px[0].len(), &[q_px[1], d[0], d[1], d[2]])?;
+        let rig_from_cam = self.cam_from_rig.rotation.transpose();
+        self.camera.rays_into(&rig_from_cam, q_px.map(Column::from), d.map(ColumnMut::from));
+        Ok(())
     }
 
     /// Projection centre in the rig frame, mm.

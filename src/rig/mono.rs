@@ -3,8 +3,8 @@
 use super::joint::Observe;
 use super::{CameraStart, Mono, RigProblem, rms_of};
 use crate::bundle::{
-    AdjustOptions, Adjustment, CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, SolveOptions, State,
-    TargetShape, Termination, ViewModel, ViewPlace, ViewState, adjust,
+    AdjustOptions, Adjustment, CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, PointObservations,
+    SolveOptions, State, TargetShape, Termination, ViewModel, ViewPlace, ViewState, adjust,
 };
 use crate::camera::{Camera, EffectivePinhole, Intrinsics};
 use crate::conic::Ellipse;
@@ -222,6 +222,7 @@ fn mono_model(problem: &RigProblem, c: usize, seeds: &[SeededImage]) -> Model {
         camera: 0,
         discs: thinned_discs(&full.images[s.image].discs),
         pairs: vec![],
+        points: PointObservations::default(),
         sigma_scale: 1.0,
     };
     let facts = full.facts.iter().filter_map(|f| match f {

@@ -1,11 +1,22 @@
 //! Dense factorisations; the only file that names faer.
 
+use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::linalg::solvers::{Llt, Solve};
-use faer::{MatRef, Side};
+use faer::{Accum, MatMut, MatRef, Par, Side};
 use nalgebra::{DMatrix, DVector};
 
 fn borrowed(m: &DMatrix<f64>) -> MatRef<'_, f64> {
     MatRef::from_column_major_slice(m.as_slice(), m.nrows(), m.ncols())
+}
+
+/// Takes `Y^T Y` from the lower triangle of `s`, n x n; `y` holds the rows of Y, n each.
+pub(super) fn take_product(s: &mut DMatrix<f64>, y: &[f64]) {
+    let n = s.nrows();
+    let columns = MatRef::from_column_major_slice(y, n, y.len() / n.max(1));
+    let out = MatMut::from_column_major_slice_mut(s.as_mut_slice(), n, n);
+    let whole = BlockStructure::Rectangular;
+    let (lower, rows) = (BlockStructure::TriangularLower, columns.transpose());
+    triangular::matmul(out, lower, Accum::Add, columns, whole, rows, whole, -1.0, Par::Seq);
 }
 
 /// Size up to which the factor is formed by plain loops; beyond, faer's blocked code is faster than its call is dear.
@@ -33,9 +44,15 @@ pub(super) fn factorise(l: &mut [f64], n: usize) -> bool {
 
 /// `L^-1 x` in place.
 pub(super) fn forward(l: &[f64], x: &mut [f64]) {
-    let n = x.len();
-    for k in 0..n {
-        let column = &l[k * n + k..(k + 1) * n];
+    forward_below(l, x.len(), x);
+}
+
+/// The same for the n x n factor and an x whose first elements, all zero, are left out.
+fn forward_below(l: &[f64], n: usize, x: &mut [f64]) {
+    let first = n - x.len();
+    for k in 0..x.len() {
+        let row = first + k;
+        let column = &l[row * n + row..(row + 1) * n];
         let (head, tail) = x[k..].split_at_mut(1);
         head[0] /= column[0];
         tail.iter_mut().zip(&column[1..]).for_each(|(t, c)| *t -= head[0] * c);
@@ -84,6 +101,27 @@ impl Cholesky {
             Cholesky::Large(l) => {
                 let x = l.solve(borrowed(rhs));
                 DMatrix::from_fn(rhs.nrows(), rhs.ncols(), |i, j| x[(i, j)])
+            }
+        }
+    }
+    /// Inverse of the matrix.
+    pub(super) fn inverse(&self) -> DMatrix<f64> {
+        match self {
+            Cholesky::Small(l) => {
+                // Rows of L^-1 above its diagonal are zero: column j of it begins at row j.
+                let n = l.nrows();
+                let mut root = DMatrix::identity(n, n);
+                for j in 0..n {
+                    forward_below(l.as_slice(), n, &mut root.as_mut_slice()[j * n + j..(j + 1) * n]);
+                }
+                DMatrix::from_fn(n, n, |i, j| {
+                    let from = i.max(j);
+                    root.column(i).iter().zip(root.column(j).iter()).skip(from).map(|(a, b)| a * b).sum()
+                })
+            }
+            Cholesky::Large(l) => {
+                let n = l.L().nrows();
+                self.solve(&DMatrix::identity(n, n))
             }
         }
     }
@@ -151,11 +189,25 @@ mod tests {
             assert!(factorise(l.as_mut_slice(), n));
             let plain = Cholesky::Small(l).solve(&rhs);
             assert!((&plain - &faer).norm() < 1e-11 * faer.norm(), "{n}");
+            assert!((Cholesky::of(&a).unwrap().inverse() * &a - DMatrix::<f64>::identity(n, n)).norm() < 1e-10, "{n}");
             assert!((&a * Cholesky::of(&a).unwrap().solve(&rhs) - &rhs).norm() < 1e-10);
             let mut flat = a - DMatrix::identity(n, n) * 1e6;
             assert!(!factorise(flat.as_mut_slice(), n));
             flat.fill(f64::NAN);
             assert!(!factorise(flat.as_mut_slice(), n));
+        }
+    }
+
+    #[test]
+    fn the_product_is_taken_from_the_lower_triangle() {
+        for n in [1, 5, 67] {
+            let y = DMatrix::from_fn(n, 9, |i, j| ((i * 7 + j * 13) as f64).sin());
+            let mut s = DMatrix::from_element(n, n, 2.0);
+            take_product(&mut s, y.as_slice());
+            let wanted = DMatrix::from_element(n, n, 2.0) - &y * y.transpose();
+            for j in 0..n {
+                (j..n).for_each(|i| assert!((s[(i, j)] - wanted[(i, j)]).abs() < 1e-13, "{i} {j}"));
+            }
         }
     }
 

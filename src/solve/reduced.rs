@@ -6,7 +6,7 @@
 //! ```
 //! `H_vv^-1 H_vg = L^-T Y` itself is formed only where the covariance asks for it.
 
-use super::factor::{Cholesky, backward, factorise, forward};
+use super::factor::{Cholesky, backward, factorise, forward, take_product};
 use super::{Gradient, NormalEquations, Step};
 use crate::lanes::{self, GROUP, Kernel, Lanes};
 use nalgebra::{DMatrix, DVector};
@@ -95,6 +95,46 @@ impl Kernel for Take<'_> {
                     let (column, rows) = (j + b, i.max(j + b)..(i + L::N).min(self.n));
                     rows.for_each(|r| self.s[column * self.n + r] -= sums[r - i]);
                 }
+            }
+        }
+    }
+}
+
+/// Forms the rows of `Y = L^-1 H_vg` of one block, `width` apart, and takes `Y^T y` from the right-hand side. Plain loops, which are compiled for
+/// the processor's widest instructions.
+struct Couple<'a> {
+    /// d x n, by columns.
+    h_vg: &'a [f64],
+    l: &'a [f64],
+    y: &'a mut [f64],
+    own: &'a [f64],
+    rhs: &'a mut [f64],
+    width: usize,
+}
+
+impl Kernel for Couple<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let (d, width) = (self.own.len(), self.width);
+        for k in 0..d {
+            let (before, rest) = self.y.split_at_mut(k * width);
+            let row = &mut rest[..width];
+            for (x, column) in row.iter_mut().zip(self.h_vg.chunks_exact(d)) {
+                *x = column[k];
+            }
+            for m in 0..k {
+                let (factor, other) = (self.l[m * d + k], &before[m * width..(m + 1) * width]);
+                for (x, y) in row.iter_mut().zip(other) {
+                    *x -= factor * y;
+                }
+            }
+            let (inverse, y) = (1.0 / self.l[k * d + k], self.own[k]);
+            for x in row.iter_mut() {
+                *x *= inverse;
+            }
+            for (r, x) in self.rhs.iter_mut().zip(row.iter()) {
+                *r -= x * y;
             }
         }
     }
@@ -200,30 +240,24 @@ pub(super) fn eliminate(
         if !factorise(l, d) {
             return None;
         }
-        for k in 0..d {
-            let at = coupled.len();
-            coupled.extend(block.h_vg.row(k).iter());
-            coupled.resize(at + width, 0.0);
-            let (before, column) = coupled.split_at_mut(at);
-            for m in 0..k {
-                let (factor, other) = (l[m * d + k], &before[c + m * width..c + (m + 1) * width]);
-                column.iter_mut().zip(other).for_each(|(x, y)| *x -= factor * y);
-            }
-            let inverse = 1.0 / l[k * d + k];
-            column.iter_mut().for_each(|x| *x *= inverse);
-        }
+        coupled.resize(c + d * width, 0.0);
         own.extend(block.b_v.iter());
         forward(l, &mut own[o..]);
-        for k in 0..d {
-            let (column, y) = (&coupled[c + k * width..], own[o + k]);
-            rhs.iter_mut().zip(column).for_each(|(r, x)| *r -= x * y);
-        }
+        let (h_vg, y, own) = (block.h_vg.as_slice(), &mut coupled[c..], &own[o..]);
+        lanes::run(Couple { h_vg, l, y, own, rhs: rhs.as_mut_slice(), width });
     }
     if n <= FEW {
         lanes::run(Take { y: &coupled, s: s.as_mut_slice(), n });
     } else {
-        let all = nalgebra::DMatrixView::from_slice(&coupled, n, total);
-        s.gemm(-1.0, &all, &all.transpose(), 1.0);
+        // Unknowns that meet no global one, like the radius of a disc of which only the centre is seen.
+        let meets = |y: &&[f64]| y.iter().any(|x| *x != 0.0);
+        let meeting = coupled.chunks_exact(n).filter(meets).count();
+        if meeting < total {
+            let some: Vec<f64> = coupled.chunks_exact(n).filter(meets).flatten().copied().collect();
+            take_product(&mut s, &some);
+        } else {
+            take_product(&mut s, &coupled);
+        }
     }
     Some((s, rhs, Eliminated { sizes, global: n, factors, coupled, own }))
 }

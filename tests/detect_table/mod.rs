@@ -15,7 +15,7 @@ pub enum Light {
     Slanted,
     /// Smoke in the disc alone: eight waves, 30 % together; the shortest half a disc long.
     Smoke,
-    /// A saturated spot of a quarter of the radius on the contour; where it adds more than about half the noise nothing is seen.
+    /// A saturated spot of a quarter of the radius on the contour; where it adds more than half the noise nothing is seen.
     Glare,
 }
 
@@ -56,7 +56,8 @@ impl Row {
 }
 
 impl Condition {
-    fn size(&self) -> usize {
+    /// Width and height of its images, px.
+    pub fn size(&self) -> usize {
         (2.0 * (self.semi_minor_px * self.ratio + 5.0 * self.blur_px) + 24.0) as usize
     }
 
@@ -65,7 +66,8 @@ impl Condition {
         Spot { u: middle + du, v: middle + dv, a: self.semi_minor_px * self.ratio, b: self.semi_minor_px, phi: 0.4 }
     }
 
-    fn levels(&self) -> (f64, f64) {
+    /// Grey levels of the ground and the disc.
+    pub fn levels(&self) -> (f64, f64) {
         let full = if self.bits == 8 { 255.0 } else { 60_000.0 };
         if self.bright { (0.1 * full, 0.6 * full) } else { (0.65 * full, 0.15 * full) }
     }
@@ -178,23 +180,33 @@ impl Condition {
         }
     }
 
-    fn find(&self, clean: &Clean, random: &mut Random) -> Vec<Disc> {
+    /// One noisy image, as grey levels, and the discs in it.
+    fn expose(&self, clean: &Clean, random: &mut Random) -> (Vec<f32>, Vec<Disc>) {
         let (w, h, sigma) = (clean.width, clean.height, self.noise * self.step());
         let options = DetectOptions::default();
-        let found = if self.bits == 8 {
+        let (levels, found) = if self.bits == 8 {
             let p = clean.noisy_u8(sigma, random);
-            find_discs(&GrayView::new(Samples::U8(&p), w, h, w).unwrap(), &options)
+            let found = find_discs(&GrayView::new(Samples::U8(&p), w, h, w).unwrap(), &options);
+            (p.iter().map(|x| f32::from(*x)).collect(), found)
         } else {
             let p = clean.noisy_u16(sigma, random);
-            find_discs(&GrayView::new(Samples::U16(&p), w, h, w).unwrap(), &options)
+            let found = find_discs(&GrayView::new(Samples::U16(&p), w, h, w).unwrap(), &options);
+            (p.iter().map(|x| f32::from(*x)).collect(), found)
         };
-        found.unwrap().discs
+        (levels, found.unwrap().discs)
     }
 
-    /// Draws `scenes` scenes, each at another place within the pixel and in other smoke, and measures `shots` noisy images of each.
-    pub fn run(&self, scenes: usize, shots: usize, seed: u64) -> Row {
+    /// Draws `scenes` scenes, each at another place within the pixel and in other smoke, and shows `shots` noisy images of each:
+    /// the disc as it is, the grey levels, the disc found. Returns the Cramer-Rao bound, as standard deviations.
+    pub fn show(
+        &self,
+        scenes: usize,
+        shots: usize,
+        seed: u64,
+        mut each: impl FnMut(&Spot, &[f32], Option<&Disc>),
+    ) -> [f64; 4] {
         let mut random = Random(seed);
-        let (mut errors, mut z2, mut bound) = (Vec::new(), 0.0, [0.0; 4]);
+        let mut bound = [0.0; 4];
         let light = self.light_columns();
         // The smoke modulates the step, so the bound is another in each scene: the mean over some.
         let bounds = if self.light == Light::Smoke { scenes.min(12) } else { 1 };
@@ -206,40 +218,50 @@ impl Condition {
             let (s, c) = spot.phi.sin_cos();
             let (x, y) = (spot.a * turn.cos(), spot.b * turn.sin());
             let (gu, gv) = (spot.u + c * x - s * y, spot.v + s * x + c * y);
+            let top = if self.bits == 8 { 255.0 } else { 60_000.0 };
             if self.light == Light::Glare {
-                let top = if self.bits == 8 { 255.0 } else { 60_000.0 };
                 for (i, g) in clean.grey.iter_mut().enumerate() {
                     let d = ((i % clean.width) as f64 - gu).hypot((i / clean.width) as f64 - gv);
                     *g = (*g + 3.0 * top * (-0.5 * (d / (0.4 * radius)).powi(2)).exp()).min(top);
                 }
             }
             if scene < bounds {
-                let hidden = |u: f64, v: f64| self.light == Light::Glare && (u - gu).hypot(v - gv) < 1.6 * radius;
+                // Where the spot adds more than half the noise.
+                let sigmas = (2.0 * (3.0 * top / (0.5 * self.noise * self.step())).ln()).sqrt();
+                let hidden =
+                    |u: f64, v: f64| self.light == Light::Glare && (u - gu).hypot(v - gv) < 0.4 * radius * sigmas;
                 let b = self.bound(&waves, &light, &hidden);
                 (0..4).for_each(|k| bound[k] += b[k] * b[k] / bounds as f64);
             }
             for _ in 0..shots {
-                let discs = self.find(&clean, &mut random);
-                let Some(disc) = discs.iter().find(|d| {
+                let (levels, discs) = self.expose(&clean, &mut random);
+                let away = |d: &&Disc| {
                     (d.ellipse.center_px.u_px - spot.u).hypot(d.ellipse.center_px.v_px - spot.v) < self.semi_minor_px
-                }) else {
-                    continue;
                 };
-                let e = &disc.ellipse;
-                let turned = (e.angle_rad - spot.phi + 0.5 * PI).rem_euclid(PI) - 0.5 * PI;
-                let all = SVector::<f64, 5>::from([
-                    e.center_px.u_px - spot.u,
-                    e.center_px.v_px - spot.v,
-                    e.semi_major_px - spot.a,
-                    e.semi_minor_px - spot.b,
-                    turned,
-                ]);
-                z2 += all.dot(&(disc.covariance.try_inverse().unwrap() * all)) / 5.0;
-                errors.push([all[0], all[1], all[2], all[3]]);
+                each(&spot, &levels, discs.iter().find(away));
             }
         }
+        bound.map(f64::sqrt)
+    }
+
+    /// Measures the discs that [`Condition::show`] shows.
+    pub fn run(&self, scenes: usize, shots: usize, seed: u64) -> Row {
+        let (mut errors, mut z2) = (Vec::new(), 0.0);
+        let bound_px = self.show(scenes, shots, seed, |spot, _, disc| {
+            let Some(disc) = disc else { return };
+            let e = &disc.ellipse;
+            let turned = (e.angle_rad - spot.phi + 0.5 * PI).rem_euclid(PI) - 0.5 * PI;
+            let all = SVector::<f64, 5>::from([
+                e.center_px.u_px - spot.u,
+                e.center_px.v_px - spot.v,
+                e.semi_major_px - spot.a,
+                e.semi_minor_px - spot.b,
+                turned,
+            ]);
+            z2 += all.dot(&(disc.covariance.try_inverse().unwrap() * all)) / 5.0;
+            errors.push([all[0], all[1], all[2], all[3]]);
+        });
         let n = errors.len().max(2) as f64;
-        let bound_px = bound.map(f64::sqrt);
         let bias_px = std::array::from_fn(|k| errors.iter().map(|e| e[k]).sum::<f64>() / n);
         // About the truth, not about the mean: what a scene does to all its images counts.
         let ratio = std::array::from_fn(|k| (errors.iter().map(|e| e[k] * e[k]).sum::<f64>() / n).sqrt() / bound_px[k]);

@@ -1,6 +1,6 @@
 //! Bytes as a sequence of calls on objects that are there, were there, or never were.
 
-use super::{UNTOUCHED, filled, judged, made};
+use super::{UNTOUCHED, call, filled, judged, made};
 use spivcal::ffi::*;
 use std::ffi::CString;
 
@@ -126,7 +126,7 @@ pub(super) fn calls(data: &[u8]) {
     host.made[CONTEXT].push(context);
     let json = CString::new(SCENE).unwrap();
     // SAFETY: the text ends with a zero, the handle can be written.
-    let scene = made(|h| unsafe { spivcal_calibration_parse(context, json.as_ptr(), h) });
+    let scene = made(|h| unsafe { call!(spivcal_calibration_parse(context, json.as_ptr(), h)) });
     host.made[CALIBRATION].push(scene.expect("the scene is a calibration with a sheet"));
     for _ in 0..MOST_CALLS {
         if b.0.is_empty() {
@@ -144,7 +144,7 @@ pub(super) fn calls(data: &[u8]) {
         }
     }
     for context in &host.made[CONTEXT] {
-        judged(spivcal_context_destroy(*context));
+        judged(call!(spivcal_context_destroy(*context)));
     }
     // Whatever was made has ended with its context.
     for (kind, destroy) in DESTROY.iter().enumerate() {
@@ -187,7 +187,7 @@ impl Host {
             return;
         }
         let threads = b.byte() as i8;
-        self.keep(CONTEXT, made(|h| unsafe { spivcal_context_create(i32::from(threads), h) }));
+        self.keep(CONTEXT, made(|h| unsafe { call!(spivcal_context_create(i32::from(threads), h)) }));
     }
 
     fn images(&mut self, b: &mut Bytes) {
@@ -196,25 +196,27 @@ impl Host {
             0 => {
                 let (w, h, stride) = (b.byte() as u32 % 20, b.byte() as u32 % 20, b.byte() as u64 % 50);
                 let data = vec![b.byte(); 50 * 20];
-                made(|out| unsafe { spivcal_image_create_u8(context, data.as_ptr(), w, h, stride, out) })
+                made(|out| unsafe { call!(spivcal_image_create_u8(context, data.as_ptr(), w, h, stride, out)) })
             }
             1 => {
                 let (w, h) = (b.byte() as u32 % 20, b.byte() as u32 % 20);
                 let data: Vec<f32> = (0..400).map(|_| b.number() as f32).collect();
-                made(|out| unsafe { spivcal_image_create_f32(context, data.as_ptr(), w, h, 4 * u64::from(w), out) })
+                made(|out| unsafe {
+                    call!(spivcal_image_create_f32(context, data.as_ptr(), w, h, 4 * u64::from(w), out))
+                })
             }
             2 => {
                 // Sizes that no memory has.
                 let (w, h, stride) = (u32::MAX - u32::from(b.byte()), u32::MAX, b.word() | 1 << 60);
-                made(|out| unsafe { spivcal_image_create_u16(context, [0u16; 4].as_ptr(), w, h, stride, out) })
+                made(|out| unsafe { call!(spivcal_image_create_u16(context, [0u16; 4].as_ptr(), w, h, stride, out)) })
             }
             3 => {
                 let name = b.text();
-                made(|out| unsafe { spivcal_image_load(context, name.as_ptr(), out) })
+                made(|out| unsafe { call!(spivcal_image_load(context, name.as_ptr(), out)) })
             }
             _ => {
                 let data = picture(b);
-                made(|out| unsafe { spivcal_image_create_u8(context, data.as_ptr(), 96, 64, 96, out) })
+                made(|out| unsafe { call!(spivcal_image_create_u8(context, data.as_ptr(), 96, 64, 96, out)) })
             }
         };
         self.keep(IMAGE, image);
@@ -225,25 +227,25 @@ impl Host {
         match b.below(7) {
             0 | 1 => {
                 let context = self.handle(b, CONTEXT);
-                self.keep(DETECTION, made(|h| unsafe { spivcal_detection_create(context, h) }));
+                self.keep(DETECTION, made(|h| unsafe { call!(spivcal_detection_create(context, h)) }));
             }
             2 => {
-                judged(spivcal_detection_set_number(detection, key % 8, b.number()));
+                judged(call!(spivcal_detection_set_number(detection, key % 8, b.number())));
             }
             3 | 4 => {
-                judged(spivcal_detection_run(detection, self.handle(b, IMAGE)));
+                judged(call!(spivcal_detection_run(detection, self.handle(b, IMAGE))));
             }
             5 => {
-                made(|n| unsafe { spivcal_detection_count(detection, key, n) });
+                made(|n| unsafe { call!(spivcal_detection_count(detection, key, n)) });
                 filled(capacity, 1.25e300, |to, c, n| unsafe {
-                    spivcal_detection_array_copy(detection, key, index, to, c, n)
+                    call!(spivcal_detection_array_copy(detection, key, index, to, c, n))
                 });
             }
             _ => {
                 let name = b.text();
                 let name = if b.below(2) == 0 { std::ptr::null() } else { name.as_ptr() };
                 filled(capacity, 0x5a, |to, c, n| unsafe {
-                    spivcal_detection_text_copy(detection, key, index, name, to, c, n)
+                    call!(spivcal_detection_text_copy(detection, key, index, name, to, c, n))
                 });
             }
         }
@@ -254,27 +256,27 @@ impl Host {
         match b.below(14) {
             0 => {
                 let context = self.handle(b, CONTEXT);
-                self.keep(RIG, made(|h| unsafe { spivcal_rig_create(context, h) }));
+                self.keep(RIG, made(|h| unsafe { call!(spivcal_rig_create(context, h)) }));
             }
-            1 | 2 => drop(made(|n| unsafe { spivcal_rig_add_camera(rig, word.as_ptr(), n) })),
-            3 | 4 => drop(made(|n| unsafe { spivcal_rig_add_view(rig, n) })),
+            1 | 2 => drop(made(|n| unsafe { call!(spivcal_rig_add_camera(rig, word.as_ptr(), n)) })),
+            3 | 4 => drop(made(|n| unsafe { call!(spivcal_rig_add_view(rig, n)) })),
             5 => {
                 let [i, j, k] = std::array::from_fn(|_| i32::from(b.byte() as i8));
-                judged(unsafe { spivcal_rig_add_mark(rig, word.as_ptr(), i, j, k) });
+                judged(unsafe { call!(spivcal_rig_add_mark(rig, word.as_ptr(), i, j, k)) });
             }
-            6 | 7 => drop(judged(spivcal_rig_set_number(rig, key, b.index(), b.number()))),
-            8 => drop(judged(unsafe { spivcal_rig_set_text(rig, key, b.index(), word.as_ptr()) })),
-            9 => drop(judged(spivcal_rig_set_known(rig, b.index(), key % 26, b.number(), b.number()))),
+            6 | 7 => drop(judged(call!(spivcal_rig_set_number(rig, key, b.index(), b.number())))),
+            8 => drop(judged(unsafe { call!(spivcal_rig_set_text(rig, key, b.index(), word.as_ptr())) })),
+            9 => drop(judged(call!(spivcal_rig_set_known(rig, b.index(), key % 26, b.number(), b.number())))),
             10 => {
                 let (view, disc) = (b.index(), b.index());
-                judged(spivcal_rig_set_scale(rig, key % 7, view, disc, b.number(), b.number()));
+                judged(call!(spivcal_rig_set_scale(rig, key % 7, view, disc, b.number(), b.number())));
             }
-            11 => drop(judged(spivcal_rig_set_image(rig, b.index(), b.index(), self.handle(b, IMAGE)))),
-            12 => drop(judged(unsafe { spivcal_rig_set_image_file(rig, b.index(), b.index(), word.as_ptr()) })),
+            11 => drop(judged(call!(spivcal_rig_set_image(rig, b.index(), b.index(), self.handle(b, IMAGE))))),
+            12 => drop(judged(unsafe { call!(spivcal_rig_set_image_file(rig, b.index(), b.index(), word.as_ptr())) })),
             _ => {
-                judged(spivcal_rig_check(rig));
+                judged(call!(spivcal_rig_check(rig)));
                 let capacity = b.capacity();
-                filled(capacity, 0x5a, |to, c, n| unsafe { spivcal_rig_text_copy(rig, to, c, n) });
+                filled(capacity, 0x5a, |to, c, n| unsafe { call!(spivcal_rig_text_copy(rig, to, c, n)) });
             }
         }
     }
@@ -282,51 +284,51 @@ impl Host {
     /// A whole rig with pictures, so that jobs come as far as the adjustment.
     fn stories(&mut self, b: &mut Bytes) {
         let context = self.handle(b, CONTEXT);
-        let Some(rig) = made(|h| unsafe { spivcal_rig_create(context, h) }) else { return };
+        let Some(rig) = made(|h| unsafe { call!(spivcal_rig_create(context, h)) }) else { return };
         self.keep(RIG, Some(rig));
         let cameras = 1 + b.below(2) as u64;
         for name in [c"left", c"right"].iter().take(cameras as usize) {
-            made(|n| unsafe { spivcal_rig_add_camera(rig, name.as_ptr(), n) });
+            made(|n| unsafe { call!(spivcal_rig_add_camera(rig, name.as_ptr(), n)) });
         }
         let kind = if b.below(2) == 0 { c"two-discs" } else { c"bubbles" };
-        judged(unsafe { spivcal_rig_set_text(rig, SPIVCAL_RIG_TARGET_KIND, 0, kind.as_ptr()) });
-        judged(spivcal_rig_set_number(rig, SPIVCAL_RIG_TARGET_SPACING_MM, 0, 26.0));
+        judged(unsafe { call!(spivcal_rig_set_text(rig, SPIVCAL_RIG_TARGET_KIND, 0, kind.as_ptr())) });
+        judged(call!(spivcal_rig_set_number(rig, SPIVCAL_RIG_TARGET_SPACING_MM, 0, 26.0)));
         for view in 0..1 + b.below(4) as u64 {
-            made(|n| unsafe { spivcal_rig_add_view(rig, n) });
+            made(|n| unsafe { call!(spivcal_rig_add_view(rig, n)) });
             for camera in 0..cameras {
                 let mut data = picture(b);
                 // No picture is another one: those would be refused before the adjustment.
                 data[2 * view as usize + camera as usize] ^= 1;
-                let image = made(|h| unsafe { spivcal_image_create_u8(context, data.as_ptr(), 96, 64, 96, h) });
+                let image = made(|h| unsafe { call!(spivcal_image_create_u8(context, data.as_ptr(), 96, 64, 96, h)) });
                 self.keep(IMAGE, image);
-                judged(spivcal_rig_set_image(rig, view, camera, image.unwrap_or(0)));
+                judged(call!(spivcal_rig_set_image(rig, view, camera, image.unwrap_or(0))));
             }
         }
-        self.keep(JOB, made(|h| unsafe { spivcal_job_start(rig, h) }));
+        self.keep(JOB, made(|h| unsafe { call!(spivcal_job_start(rig, h)) }));
     }
 
     fn jobs(&mut self, b: &mut Bytes) {
         let (job, rig) = (self.handle(b, JOB), self.handle(b, RIG));
         match b.below(8) {
-            0 => self.keep(JOB, made(|h| unsafe { spivcal_job_start(rig, h) })),
+            0 => self.keep(JOB, made(|h| unsafe { call!(spivcal_job_start(rig, h)) })),
             1 => {
                 let cameras = self.handle(b, CALIBRATION);
-                self.keep(JOB, made(|h| unsafe { spivcal_job_start_sheet(rig, cameras, h) }));
+                self.keep(JOB, made(|h| unsafe { call!(spivcal_job_start_sheet(rig, cameras, h)) }));
             }
             2 => {
                 let (mut state, mut done, mut decrement) = (99, UNTOUCHED, 0.0);
                 let none = std::ptr::null_mut();
                 let status =
-                    judged(unsafe { spivcal_job_poll(job, &mut state, &mut done, none, none, &mut decrement) });
+                    judged(unsafe { call!(spivcal_job_poll(job, &mut state, &mut done, none, none, &mut decrement)) });
                 assert_eq!(status < 0, state == 99);
             }
             3 | 4 => {
                 let (mut state, time) = (99, i32::from(b.byte()));
-                let status = judged(unsafe { spivcal_job_wait(job, time, &mut state) });
+                let status = judged(unsafe { call!(spivcal_job_wait(job, time, &mut state)) });
                 assert_eq!(status < 0, state == 99);
             }
-            5 => drop(judged(spivcal_job_cancel(job))),
-            _ => self.keep(CALIBRATION, made(|h| unsafe { spivcal_job_result(job, h) })),
+            5 => drop(judged(call!(spivcal_job_cancel(job)))),
+            _ => self.keep(CALIBRATION, made(|h| unsafe { call!(spivcal_job_result(job, h)) })),
         }
     }
 
@@ -335,33 +337,34 @@ impl Host {
         match b.below(6) {
             0 => {
                 let (mut value, mut sigma) = (1.25e300, 1.25e300);
-                let status =
-                    judged(unsafe { spivcal_calibration_number(calibration, key, index, &mut value, &mut sigma) });
+                let status = judged(unsafe {
+                    call!(spivcal_calibration_number(calibration, key, index, &mut value, &mut sigma))
+                });
                 assert_eq!(status < 0, value == 1.25e300);
             }
             1 => {
                 filled(capacity, 1.25e300, |to, c, n| unsafe {
-                    spivcal_calibration_array_copy(calibration, key, index, to, c, n)
+                    call!(spivcal_calibration_array_copy(calibration, key, index, to, c, n))
                 });
             }
             2 => {
                 filled(capacity, 0x5a, |to, c, n| unsafe {
-                    spivcal_calibration_text_copy(calibration, key, index, to, c, n)
+                    call!(spivcal_calibration_text_copy(calibration, key, index, to, c, n))
                 });
             }
             3 => {
                 let (any, bad) = (self.handle(b, CALIBRATION), b"/dev/null/x.json\0");
-                made(|n| unsafe { spivcal_calibration_count(any, key, n) });
-                judged(unsafe { spivcal_calibration_save(any, bad.as_ptr().cast()) });
+                made(|n| unsafe { call!(spivcal_calibration_count(any, key, n)) });
+                judged(unsafe { call!(spivcal_calibration_save(any, bad.as_ptr().cast())) });
             }
             4 => {
                 let rig = self.handle(b, RIG);
-                self.keep(CALIBRATION, made(|h| unsafe { spivcal_calibration_run_sheet(rig, calibration, h) }));
+                self.keep(CALIBRATION, made(|h| unsafe { call!(spivcal_calibration_run_sheet(rig, calibration, h)) }));
             }
             _ => {
-                filled(capacity, 0x5a, |to, c, n| unsafe { spivcal_error_text(calibration, to, c, n) });
-                filled(capacity, 0x5a, |to, c, n| unsafe { spivcal_status_text(key, to, c, n) });
-                filled(capacity, 0x5a, |to, c, n| unsafe { spivcal_version_copy(to, c, n) });
+                filled(capacity, 0x5a, |to, c, n| unsafe { call!(spivcal_error_text(calibration, to, c, n)) });
+                filled(capacity, 0x5a, |to, c, n| unsafe { call!(spivcal_status_text(key, to, c, n)) });
+                filled(capacity, 0x5a, |to, c, n| unsafe { call!(spivcal_version_copy(to, c, n)) });
             }
         }
     }
@@ -378,11 +381,24 @@ impl Host {
         let [p, q, r, d, e, f] = to.each_mut().map(|t| t.as_mut_ptr());
         let answer = judged(unsafe {
             match b.below(5) {
-                0 => spivcal_calibration_project(calibration, camera, count, x, y, z, p, q, points),
-                1 => spivcal_calibration_unproject(calibration, camera, count, x, y, p, q, r, points),
-                2 => spivcal_calibration_sheet_from_pixel(calibration, camera, count, x, y, p, q, points),
-                3 => spivcal_calibration_sight_from_pixel(calibration, camera, count, x, y, p, q, r, d, e, f, points),
-                _ => spivcal_calibration_pixel_from_sheet(calibration, camera, count, x, y, p, q, points),
+                0 => call!(spivcal_calibration_project(calibration, camera, count, x, y, z, p, q, points)),
+                1 => call!(spivcal_calibration_unproject(calibration, camera, count, x, y, p, q, r, points)),
+                2 => call!(spivcal_calibration_sheet_from_pixel(calibration, camera, count, x, y, p, q, points)),
+                3 => call!(spivcal_calibration_sight_from_pixel(
+                    calibration,
+                    camera,
+                    count,
+                    x,
+                    y,
+                    p,
+                    q,
+                    r,
+                    d,
+                    e,
+                    f,
+                    points
+                )),
+                _ => call!(spivcal_calibration_pixel_from_sheet(calibration, camera, count, x, y, p, q, points)),
             }
         });
         let written = if answer < 0 { 0 } else { count as usize };

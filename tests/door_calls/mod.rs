@@ -8,7 +8,9 @@
 mod host;
 
 use spivcal::ffi::*;
+use std::collections::HashMap;
 use std::ffi::{CString, c_char};
+use std::sync::OnceLock;
 
 /// One way to read bytes.
 pub type Target = fn(&[u8]);
@@ -16,9 +18,17 @@ pub type Target = fn(&[u8]);
 pub const TARGETS: [(&str, Target); 4] =
     [("calls", host::calls), ("rig", rig), ("calibration", calibration), ("image", image)];
 
-/// Runs the target of that name.
+/// Runs the target of that name; what it finds is printed and ends the process. (The library silences the panics of its process, since it
+/// must not print.)
+#[allow(clippy::print_stderr)]
 pub fn run(name: &str, data: &[u8]) {
-    TARGETS.iter().filter(|t| t.0 == name).for_each(|t| (t.1)(data));
+    let all = || TARGETS.iter().filter(|t| t.0 == name).for_each(|t| (t.1)(data));
+    if let Err(payload) = std::panic::catch_unwind(all) {
+        let words = payload.downcast_ref::<String>().cloned();
+        let words = words.or_else(|| payload.downcast_ref::<&str>().map(|s| s.to_string()));
+        eprintln!("{name}: {}", words.unwrap_or_default());
+        std::process::abort();
+    }
 }
 
 /// What an output holds before a call.
@@ -31,6 +41,50 @@ fn judged(status: i32) -> i32 {
     assert!(known, "status {status}");
     status
 }
+
+/// Statuses that a function gives only where the header says so at that function, or at one that its comment names.
+const NAMED: [(i32, &str); 9] = [
+    (SPIVCAL_WARNING_FLAGGED, "SPIVCAL_WARNING_FLAGGED"),
+    (SPIVCAL_WARNING_POINTS, "SPIVCAL_WARNING_POINTS"),
+    (SPIVCAL_WARNING_RUNNING, "SPIVCAL_WARNING_RUNNING"),
+    (SPIVCAL_ERROR_NOT_AVAILABLE, "SPIVCAL_ERROR_NOT_AVAILABLE"),
+    (SPIVCAL_ERROR_RUNNING, "SPIVCAL_ERROR_RUNNING"),
+    (SPIVCAL_ERROR_CANCELLED, "SPIVCAL_ERROR_CANCELLED"),
+    (SPIVCAL_ERROR_INVALID_INPUT, "SPIVCAL_ERROR_INVALID_INPUT"),
+    (SPIVCAL_ERROR_INSUFFICIENT, "SPIVCAL_ERROR_INSUFFICIENT"),
+    (SPIVCAL_ERROR_UNUSABLE, "SPIVCAL_ERROR_UNUSABLE"),
+];
+
+/// The comment of each function.
+fn comments() -> HashMap<&'static str, &'static str> {
+    let header = include_str!("../../include/spivcal.h");
+    let functions = header.match_indices("\nint32_t spivcal_").filter_map(|(at, _)| {
+        let name = header[at + "\nint32_t ".len()..].split_once('(')?.0;
+        Some((name, header[..at].rsplit_once("/**")?.1))
+    });
+    functions.collect()
+}
+
+/// The status of the function of that name, which must be one that the header tells its readers to expect.
+pub(crate) fn said(name: &str, status: i32) -> i32 {
+    static COMMENTS: OnceLock<HashMap<&str, &str>> = OnceLock::new();
+    let comments = COMMENTS.get_or_init(comments);
+    let own = comments.get(name).unwrap_or_else(|| panic!("{name} is not in the header"));
+    if let Some((_, word)) = NAMED.iter().find(|s| s.0 == status) {
+        let words = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
+        let referred = own.split(words).filter_map(|w| comments.get(w));
+        assert!(referred.chain([own]).any(|c| c.contains(word)), "{name}: its comment does not say {word}");
+    }
+    status
+}
+
+/// Calls a function of the header and holds its status against its comment.
+macro_rules! call {
+    ($function:ident($($argument:expr),* $(,)?)) => {
+        $crate::door_calls::said(stringify!($function), $function($($argument),*))
+    };
+}
+pub(crate) use call;
 
 /// A call with one handle or number as its output.
 fn made(call: impl FnOnce(*mut u64) -> i32) -> Option<u64> {
@@ -68,7 +122,7 @@ fn text(call: impl Fn(*mut c_char, u64, *mut u64) -> i32) -> Option<String> {
 
 fn context(threads: i32) -> u64 {
     // SAFETY: the handle can be written.
-    made(|h| unsafe { spivcal_context_create(threads, h) }).expect("threads are within limits")
+    made(|h| unsafe { call!(spivcal_context_create(threads, h)) }).expect("threads are within limits")
 }
 
 /// Bytes as a zero-terminated text: up to the first zero.
@@ -81,18 +135,18 @@ fn rig(data: &[u8]) {
     let (context, toml) = (context(1), zero_terminated(data));
     let parse = |toml: &CString| {
         // SAFETY: the text ends with a zero, the handle can be written.
-        made(|h| unsafe { spivcal_rig_parse(context, toml.as_ptr(), std::ptr::null(), h) })
+        made(|h| unsafe { call!(spivcal_rig_parse(context, toml.as_ptr(), std::ptr::null(), h)) })
     };
     // SAFETY: `text` gives buffers of the capacity it states.
-    let written = |rig: u64| text(|b, c, n| unsafe { spivcal_rig_text_copy(rig, b, c, n) });
+    let written = |rig: u64| text(|b, c, n| unsafe { call!(spivcal_rig_text_copy(rig, b, c, n)) });
     if let Some(rig) = parse(&toml) {
-        let sound = judged(spivcal_rig_check(rig));
+        let sound = judged(call!(spivcal_rig_check(rig)));
         let once = written(rig).expect("what was read can be written");
         let again = parse(&CString::new(once.clone()).unwrap()).expect("what was written can be read");
         assert_eq!(written(again).as_ref(), Some(&once));
-        assert_eq!(judged(spivcal_rig_check(again)), sound, "{once}");
+        assert_eq!(judged(call!(spivcal_rig_check(again))), sound, "{once}");
     }
-    assert_eq!(spivcal_context_destroy(context), SPIVCAL_OK);
+    assert_eq!(call!(spivcal_context_destroy(context)), SPIVCAL_OK);
 }
 
 /// A calibration.json. What is accepted can be read in every part, written, and read again.
@@ -100,10 +154,11 @@ fn calibration(data: &[u8]) {
     let (context, json) = (context(1), zero_terminated(data));
     let parse = |json: &CString| {
         // SAFETY: the text ends with a zero, the handle can be written.
-        made(|h| unsafe { spivcal_calibration_parse(context, json.as_ptr(), h) })
+        made(|h| unsafe { call!(spivcal_calibration_parse(context, json.as_ptr(), h)) })
     };
     // SAFETY: `text` gives buffers of the capacity it states.
-    let written = |c: u64, key| text(|b, n, needed| unsafe { spivcal_calibration_text_copy(c, key, 0, b, n, needed) });
+    let written =
+        |c: u64, key| text(|b, n, needed| unsafe { call!(spivcal_calibration_text_copy(c, key, 0, b, n, needed)) });
     if let Some(handle) = parse(&json) {
         read_all(handle);
         let once = written(handle, SPIVCAL_TEXT_JSON).expect("what was read can be written");
@@ -111,7 +166,7 @@ fn calibration(data: &[u8]) {
         assert_eq!(written(again, SPIVCAL_TEXT_JSON).as_ref(), Some(&once));
         assert!(written(handle, SPIVCAL_TEXT_REPORT).is_some());
     }
-    assert_eq!(spivcal_context_destroy(context), SPIVCAL_OK);
+    assert_eq!(call!(spivcal_context_destroy(context)), SPIVCAL_OK);
 }
 
 /// Every number, array and text, and points mapped every way.
@@ -121,10 +176,10 @@ fn read_all(handle: u64) {
             // SAFETY: outputs can be written, buffers have the capacity stated.
             unsafe {
                 let (mut value, mut sigma) = (0.0, 0.0);
-                judged(spivcal_calibration_number(handle, key, index, &mut value, &mut sigma));
-                filled(40, 1.25e300, |b, c, n| spivcal_calibration_array_copy(handle, key, index, b, c, n));
-                filled(40, 0x5a, |b, c, n| spivcal_calibration_text_copy(handle, key, index, b, c, n));
-                made(|n| spivcal_calibration_count(handle, key, n));
+                judged(call!(spivcal_calibration_number(handle, key, index, &mut value, &mut sigma)));
+                filled(40, 1.25e300, |b, c, n| call!(spivcal_calibration_array_copy(handle, key, index, b, c, n)));
+                filled(40, 0x5a, |b, c, n| call!(spivcal_calibration_text_copy(handle, key, index, b, c, n)));
+                made(|n| call!(spivcal_calibration_count(handle, key, n)));
             }
         }
     }
@@ -137,11 +192,11 @@ fn read_all(handle: u64) {
         let (u, v, z) = (u.as_ptr(), v.as_ptr(), z.as_ptr());
         // SAFETY: every array has four elements.
         unsafe {
-            judged(spivcal_calibration_project(handle, camera, 4, u, v, z, a, b, s));
-            judged(spivcal_calibration_unproject(handle, camera, 4, u, v, a, b, c, s));
-            judged(spivcal_calibration_sight_from_pixel(handle, camera, 4, u, v, x, y, w, a, b, c, s));
-            judged(spivcal_calibration_sheet_from_pixel(handle, camera, 4, u, v, a, b, s));
-            judged(spivcal_calibration_pixel_from_sheet(handle, camera, 4, u, v, a, b, s));
+            judged(call!(spivcal_calibration_project(handle, camera, 4, u, v, z, a, b, s)));
+            judged(call!(spivcal_calibration_unproject(handle, camera, 4, u, v, a, b, c, s)));
+            judged(call!(spivcal_calibration_sight_from_pixel(handle, camera, 4, u, v, x, y, w, a, b, c, s)));
+            judged(call!(spivcal_calibration_sheet_from_pixel(handle, camera, 4, u, v, a, b, s)));
+            judged(call!(spivcal_calibration_pixel_from_sheet(handle, camera, 4, u, v, a, b, s)));
         }
     }
 }
@@ -154,17 +209,19 @@ fn image(data: &[u8]) {
     let (context, name) = (context(1), CString::new(path.to_str().unwrap()).unwrap());
     // SAFETY: the text ends with a zero, outputs can be written.
     unsafe {
-        if let Some(image) = made(|h| spivcal_image_load(context, name.as_ptr(), h)) {
+        if let Some(image) = made(|h| call!(spivcal_image_load(context, name.as_ptr(), h))) {
             let (mut width, mut height) = (0, 0);
-            assert_eq!(spivcal_image_size(image, &mut width, &mut height), SPIVCAL_OK);
+            assert_eq!(call!(spivcal_image_size(image, &mut width, &mut height)), SPIVCAL_OK);
             assert!(width > 0 && height > 0);
-            let detection = made(|h| spivcal_detection_create(context, h)).expect("the context is there");
+            let detection = made(|h| call!(spivcal_detection_create(context, h))).expect("the context is there");
             if u64::from(width) * u64::from(height) <= 1 << 14 {
-                judged(spivcal_detection_run(detection, image));
-                text(|b, c, n| spivcal_detection_text_copy(detection, SPIVCAL_TEXT_JSON, 0, std::ptr::null(), b, c, n));
+                judged(call!(spivcal_detection_run(detection, image)));
+                text(|b, c, n| {
+                    call!(spivcal_detection_text_copy(detection, SPIVCAL_TEXT_JSON, 0, std::ptr::null(), b, c, n))
+                });
             }
         }
     }
-    assert_eq!(spivcal_context_destroy(context), SPIVCAL_OK);
+    assert_eq!(call!(spivcal_context_destroy(context)), SPIVCAL_OK);
     let _ = std::fs::remove_file(&path);
 }

@@ -5,8 +5,8 @@
 use nalgebra::{DMatrix, Vector2, Vector3};
 use spivcal::bitangent::{EXTERNAL_CROSSING, ExternalUse, POINTS, bitangents};
 use spivcal::bundle::{
-    CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, PairObservation, PlanePosition, State,
-    TargetModel, TargetShape, ViewModel, ViewPlace, ViewState,
+    CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, Node, PairObservation, PlanePosition,
+    PointObservations, State, TargetModel, TargetShape, ViewModel, ViewPlace, ViewState,
 };
 use spivcal::camera::{Camera, Intrinsics, Radial};
 use spivcal::conic::{fit_direct, fit_geometric};
@@ -209,6 +209,11 @@ impl Parts {
 
     /// The scene with exact contours.
     pub(crate) fn scene(&self) -> Scene {
+        self.scene_of(EDGE_POINTS)
+    }
+
+    /// The same with so many edge points per disc.
+    fn scene_of(&self, edge_points: i32) -> Scene {
         let model = Model {
             cameras: ["left", "right"].map(|n| CameraModel { name: n.into(), free: self.free, window: None }).into(),
             target: self.target.clone(),
@@ -246,7 +251,7 @@ impl Parts {
                 };
                 let own = if self.target.per_view() { view.shape_mm } else { self.shape_mm };
                 let shape = (&own, &self.offsets_mm[..]);
-                scene.model.images.push(image(&self.target, camera, &cam_from_target, shape, (v, c), EDGE_POINTS));
+                scene.model.images.push(image(&self.target, camera, &cam_from_target, shape, (v, c), edge_points));
             }
         }
         scene
@@ -286,6 +291,11 @@ impl Scene {
         Parts::of(seed, cameras, Some(grid), false, points, &|_| None).scene()
     }
 
+    /// The same without contours, for what [`Scene::seen_as_points`] adds; a prior on every dot when `estimated`, and no error of print.
+    pub(crate) fn with_grid_unseen(seed: u64, cameras: Vec<Camera>, grid: Grid, estimated: bool) -> Self {
+        Parts::of(seed, cameras, Some(grid), false, estimated, &|_| None).scene_of(0)
+    }
+
     /// Two discs in views parallel to the sheet at the positions given, mm; `None`: anywhere.
     pub(crate) fn at_positions(seed: u64, cameras: Vec<Camera>, position: &dyn Fn(usize) -> Option<f64>) -> Self {
         Parts::at_positions(seed, cameras, position).scene()
@@ -312,6 +322,38 @@ impl Scene {
             let cam_from_target = e[c] * self.truth.camera_from_first[c] * view.first_from_target;
             let own = if self.model.target.per_view() { view.shape_mm } else { self.truth.shape_mm };
             *seen = image(&self.model.target, &self.cameras[c], &cam_from_target, (&own, offsets), (v, c), points);
+        }
+        out
+    }
+
+    /// The same scene seen as points, the centres of its discs, with noise.
+    pub(crate) fn seen_as_points(&self, seed: u64) -> Self {
+        let mut noise = Noise::stream(seed, 5);
+        let mut out = self.clone();
+        let e: Vec<Motion<Cam, Cam>> =
+            self.cameras.iter().map(|c| Motion::new(c.cam_from_pinhole(), Vector3::zeros())).collect();
+        for seen in &mut out.model.images {
+            let (v, c) = (seen.view, seen.camera);
+            let cam_from_target = e[c] * self.truth.camera_from_first[c] * self.truth.views[v].first_from_target;
+            let per_view = self.model.target.per_view();
+            let shape = if per_view { &self.truth.views[v].shape_mm } else { &self.truth.shape_mm };
+            seen.discs.clear();
+            for j in 0..self.model.target.disc_count() {
+                let (mut center, _) = self.model.target.nominal_disc(j, shape);
+                if let Some(o) = self.truth.offsets_mm.get(j) {
+                    center += Vector3::new(o[0], o[1], o[2]);
+                }
+                let q: Vector2<f64> = self.cameras[c].project_xyz(&cam_from_target.apply(&center)).unwrap();
+                seen.points.disc.push(j as u32);
+                seen.points.u_px.push(q.x + SIGMA_PX * noise.normal());
+                seen.points.v_px.push(q.y + SIGMA_PX * noise.normal());
+                seen.points.sigma_px.push(SIGMA_PX);
+            }
+        }
+        // Points know no radius.
+        match &out.model.target.shape {
+            TargetShape::Lattice(_) => out.model.target.free[1] = false,
+            TargetShape::Pair { .. } => (out.model.target.free[1], out.model.target.free[2]) = (false, false),
         }
         out
     }
@@ -414,6 +456,7 @@ fn image(
         camera: index,
         discs: (0..target.disc_count()).map(disc).collect(),
         pairs: vec![],
+        points: PointObservations::default(),
         sigma_scale: 1.0,
     }
 }

@@ -123,7 +123,7 @@ pub(super) fn feet_from<L: Lanes>(
 
 /// The numbers from `at` on; past the end the last one, or `beyond`.
 #[inline(always)]
-pub(super) fn padded<L: Lanes>(x: &[f64], at: usize, beyond: Option<f64>) -> L {
+pub(in crate::bundle) fn padded<L: Lanes>(x: &[f64], at: usize, beyond: Option<f64>) -> L {
     if at + L::N <= x.len() {
         return L::load(&x[at..]);
     }
@@ -136,7 +136,7 @@ pub(super) fn padded<L: Lanes>(x: &[f64], at: usize, beyond: Option<f64>) -> L {
 }
 
 /// How many points the groups of `n` points hold.
-pub(super) fn filled(n: usize) -> usize {
+pub(in crate::bundle) fn filled(n: usize) -> usize {
     n.div_ceil(GROUP) * GROUP
 }
 

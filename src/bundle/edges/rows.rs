@@ -9,29 +9,40 @@ use crate::camera::{INTRINSICS, LaneCamera};
 use crate::lanes::{self, GROUP, Lanes, splats};
 use nalgebra::Vector3;
 
+/// Columns of a tile.
+const TILE: usize = 4;
+
 /// Rows under way.
-pub(super) struct Rows<'a> {
+pub(in crate::bundle) struct Rows<'a> {
     pub(super) scratch: &'a mut Scratch,
     /// Columns of a group, with residuals and what is added for the tiles.
     width: usize,
+    /// Columns that are multiplied out.
+    used: usize,
     /// Points collected.
-    pub(super) len: usize,
+    pub(in crate::bundle) len: usize,
 }
 
 impl<'a> Rows<'a> {
+    /// Columns that are not multiplied out.
     #[inline(always)]
-    pub(super) fn new(scratch: &'a mut Scratch, width: usize) -> Self {
-        // Columns that only fill the last tile are never written: they stay zero as long as groups keep their width.
-        if scratch.width != width {
-            scratch.rows.clear();
-            scratch.width = width;
-        }
-        Self { scratch, width, len: 0 }
+    pub(in crate::bundle) fn new(scratch: &'a mut Scratch, width: usize) -> Self {
+        scratch.width = width;
+        Self { scratch, width, used: width, len: 0 }
+    }
+
+    /// Columns for products, whose running sums begin at zero. Tiles may read past the columns in use, but nothing becomes of it.
+    #[inline(always)]
+    pub(in crate::bundle) fn for_products(scratch: &'a mut Scratch, used: usize) -> Self {
+        let mut out = Self::new(scratch, used.next_multiple_of(TILE));
+        out.used = used;
+        out.clear();
+        out
     }
 
     /// Room for another contour; returns where it begins.
     #[inline(always)]
-    pub(super) fn grow(&mut self, points: usize) -> usize {
+    pub(in crate::bundle) fn grow(&mut self, points: usize) -> usize {
         let first = self.len;
         self.len += filled(points);
         if self.scratch.rows.len() < self.len * self.width {
@@ -42,14 +53,14 @@ impl<'a> Rows<'a> {
 
     /// Eight numbers of one column.
     #[inline(always)]
-    pub(super) fn group(&mut self, point: usize, column: usize) -> &mut [f64] {
+    pub(in crate::bundle) fn group(&mut self, point: usize, column: usize) -> &mut [f64] {
         let at = point / GROUP * self.width * GROUP + column * GROUP;
         &mut self.scratch.rows[at..at + GROUP]
     }
 
     /// Columns of the group of a point, eight numbers each.
     #[inline(always)]
-    fn groups(&mut self, point: usize) -> impl Iterator<Item = &mut [f64]> {
+    pub(in crate::bundle) fn groups(&mut self, point: usize) -> impl Iterator<Item = &mut [f64]> {
         let at = point / GROUP * self.width * GROUP;
         self.scratch.rows[at..at + self.width * GROUP].chunks_exact_mut(GROUP)
     }
@@ -183,43 +194,75 @@ impl<'a> Rows<'a> {
 
     /// Multiplies what has been collected into the running sums and forgets it.
     #[inline(always)]
-    pub(super) fn multiply<L: Lanes>(&mut self) {
+    pub(in crate::bundle) fn multiply<L: Lanes>(&mut self) {
         if L::N == GROUP {
-            self.tiles::<L, 4>();
+            self.strips::<L, 4>();
         } else {
-            self.tiles::<L, 2>();
+            self.strips::<L, 2>();
         }
         self.len = 0;
     }
 
-    /// Tiles of `A` x 4 products stay in registers over all points.
+    /// Strips of `A` rows of the lower triangle, the last one of fewer.
     #[inline(always)]
-    fn tiles<L: Lanes, const A: usize>(&mut self) {
+    fn strips<L: Lanes, const A: usize>(&mut self) {
+        let whole = self.used / A * A;
+        for i in (0..whole).step_by(A) {
+            self.strip::<L, A>(i);
+        }
+        match self.used - whole {
+            1 => self.strip::<L, 1>(whole),
+            2 => self.strip::<L, 2>(whole),
+            3 => self.strip::<L, 3>(whole),
+            _ => {}
+        }
+    }
+
+    /// Rows `i` to `i + A`: whole tiles as long as they lie left of the diagonal, then what is left of the one that it crosses.
+    #[inline(always)]
+    fn strip<L: Lanes, const A: usize>(&mut self, i: usize) {
+        let mut j = 0;
+        while j + TILE <= i + 1 {
+            self.tile::<L, A, TILE>(i, j);
+            j += TILE;
+        }
+        match i - j {
+            0 => self.tile::<L, A, 0>(i, j),
+            2 => self.tile::<L, A, 2>(i, j),
+            _ => {}
+        }
+    }
+
+    /// `A` x 4 products, which stay in registers over all points; row a of them up to column `D + a`.
+    #[inline(always)]
+    fn tile<L: Lanes, const A: usize, const D: usize>(&mut self, i: usize, j: usize) {
         let width = self.width;
         let rows = &self.scratch.rows[..self.len * width];
-        for i in (0..width).step_by(A) {
-            for j in (0..i + A).step_by(4) {
-                for part in (0..GROUP).step_by(L::N) {
-                    let mut tile = [[L::splat(0.0); 4]; A];
-                    for group in rows.chunks_exact(width * GROUP) {
-                        let (left, right) = (&group[i * GROUP..(i + A) * GROUP], &group[j * GROUP..(j + 4) * GROUP]);
-                        let mut columns = [L::splat(0.0); 4];
-                        for b in 0..4 {
-                            columns[b] = L::load(&right[b * GROUP + part..]);
-                        }
-                        for a in 0..A {
-                            let left = L::load(&left[a * GROUP + part..]);
-                            for b in 0..4 {
-                                tile[a][b] = tile[a][b] + left * columns[b];
-                            }
+        for part in (0..GROUP).step_by(L::N) {
+            let mut tile = [[L::splat(0.0); TILE]; A];
+            for group in rows.chunks_exact(width * GROUP) {
+                let (left, right) = (&group[i * GROUP..(i + A) * GROUP], &group[j * GROUP..(j + TILE) * GROUP]);
+                let mut columns = [L::splat(0.0); TILE];
+                for b in 0..TILE {
+                    if b < D + A {
+                        columns[b] = L::load(&right[b * GROUP + part..]);
+                    }
+                }
+                for a in 0..A {
+                    let left = L::load(&left[a * GROUP + part..]);
+                    for b in 0..TILE {
+                        if b <= D + a {
+                            tile[a][b] = tile[a][b] + left * columns[b];
                         }
                     }
-                    for a in 0..A {
-                        for b in 0..4 {
-                            let at = ((i + a) * width + j + b) * GROUP + part;
-                            let sum = &mut self.scratch.sums[at..at + L::N];
-                            (L::load(sum) + tile[a][b]).store(sum);
-                        }
+                }
+            }
+            for a in 0..A {
+                for b in 0..TILE {
+                    if b <= D + a {
+                        let at = ((i + a) * width + j + b) * GROUP + part;
+                        let sum = &mut self.scratch.sums[at..at + L::N];
+                        (L::load(sum) + tile[a][b]).store(sum);
                     }
                 }
             }
@@ -228,14 +271,14 @@ impl<'a> Rows<'a> {
 
     /// Clears the running sums.
     #[inline(always)]
-    pub(super) fn clear(&mut self) {
+    pub(in crate::bundle) fn clear(&mut self) {
         self.scratch.sums.clear();
         self.scratch.sums.resize(self.width * self.width * GROUP, 0.0);
     }
 
     /// Product of two columns.
     #[inline(always)]
-    pub(super) fn product(&self, a: usize, b: usize) -> f64 {
+    pub(in crate::bundle) fn product(&self, a: usize, b: usize) -> f64 {
         let at = (a.max(b) * self.width + a.min(b)) * GROUP;
         lanes::sum(&self.scratch.sums[at..at + GROUP])
     }

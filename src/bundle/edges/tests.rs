@@ -1,17 +1,14 @@
 //! Lanes against the plain path, and each width against the others.
 
-#[path = "../../../tests/rig_scene/mod.rs"]
-mod rig_scene;
-
 use super::*;
 use crate::bundle::assemble::{columns, plain_bend};
 use crate::bundle::contour::EDGE;
 use crate::bundle::layout::Places;
 use crate::bundle::model::Model;
 use crate::bundle::outline;
+use crate::bundle::rig_scene::{Noise, Scene};
 use crate::bundle::state::State;
 use crate::lanes::run_all;
-use rig_scene::{Noise, Scene};
 
 /// A part of the largest possible value (Cauchy-Schwarz): feet are found within 1e-7 px along contours of some 50 px, and directions
 /// turn with them.

@@ -5,41 +5,85 @@ use crate::conic::{Ellipse, from_regular, to_regular};
 use crate::detect::band::{LANES, Reach};
 use crate::detect::contour::Contour;
 use crate::image::GrayView;
-use std::f64::consts::TAU;
+use nalgebra::{SMatrix, SVector};
+use std::f64::consts::{PI, SQRT_2, TAU};
 
-/// Waves longer than the length of the field over this are left out.
-const CUT: f64 = 3.0;
+/// Phase over one blur beyond which waves are left out: the image shows less than a third of their height.
+const SHORTEST: f64 = 1.57;
+/// Waves at most; the shortest are left out first.
+const MOST_WAVES: f64 = 120.0;
 /// Gain in twice the logarithm of the likelihood that a field must bring.
 const WORTH: f64 = 16.0;
+/// Loss in the same from which a field has no say.
+const NO_SAY: f64 = 16.0;
 /// Pixels from which the prior of a field is chosen.
 pub(super) const PRIOR_PIXELS: usize = 3000;
+
+/// How the variance of the waves falls with the wave number `k`, for a length `l`.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) enum Spectrum {
+    /// `exp(-(k l)^2 / 2)`: smooth light.
+    #[default]
+    Gaussian,
+    /// `(1 + (k l)^2)^(-4/3)`: what turbulence mixes, cut by a sheet (von Karman; `E(k) ~ k^(-5/3)` in space).
+    Karman,
+}
+
+impl Spectrum {
+    /// Lengths tried, in semi-axes. Of the short waves of turbulence only amplitude and length together are seen.
+    const fn lengths(self) -> &'static [f64] {
+        match self {
+            Self::Gaussian => &[0.27, 0.36, 0.48, 0.64, 0.85, 1.15],
+            Self::Karman => &[0.4, 1.0, 2.5],
+        }
+    }
+
+    fn variance(self, kl: f64) -> f64 {
+        match self {
+            Self::Gaussian => (-0.5 * kl * kl).exp(),
+            Self::Karman => (1.0 + kl * kl).powf(-4.0 / 3.0),
+        }
+    }
+
+    /// By how much the lattice repeats itself beyond the region, in semi-axes.
+    fn margin(self, length: f64) -> f64 {
+        match self {
+            Self::Gaussian => 3.0 * length,
+            Self::Karman => 1.0,
+        }
+    }
+}
 
 /// Random light inside the disc.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Field {
-    pub(crate) length: f64,
-    pub(crate) amplitude: f64,
+    spectrum: Spectrum,
+    length: f64,
+    pub(super) amplitude: f64,
     pub(super) waves: Vec<[f64; 2]>,
     /// Prior variances of the heights for an amplitude of one.
     pub(super) variances: Vec<f64>,
 }
 
 impl Field {
-    /// The lattice for a region of the half sizes given, in units of the semi-axes.
-    fn new(length: f64, half: [f64; 2]) -> Self {
-        let spacing = half.map(|h| TAU / (2.0 * h + 3.0 * length));
-        let most = spacing.map(|d| (CUT / length / d) as i32);
-        let mut field = Self { length, amplitude: 0.0, waves: vec![], variances: vec![] };
+    /// The lattice for the disc `e` seen with the blur given.
+    fn new(spectrum: Spectrum, length: f64, e: &Ellipse, blur_px: f64) -> Self {
+        let axes = [e.semi_major_px, e.semi_minor_px];
+        let spacing = axes.map(|a| TAU / (2.0 * (1.0 + 2.5 * blur_px / a) + spectrum.margin(length)));
+        let shortest = match spectrum {
+            Spectrum::Gaussian => [3.0 / length; 2],
+            Spectrum::Karman => axes.map(|a| SHORTEST * a / blur_px),
+        };
+        let count = 0.5 * PI * shortest[0] / spacing[0] * shortest[1] / spacing[1];
+        let shortest = shortest.map(|k| k * (MOST_WAVES / count).sqrt().min(1.0));
+        let most = [0, 1].map(|i| (shortest[i] / spacing[i]) as i32);
+        let mut field = Self { spectrum, length, ..Self::default() };
         for i in 0..=most[0] {
             for j in -most[1]..=most[1] {
-                if i == 0 && j <= 0 {
-                    continue;
-                }
                 let k = [f64::from(i) * spacing[0], f64::from(j) * spacing[1]];
-                let q = (k[0] * k[0] + k[1] * k[1]) * length * length;
-                if q < CUT * CUT {
+                if (i > 0 || j > 0) && (k[0] / shortest[0]).hypot(k[1] / shortest[1]) < 1.0 {
                     field.waves.push(k);
-                    field.variances.push((-0.5 * q).exp());
+                    field.variances.push(spectrum.variance(k[0].hypot(k[1]) * length));
                 }
             }
         }
@@ -47,6 +91,27 @@ impl Field {
         field.variances.iter_mut().for_each(|v| *v /= sum);
         field
     }
+
+    /// Prior variance of the heights of wave `i`.
+    pub(super) fn variance(&self, i: usize) -> f64 {
+        self.variances[i] * self.amplitude * self.amplitude
+    }
+}
+
+/// What one field says.
+struct Said {
+    /// Minus twice the logarithm of its likelihood.
+    value: f64,
+    amplitude: f64,
+    change: SVector<f64, FIXED>,
+    covariance: SMatrix<f64, 5, 5>,
+}
+
+/// What all fields together say of blur and geometry.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Verdict {
+    pub(super) change: SVector<f64, FIXED>,
+    pub(super) covariance: SMatrix<f64, 5, 5>,
 }
 
 impl Exact {
@@ -103,55 +168,120 @@ impl Exact {
         Some(tilt)
     }
 
-    /// Length and amplitude with the largest likelihood; no field where none is worth it.
-    pub(super) fn choose_field(&mut self, state: &mut State) {
-        let e = &state.ellipse;
-        let reach = 2.5 * state.blur_px;
-        let half = [1.0 + reach / e.semi_major_px, 1.0 + reach / e.semi_minor_px];
-        let least = 1.8 * state.blur_px / (e.semi_major_px * e.semi_minor_px).sqrt();
-        let plain = State { field: None, ..state.clone() };
+    /// What the fields of one spectrum and length say, with amplitudes uphill from the one given, a factor of `sqrt(2)` apart;
+    /// the best is among them.
+    fn listen(&mut self, tried: &mut State, start: f64) -> Vec<Said> {
+        self.sum_up(tried);
+        let mut said: Vec<Said> = vec![];
+        let mut evaluate = |amplitude: f64| {
+            if let Some(f) = &mut tried.field {
+                f.amplitude = amplitude;
+            }
+            let value = self.solve(tried)?;
+            let lights = Self::lights(tried);
+            let change = SVector::from_fn(|i, _| self.found[lights + i]);
+            said.push(Said { value, amplitude, change, covariance: self.dense.covariance });
+            Some(value)
+        };
+        let Some(first) = evaluate(start) else { return said };
+        let mut best = first;
+        for factor in [SQRT_2, SQRT_2.recip()] {
+            let mut amplitude = start;
+            for _ in 0..12 {
+                amplitude *= factor;
+                match evaluate(amplitude) {
+                    Some(value) if value < best + 4.0 => best = best.min(value),
+                    _ => break,
+                }
+            }
+        }
+        said
+    }
+
+    /// Spectrum, length and amplitude with the largest likelihood; no field where none is worth it. Unless `afresh`, only
+    /// the amplitude of a field chosen before is chosen anew.
+    pub(super) fn choose_field(&mut self, state: &mut State, afresh: bool) {
+        let before = state.field.take().filter(|f| !afresh && !f.waves.is_empty());
         self.light.clear();
         // A few thousand pixels fix the prior.
         self.thinned = self.count.div_ceil(PRIOR_PIXELS);
-        self.sum_up(&plain);
-        let Some(without) = self.solve(&plain) else { return self.thinned = 1 };
+        self.sum_up(state);
+        let without = self.solve(state);
+        let fields = match before {
+            Some(f) => vec![f],
+            None => self.all_fields(state),
+        };
         let mut best: Option<(f64, Field)> = None;
-        for length in [0.27, 0.36, 0.48, 0.64, 0.85, 1.15] {
-            if length < least {
-                continue;
-            }
-            let mut tried = State { field: Some(Field::new(length, half)), ..state.clone() };
-            self.sum_up(&tried);
-            let mut evaluate = |amplitude: f64, best: &mut Option<(f64, Field)>| {
-                if let Some(f) = &mut tried.field {
-                    f.amplitude = amplitude;
-                }
-                let value = self.solve(&tried).unwrap_or(f64::INFINITY);
-                if best.as_ref().is_none_or(|b| value < b.0) {
-                    *best = tried.field.clone().map(|f| (value, f));
-                }
-                value
-            };
-            let (mut middle, mut ratio) = (0.15 * state.step.abs(), 2.0);
-            let mut value = evaluate(middle, &mut best);
-            for _ in 0..2 {
-                for factor in [ratio, 1.0 / ratio] {
-                    let mut moved = false;
-                    for _ in 0..4 {
-                        let next = evaluate(middle * factor, &mut best);
-                        if next >= value {
-                            break;
-                        }
-                        (middle, value, moved) = (middle * factor, next, true);
-                    }
-                    if moved {
-                        break;
-                    }
-                }
-                ratio = 2.0_f64.sqrt();
+        for field in fields {
+            let start = field.amplitude;
+            let mut tried = State { field: Some(field), ..state.clone() };
+            let said = self.listen(&mut tried, start);
+            let top = said.iter().min_by(|a, b| a.value.total_cmp(&b.value));
+            if let Some(top) = top.filter(|t| best.as_ref().is_none_or(|b| t.value < b.0)) {
+                best = tried.field.map(|f| (top.value, Field { amplitude: top.amplitude, ..f }));
             }
         }
         self.thinned = 1;
-        state.field = best.filter(|b| b.0 + WORTH < without).map(|b| b.1);
+        state.field = best.filter(|b| without.is_some_and(|w| b.0 + WORTH < w)).map(|b| b.1);
+    }
+
+    fn all_fields(&self, state: &State) -> Vec<Field> {
+        let (e, blur_px) = (&state.ellipse, state.blur_px);
+        let least = 1.8 * blur_px / (e.semi_major_px * e.semi_minor_px).sqrt();
+        [Spectrum::Gaussian, Spectrum::Karman]
+            .iter()
+            .flat_map(|s| s.lengths().iter().map(move |l| (*s, *l)))
+            .filter(|(s, l)| *s == Spectrum::Karman || *l >= least)
+            .map(|(s, l)| Field { amplitude: 0.15 * state.step.abs(), ..Field::new(s, l, e, blur_px) })
+            .collect()
+    }
+
+    /// Estimate and covariance averaged over all fields, each with its likelihood as weight: what not knowing the kind of
+    /// light costs, between fields and within each. The state must stand where its own field left it.
+    pub(super) fn weigh_fields(&mut self, state: &State) -> Option<Verdict> {
+        let amplitude = state.field.as_ref()?.amplitude;
+        let own = (self.dense.clone(), self.found.clone(), self.light.clone());
+        self.hold_steps(state);
+        self.light.clear();
+        let mut all: Vec<Said> = vec![];
+        for field in self.all_fields(state) {
+            let mut tried = State { field: Some(field), ..state.clone() };
+            all.extend(self.listen(&mut tried, amplitude));
+        }
+        (self.dense, self.found, self.light) = own;
+        let least = all.iter().map(|s| s.value).min_by(f64::total_cmp)?;
+        all.retain(|s| s.value < least + NO_SAY);
+        let weight = |s: &Said| (-0.5 * (s.value - least)).exp();
+        let sum: f64 = all.iter().map(weight).sum();
+        let change = all.iter().map(|s| s.change * (weight(s) / sum)).sum::<SVector<f64, FIXED>>();
+        let covariance = all
+            .iter()
+            .map(|s| {
+                let off = (s.change - change).fixed_rows::<5>(1).into_owned();
+                (s.covariance + off * off.transpose()) * (weight(s) / sum)
+            })
+            .sum();
+        Some(Verdict { change, covariance })
+    }
+
+    /// By how much the noise inside differs from that which the fit took, variance over variance: squared residuals
+    /// over the degrees of freedom that the waves left them.
+    pub(super) fn noise_in_field(&self, state: &State) -> f64 {
+        let Some(field) = &state.field else { return 1.0 };
+        let n = Self::lights(state) + FIXED;
+        let l = &self.dense.matrix;
+        let mut column = vec![0.0; n];
+        let mut spent = 0.0;
+        for j in 0..2 * field.waves.len() {
+            let mut variance = 0.0;
+            for i in j..n {
+                let dot: f64 = l[i * n + j..i * n + i].iter().zip(&column[j..i]).map(|(x, y)| x * y).sum();
+                column[i] = (f64::from(u8::from(i == j)) - dot) / l[i * n + i];
+                variance += column[i] * column[i];
+            }
+            spent += 1.0 - variance / field.variance(j / 2);
+        }
+        let free = 1.0 - (spent / self.within.all).min(0.9);
+        if self.within.count < 6.0 { 1.0 } else { self.within.squares / (self.within.count * free) }
     }
 }

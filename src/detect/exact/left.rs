@@ -1,0 +1,120 @@
+//! What the fit leaves unexplained: the share of each sector, the noise of either side, and whether it looks like light.
+
+use super::{CHUNK, Exact, FIXED, MOST_CONTOUR_PX, State};
+use crate::conic::Frame;
+use crate::detect::band::LANES;
+
+/// One sector's share in the result.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Share {
+    /// Weighted residuals times response, 1/px.
+    score: f64,
+    /// Information about the shift of the edge, 1/px^2.
+    pub(crate) information: f64,
+    /// Weighted squared residuals and their number.
+    pub(crate) squares: f64,
+    pub(crate) pixels: f64,
+}
+
+impl Share {
+    /// Takes in a pixel with the response `h` and the residual `left`, both over the noise.
+    #[inline]
+    pub(crate) fn push(&mut self, h: f64, left: f64) {
+        self.score += h * left;
+        self.information += h * h;
+        self.squares += left * left;
+        self.pixels += 1.0;
+    }
+
+    /// Outward shift of the edge beyond that of the ellipse, px.
+    pub(crate) fn shift_px(&self) -> f64 {
+        -self.score / self.information
+    }
+}
+
+/// Sums over pixels that see at least nine tenths of the disc; residuals over the noise.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Within {
+    pub(super) squares: f64,
+    pub(super) count: f64,
+    /// Squares of what the middle one of three in a row is off the mean of the others, as a variance, and their number.
+    pub(super) bends: f64,
+    pub(super) triples: f64,
+    /// Shares of all pixels in the disc.
+    pub(super) all: f64,
+}
+
+impl Exact {
+    /// What each sector and each side leave unexplained.
+    pub(super) fn shares(&mut self, state: &State, sectors: usize) {
+        let lights = Self::lights(state);
+        let frame = Frame::new(&state.ellipse);
+        self.shares.clear();
+        self.shares.resize(sectors, Share::default());
+        self.away = [[0.0; 2]; 2];
+        self.neighbours = [0.0; 2];
+        self.within = Within::default();
+        self.prepare(state, &frame);
+        let mut before: [Option<(f64, f64)>; 2] = [None; 2];
+        for start in (0..self.count).step_by(LANES) {
+            self.fill(state, &frame, start, 0);
+            for l in 0..LANES.min(self.count - start) {
+                let p = start + l;
+                let column = &self.columns[l..];
+                let model: f64 = self.found.iter().enumerate().map(|(j, x)| x * column[j * CHUNK]).sum();
+                let left = column[(lights + FIXED) * CHUNK] - model;
+                let (q, h) = (self.inside[p], self.response[p]);
+                let share = &mut self.shares[self.band.sector[p] as usize];
+                share.push(h, left);
+                let far = if q > 0.995 { Some(0) } else { (q < 0.005).then_some(1) };
+                if let Some(side) = far {
+                    self.away[side][0] += left * left / Self::weight(state, q);
+                    self.away[side][1] += 1.0;
+                }
+                self.within.all += q;
+                let here = (q > 0.9).then_some((self.band.x[p], left));
+                if let Some((x2, r2)) = here {
+                    self.within.squares += left * left;
+                    self.within.count += 1.0;
+                    if let Some((_, r1)) = before[1].filter(|(x1, _)| (x2 - x1).abs() < 1.01) {
+                        self.neighbours[0] += r1 * r2;
+                        self.neighbours[1] += 1.0;
+                        if let Some((_, r0)) = before[0].filter(|(x0, _)| (x2 - x0).abs() < 2.01) {
+                            self.within.bends += (r1 - 0.5 * (r0 + r2)).powi(2) / 1.5;
+                            self.within.triples += 1.0;
+                        }
+                    }
+                }
+                before = [before[1], here];
+            }
+        }
+    }
+
+    /// Noise variance inside that the scatter of neighbours shows whatever the smoke; at most that of the shortest smoke is in it.
+    pub(crate) fn noise_between_neighbours(&self, state: &State) -> Option<f64> {
+        (self.within.triples > 12.0).then(|| state.variance[0] * self.within.bends / self.within.triples)
+    }
+
+    /// Whether what is left inside looks like light rather than noise: alike from pixel to pixel.
+    pub(crate) fn smoke_left(&self, perimeter_px: f64) -> bool {
+        let [product, n] = self.neighbours;
+        if perimeter_px > MOST_CONTOUR_PX {
+            return false;
+        }
+        if n < 12.0 {
+            return self.misfit() > 2.0;
+        }
+        product > 0.25 * n && product > 3.0 * n.sqrt()
+    }
+
+    /// Mean squared residual over the noise.
+    pub(crate) fn misfit(&self) -> f64 {
+        let sum = |f: &dyn Fn(&Share) -> f64| self.shares.iter().map(f).sum::<f64>();
+        sum(&|s| s.squares) / sum(&|s| s.pixels).max(1.0)
+    }
+
+    /// Noise variances of either side where enough pixels show them, grey^2.
+    pub(crate) fn noise(&self) -> [Option<f64>; 2] {
+        self.away.map(|[squares, n]| (n > 12.0).then(|| squares / n))
+    }
+}
