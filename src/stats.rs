@@ -13,6 +13,9 @@
 //! Source: Abramowitz and Stegun 6.5.29 (series, below x = a + 1) and 6.5.31 (continued fraction, above), Lanczos for ln Gamma.
 //! Accurate to about 1e-12 relative for degrees up to 1e6; below 1e-300 the answer is 0.
 
+#[cfg(test)]
+pub(crate) mod random;
+
 /// Probability that a chi-square with `degrees` degrees of freedom exceeds `chi2`; 1 for `chi2 <= 0`, `NaN` for `NaN`.
 ///
 /// ```

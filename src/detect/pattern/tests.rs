@@ -2,27 +2,9 @@ use super::*;
 use crate::conic::Ellipse;
 use crate::detect::{Disc, EdgePoints, Shape};
 use crate::frames::Pixel;
+use crate::stats::random::Random;
 use crate::target::{Grid, Mark, MarkKind, Pair, Plate, Polarity};
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
-
-/// SplitMix64: seeded, so that every run sees the same scenes.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-    fn in_range(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * (self.next() >> 11) as f64 / (1u64 << 53) as f64
-    }
-    fn gauss(&mut self) -> f64 {
-        let (a, b) = (self.in_range(1e-300, 1.0), self.in_range(0.0, std::f64::consts::TAU));
-        (-2.0 * a.ln()).sqrt() * b.cos()
-    }
-}
 
 const WIDTH: f64 = 1600.0;
 const HEIGHT: f64 = 1200.0;
