@@ -295,6 +295,8 @@ struct Surroundings {
 
 /// How far the bands around the candidates look at most, px.
 const SIGHT_PX: f64 = 40.0;
+/// Contrast over that of the disc from which a region of the other polarity inside is a hole; less is smoke.
+const HOLE: f64 = 0.5;
 
 /// What lies around each candidate: its own hole, its neighbours.
 fn surroundings(candidates: &[Candidate]) -> Vec<Surroundings> {
@@ -312,7 +314,7 @@ fn surroundings(candidates: &[Candidate]) -> Vec<Surroundings> {
                 }
                 let apart = du.hypot(dv);
                 if apart < 0.6 * e.semi_minor_px && o.semi_major_px < 0.85 * e.semi_minor_px {
-                    if other.bright != c.bright {
+                    if other.bright != c.bright && other.contrast > HOLE * c.contrast {
                         around.inner_px =
                             around.inner_px.min(0.6 * (e.semi_minor_px - o.semi_major_px - apart).max(2.0));
                     }

@@ -187,11 +187,11 @@ struct Verdict {
     prior: NodePrior,
 }
 
-/// The poorest model of the light that the pixels away from the edge do not contradict.
-pub(crate) fn choose(contour: &Contour, sectors: &Sectors, step: f64) -> Light {
+/// The poorest model of the light that the pixels away from the edge do not contradict; nodes where there is `smoke`.
+pub(crate) fn choose(contour: &Contour, sectors: &Sectors, step: f64, smoke: bool) -> Light {
     let nodes = ((contour.perimeter_px / NODE_PX) as usize).clamp(6, MOST_NODES);
     let verdicts = [0, 1].map(|side| judge(contour, sectors, side, step.abs(), nodes));
-    if verdicts.iter().any(|v| v.smoke) {
+    if smoke || verdicts.iter().any(|v| v.smoke) {
         Light::Nodes(nodes, verdicts.map(|v| v.prior))
     } else {
         Light::Surface(verdicts.map(|v| v.side))

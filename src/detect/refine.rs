@@ -74,13 +74,14 @@ pub(crate) fn refine(
         return disc;
     }
     let mut model = rough_model(view, start, s)?;
+    let mut smoke = false;
     for round in 0..MOST_ROUNDS {
         if border_px(view, &model.ellipse) < 1.0 {
             return Err(RejectionReason::CutByBorder);
         }
         look(view, &model, start, fine_reach(&model, start), s);
         let (weighed, bends) = (model.variance, model.bends);
-        let coverage = fit_light(view, &mut model, options, s)?;
+        let coverage = fit_light(view, &mut model, options, smoke, s)?;
         // The sums must have been made with about the right weights.
         let alike = |side: usize| (0.75..1.33).contains(&(model.variance[side] / weighed[side]));
         let bent_alike = (bends == [0.0; 2]) == (model.bends == [0.0; 2]);
@@ -92,7 +93,20 @@ pub(crate) fn refine(
             if coverage + 1.0 / (s.sectors.len() as f64) < options.min_coverage {
                 return Err(RejectionReason::Incomplete { coverage });
             }
-            return finish(view, &model, start, options, s);
+            let moved = moved(&model, s)?;
+            let (found, edge) = match fit_exactly(view, &moved, start, s) {
+                Exactly::Fitted(found, edge) => (found, edge),
+                Exactly::Smoke if !smoke && !last => {
+                    smoke = true;
+                    continue;
+                }
+                // The sums over sectors, with the ellipse that they gave.
+                Exactly::Smoke | Exactly::None => {
+                    let found = Found { ellipse: moved.ellipse, blur_px: moved.blur_px, covariance: None };
+                    (found, sector_edges(s))
+                }
+            };
+            return accept(&found, edge, &moved, start, options);
         }
         model = moved(&model, s)?;
     }
@@ -175,17 +189,18 @@ fn screen(s: &mut Scratch) -> f64 {
     typical
 }
 
-/// Light as rich as the image asks, noise from what it leaves, sectors that disagree dropped. Returns the share of those that stay.
+/// Light as rich as the image asks, or nodes where there is `smoke`, noise from what it leaves, sectors that disagree dropped. Returns the share of those that stay.
 fn fit_light(
     view: &GrayView,
     model: &mut EdgeModel,
     options: &DetectOptions,
+    smoke: bool,
     s: &mut Scratch,
 ) -> Result<f64, RejectionReason> {
     model.step = screen(s);
     s.found.step.clear();
     s.found.step.resize(s.contour.len(), model.step);
-    model.light = light::choose(&s.contour, &s.sectors, model.step);
+    model.light = light::choose(&s.contour, &s.sectors, model.step, smoke);
     solve(model, s)?;
     let mut before = 1.0;
     for _ in 0..3 {
@@ -200,7 +215,7 @@ fn fit_light(
             break;
         }
         before = coverage;
-        model.light = light::choose(&s.contour, &s.sectors, model.step);
+        model.light = light::choose(&s.contour, &s.sectors, model.step, smoke);
     }
     estimate_noise(view, model, s);
     model.bends = model.light.bends();
@@ -318,22 +333,6 @@ fn drop_sectors(s: &mut Scratch) -> f64 {
     s.sectors.keep.iter().filter(|k| **k).count() as f64 / count as f64
 }
 
-/// Edge points, the ellipse, the honest sigmas.
-fn finish(
-    view: &GrayView,
-    model: &EdgeModel,
-    start: &Start,
-    options: &DetectOptions,
-    s: &mut Scratch,
-) -> Result<Disc, RejectionReason> {
-    let moved = moved(model, s)?;
-    let (found, edge) = match fit_exactly(view, &moved, start, s) {
-        Some(exact) => exact,
-        None => (Found { ellipse: moved.ellipse, blur_px: moved.blur_px, covariance: None }, sector_edges(s)),
-    };
-    accept(&found, edge, &moved, start, options)
-}
-
 /// The short way: a disc with nothing hidden and nothing beside it; none where it may be otherwise.
 fn clean_disc(
     view: &GrayView,
@@ -445,8 +444,33 @@ fn sector_edges(s: &Scratch) -> EdgePoints {
     edge
 }
 
+/// What the fit to single pixels came to.
+enum Exactly {
+    Fitted(Found, EdgePoints),
+    /// What it leaves looks like smoke, of a disc too large for a field: nodes are to follow the light.
+    Smoke,
+    None,
+}
+
 /// The fit to single pixels, with the sectors that the rounds kept; none where it does not hold.
-fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: &mut Scratch) -> Option<(Found, EdgePoints)> {
+fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: &mut Scratch) -> Exactly {
+    let large = model.ellipse.perimeter_px() > MOST_CONTOUR_PX;
+    match fit_pixels(view, model, start, large, s) {
+        Some((found, edge)) => Exactly::Fitted(found, edge),
+        None if large && matches!(model.light, Light::Surface(_)) && start.smoke && s.exact.smoke_left() => {
+            Exactly::Smoke
+        }
+        None => Exactly::None,
+    }
+}
+
+fn fit_pixels(
+    view: &GrayView,
+    model: &EdgeModel,
+    start: &Start,
+    large: bool,
+    s: &mut Scratch,
+) -> Option<(Found, EdgePoints)> {
     let keep = s.sectors.keep.clone();
     let (sides, smoke) = match &model.light {
         Light::Surface(sides) => (*sides, false),
@@ -462,13 +486,15 @@ fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: &mut Scratc
         step: model.step,
     };
     let floor = quantisation(view).max((1e-4 * model.step).powi(2));
-    let perimeter_px = model.ellipse.perimeter_px();
-    if smoke && (perimeter_px > MOST_CONTOUR_PX || !start.smoke) {
+    if smoke && (large || !start.smoke) {
         return None;
     }
     let before = state.clone();
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-    if start.smoke && (smoke || s.exact.smoke_left(perimeter_px)) {
+    if start.smoke && large && s.exact.smoke_left() {
+        return None;
+    }
+    if start.smoke && (smoke || s.exact.smoke_left()) {
         let mut smoky = State { field: Some(Field::default()), ..before };
         smoky.sides[0] = Side::plain(0, model.step.abs());
         // Noise inside is told from smoke only once the smoke is known.

@@ -1,6 +1,6 @@
 //! What the fit leaves unexplained: the share of each sector, the noise of either side, and whether it looks like light.
 
-use super::{CHUNK, Exact, FIXED, MOST_CONTOUR_PX, State};
+use super::{CHUNK, Exact, FIXED, State};
 use crate::conic::Frame;
 use crate::detect::band::LANES;
 
@@ -96,11 +96,8 @@ impl Exact {
     }
 
     /// Whether what is left inside looks like light rather than noise: alike from pixel to pixel.
-    pub(crate) fn smoke_left(&self, perimeter_px: f64) -> bool {
+    pub(crate) fn smoke_left(&self) -> bool {
         let [product, n] = self.neighbours;
-        if perimeter_px > MOST_CONTOUR_PX {
-            return false;
-        }
         if n < 12.0 {
             return self.misfit() > 2.0;
         }
