@@ -13,26 +13,27 @@
 //! Steps 1 and 2 are repeated from the ellipse found until it stands still; two or three rounds suffice. Blur and light are common to
 //! all sectors; what their uncertainty adds to the geometry is spread evenly over the sigmas.
 
-use crate::conic::{Ellipse, Frame, covariance_from_regular, fit_geometric_from, from_regular, to_regular};
+mod pixels;
+
+use crate::conic::{Ellipse, Frame, fit_geometric_from};
 use crate::detect::band::{Band, Reach};
-use crate::detect::contour::{Contour, NEIGHBOUR};
+use crate::detect::contour::Contour;
 use crate::detect::edge_model::{EdgeModel, Solution};
-use crate::detect::exact::{Exact, Field, MOST_CONTOUR_PX, Share, State};
+use crate::detect::exact::Exact;
 use crate::detect::light::{self, Light, Side};
-use crate::detect::quick::{Clean, Quick};
+use crate::detect::quick::Quick;
 use crate::detect::rough::roughness_px2;
 use crate::detect::sectors::{Lens, Sectors};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::{GrayView, Samples};
 use crate::target::Polarity;
-use nalgebra::{SMatrix, SVector};
+use nalgebra::SMatrix;
+use pixels::{Exactly, clean_disc, fit_exactly};
 
 /// Rounds before a disc is given up.
 const MOST_ROUNDS: usize = 10;
 /// A change of the geometry below this ends the rounds, px: what is left of it is of third order in the ratio to the blur.
 const STILL_PX: f64 = 0.02;
-/// By how much the noise that a field of smoke leaves may surpass, as a variance, that which neighbouring pixels showed.
-const LOUDER: f64 = 1.5;
 
 /// Buffers reused from disc to disc.
 #[derive(Debug, Default)]
@@ -95,13 +96,13 @@ pub(crate) fn refine(
             }
             let moved = moved(&model, s)?;
             let (found, edge) = match fit_exactly(view, &moved, start, s) {
-                Exactly::Fitted(found, edge) => (found, edge),
-                Exactly::Smoke if !smoke && !last => {
+                Some(Exactly::Fitted(found, edge)) => (*found, edge),
+                Some(Exactly::Smoke) if !smoke && !last => {
                     smoke = true;
                     continue;
                 }
                 // The sums over sectors, with the ellipse that they gave.
-                Exactly::Smoke | Exactly::None => {
+                _ => {
                     let found = Found { ellipse: moved.ellipse, blur_px: moved.blur_px, covariance: None };
                     (found, sector_edges(s))
                 }
@@ -333,95 +334,6 @@ fn drop_sectors(s: &mut Scratch) -> f64 {
     s.sectors.keep.iter().filter(|k| **k).count() as f64 / count as f64
 }
 
-/// The short way: a disc with nothing hidden and nothing beside it; none where it may be otherwise.
-fn clean_disc(
-    view: &GrayView,
-    start: &Start,
-    options: &DetectOptions,
-    s: &mut Scratch,
-) -> Option<Result<Disc, RejectionReason>> {
-    let frame = Frame::new(&start.ellipse);
-    let gap = |e: &Ellipse| least_gap_px(&frame, e);
-    let outer_px = start.neighbours.iter().map(gap).fold(f64::INFINITY, f64::min) * NEIGHBOUR;
-    if start.inner_px < 0.89 * start.ellipse.semi_minor_px {
-        return None;
-    }
-    let mut state = Clean {
-        ellipse: start.ellipse,
-        blur_px: start.blur_px,
-        expected_blur_px: start.blur_px,
-        step: if start.bright { start.contrast } else { -start.contrast },
-        variance: [1.0; 2],
-    };
-    let floor = quantisation(view).max((1e-4 * start.contrast).powi(2));
-    s.quick.fit(view, &mut state, outer_px, floor)?;
-    s.fine.cut(&state.ellipse, &[]);
-    s.quick.share_out(&s.fine);
-    if !s.quick.clean(&state) || !agree(&s.quick.shares, &mut s.sorted) {
-        return None;
-    }
-    let ends = border_px(view, &state.ellipse);
-    let model = EdgeModel {
-        ellipse: state.ellipse,
-        blur_px: state.blur_px,
-        expected_blur_px: state.expected_blur_px,
-        light: Light::Surface([Side::plain(0, 1.0); 2]),
-        variance: state.variance,
-        bends: [0.0; 2],
-        step: state.step,
-    };
-    if ends < 1.0 || check_size(&model, start, options).is_err() {
-        return None;
-    }
-    let change = s.quick.change();
-    let ellipse = from_regular(&(to_regular(&state.ellipse) + change))?;
-    let edge = edges(&s.fine, &s.quick.shares, None, &change, s.quick.widen());
-    let covariance = Some(covariance_from_regular(&to_regular(&ellipse), s.quick.covariance()));
-    Some(accept(&Found { ellipse, blur_px: state.blur_px, covariance }, edge, &model, start, options))
-}
-
-/// Least distance of an ellipse from a contour beside it, px.
-fn least_gap_px(frame: &Frame, other: &Ellipse) -> f64 {
-    (0..64)
-        .map(|k| other.point(f64::from(k) / 64.0 * std::f64::consts::TAU))
-        .map(|p| frame.foot(p.u_px, p.v_px, None).distance)
-        .fold(f64::INFINITY, f64::min)
-}
-
-/// Whether every sector of the contour says the same.
-fn agree(shares: &[Share], sorted: &mut Vec<f64>) -> bool {
-    let mut typical = |f: &dyn Fn(&Share) -> f64| {
-        sorted.clear();
-        sorted.extend(shares.iter().map(f));
-        median(sorted)
-    };
-    let information = typical(&|x| x.information);
-    let shift = 1.4826 * typical(&|x| x.shift_px().abs());
-    let limit = 4.5 * shift.max(information.powf(-0.5));
-    shares.iter().all(|x| {
-        let (enough, spread) = (x.information > 0.15 * information, x.squares / x.pixels.max(1.0));
-        enough && x.shift_px().abs() < limit && spread < 2.0 + 5.0 * (2.0 / x.pixels.max(1.0)).sqrt()
-    })
-}
-
-/// Edge points of the sectors that count.
-fn edges(
-    contour: &Contour,
-    shares: &[Share],
-    kept: Option<&[bool]>,
-    change: &SVector<f64, 5>,
-    widen: f64,
-) -> EdgePoints {
-    let mut edge = EdgePoints::default();
-    for (k, share) in shares.iter().enumerate().filter(|(k, x)| kept.is_none_or(|l| l[*k]) && x.information > 0.0) {
-        let shift = share.shift_px() - (0..5).map(|i| contour.row[k][i] * change[i]).sum::<f64>();
-        edge.u_px.push(contour.u[k] + shift * contour.normal_u[k]);
-        edge.v_px.push(contour.v[k] + shift * contour.normal_v[k]);
-        edge.sigma_px.push(widen * share.information.powf(-0.5));
-    }
-    edge
-}
-
 /// What a fit says about the disc as a whole.
 struct Found {
     ellipse: Ellipse,
@@ -442,94 +354,6 @@ fn sector_edges(s: &Scratch) -> EdgePoints {
         edge.sigma_px.push(found.widen * information.powf(-0.5));
     }
     edge
-}
-
-/// What the fit to single pixels came to.
-enum Exactly {
-    Fitted(Found, EdgePoints),
-    /// What it leaves looks like smoke, of a disc too large for a field: nodes are to follow the light.
-    Smoke,
-    None,
-}
-
-/// The fit to single pixels, with the sectors that the rounds kept; none where it does not hold.
-fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: &mut Scratch) -> Exactly {
-    let large = model.ellipse.perimeter_px() > MOST_CONTOUR_PX;
-    match fit_pixels(view, model, start, large, s) {
-        Some((found, edge)) => Exactly::Fitted(found, edge),
-        None if large && matches!(model.light, Light::Surface(_)) && start.smoke && s.exact.smoke_left() => {
-            Exactly::Smoke
-        }
-        None => Exactly::None,
-    }
-}
-
-fn fit_pixels(
-    view: &GrayView,
-    model: &EdgeModel,
-    start: &Start,
-    large: bool,
-    s: &mut Scratch,
-) -> Option<(Found, EdgePoints)> {
-    let keep = s.sectors.keep.clone();
-    let (sides, smoke) = match &model.light {
-        Light::Surface(sides) => (*sides, false),
-        Light::Nodes(..) => ([Side::plain(1, model.step.abs()), Side::plain(0, model.step.abs())], true),
-    };
-    let mut state = State {
-        ellipse: model.ellipse,
-        blur_px: model.blur_px,
-        expected_blur_px: model.expected_blur_px,
-        sides,
-        field: None,
-        variance: model.variance,
-        step: model.step,
-    };
-    let floor = quantisation(view).max((1e-4 * model.step).powi(2));
-    if smoke && (large || !start.smoke) {
-        return None;
-    }
-    let before = state.clone();
-    let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-    if start.smoke && large && s.exact.smoke_left() {
-        return None;
-    }
-    if start.smoke && (smoke || s.exact.smoke_left()) {
-        let mut smoky = State { field: Some(Field::default()), ..before };
-        smoky.sides[0] = Side::plain(0, model.step.abs());
-        // Noise inside is told from smoke only once the smoke is known.
-        let outside = s.exact.noise()[1].unwrap_or(state.variance[1]).max(floor);
-        let inside = s.exact.noise_between_neighbours(&state).unwrap_or(outside).max(floor);
-        smoky.variance = [inside, outside];
-        // What is no smoke is not to pass for noise.
-        let quiet = |state: &State| state.variance[0] < LOUDER * inside;
-        // Smoke looked like disagreement before it was known.
-        let all = vec![true; keep.len()];
-        let mut whole_contour = smoky.clone();
-        let mut settled = s.exact.settle(view, &mut whole_contour, &mut s.fine, &all, start, floor);
-        if settled.is_some() && quiet(&whole_contour) && s.exact.misfit() < 1.3 {
-            smoky = whole_contour;
-        } else {
-            settled = s.exact.settle(view, &mut smoky, &mut s.fine, &keep, start, floor);
-        }
-        if let Some(keep) = settled {
-            // Where there is another edge inside, the field must explain what it is said to be.
-            let whole = start.inner_px >= 0.85 * model.ellipse.semi_minor_px;
-            if smoky.field.is_some() && quiet(&smoky) && (whole || s.exact.misfit() < 1.5) {
-                (state, kept) = (smoky, keep);
-            } else if smoke {
-                return None;
-            } else {
-                kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-            }
-        } else {
-            return None;
-        }
-    }
-    let (ellipse, change, blur_px) = s.exact.finished(&state)?;
-    let edge = edges(&s.fine, &s.exact.shares, Some(&kept), &change, s.exact.widen());
-    let covariance = covariance_from_regular(&to_regular(&ellipse), &s.exact.covariance());
-    Some((Found { ellipse, blur_px, covariance: Some(covariance) }, edge))
 }
 
 /// Checks the shape and makes a disc of what was found.

@@ -55,7 +55,7 @@ impl Exact {
         self.neighbours = [0.0; 2];
         self.within = Within::default();
         self.prepare(state, &frame);
-        let mut before: [Option<(f64, f64)>; 2] = [None; 2];
+        let mut before: [Option<(usize, f64)>; 2] = [None; 2];
         for start in (0..self.count).step_by(LANES) {
             self.fill(state, &frame, start, 0);
             for l in 0..LANES.min(self.count - start) {
@@ -72,14 +72,15 @@ impl Exact {
                     self.away[side][1] += 1.0;
                 }
                 self.within.all += q;
-                let here = (q > 0.9).then_some((self.band.x[p], left));
-                if let Some((x2, r2)) = here {
+                let here = (q > 0.9).then_some((p, left));
+                if let Some((_, r2)) = here {
                     self.within.squares += left * left;
                     self.within.count += 1.0;
-                    if let Some((_, r1)) = before[1].filter(|(x1, _)| (x2 - x1).abs() < 1.01) {
+                    before[1] = before[1].filter(|(p1, _)| self.side_by_side(*p1, p));
+                    if let Some((p1, r1)) = before[1] {
                         self.neighbours[0] += r1 * r2;
                         self.neighbours[1] += 1.0;
-                        if let Some((_, r0)) = before[0].filter(|(x0, _)| (x2 - x0).abs() < 2.01) {
+                        if let Some((_, r0)) = before[0].filter(|(p0, _)| self.side_by_side(*p0, p1)) {
                             self.within.bends += (r1 - 0.5 * (r0 + r2)).powi(2) / 1.5;
                             self.within.triples += 1.0;
                         }
@@ -88,6 +89,12 @@ impl Exact {
                 before = [before[1], here];
             }
         }
+    }
+
+    /// Whether two pixels of the band touch along a row.
+    fn side_by_side(&self, i: usize, j: usize) -> bool {
+        let b = &self.band;
+        (b.x[i] - b.x[j]).hypot(b.y[i] - b.y[j]) < 1.01
     }
 
     /// Noise variance inside that the scatter of neighbours shows whatever the smoke; at most that of the shortest smoke is in it.

@@ -1,0 +1,184 @@
+//! The fit of one disc to single pixels: the short way of clean discs, the way of all others, and that of smoke.
+
+use super::{Found, Scratch, Start, accept, border_px, check_size, median, quantisation};
+use crate::conic::{Ellipse, Frame, covariance_from_regular, from_regular, to_regular};
+use crate::detect::contour::{Contour, NEIGHBOUR};
+use crate::detect::edge_model::EdgeModel;
+use crate::detect::exact::{Exact, Field, MOST_CONTOUR_PX, Share, State};
+use crate::detect::light::{Light, Side};
+use crate::detect::quick::Clean;
+use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
+use crate::image::GrayView;
+use nalgebra::SVector;
+
+/// By how much the noise that a field of smoke leaves may surpass, as a variance, that which neighbouring pixels showed.
+const LOUDER: f64 = 1.5;
+
+/// The short way: a disc with nothing hidden and nothing beside it; none where it may be otherwise.
+pub(super) fn clean_disc(
+    view: &GrayView,
+    start: &Start,
+    options: &DetectOptions,
+    s: &mut Scratch,
+) -> Option<Result<Disc, RejectionReason>> {
+    let frame = Frame::new(&start.ellipse);
+    let gap = |e: &Ellipse| least_gap_px(&frame, e);
+    let outer_px = start.neighbours.iter().map(gap).fold(f64::INFINITY, f64::min) * NEIGHBOUR;
+    if start.inner_px < 0.89 * start.ellipse.semi_minor_px {
+        return None;
+    }
+    let mut state = Clean {
+        ellipse: start.ellipse,
+        blur_px: start.blur_px,
+        expected_blur_px: start.blur_px,
+        step: if start.bright { start.contrast } else { -start.contrast },
+        variance: [1.0; 2],
+    };
+    let floor = quantisation(view).max((1e-4 * start.contrast).powi(2));
+    s.quick.fit(view, &mut state, outer_px, floor)?;
+    s.fine.cut(&state.ellipse, &[]);
+    s.quick.share_out(&s.fine);
+    if !s.quick.clean(&state) || !agree(&s.quick.shares, &mut s.sorted) {
+        return None;
+    }
+    let ends = border_px(view, &state.ellipse);
+    let model = EdgeModel {
+        ellipse: state.ellipse,
+        blur_px: state.blur_px,
+        expected_blur_px: state.expected_blur_px,
+        light: Light::Surface([Side::plain(0, 1.0); 2]),
+        variance: state.variance,
+        bends: [0.0; 2],
+        step: state.step,
+    };
+    if ends < 1.0 || check_size(&model, start, options).is_err() {
+        return None;
+    }
+    let change = s.quick.change();
+    let ellipse = from_regular(&(to_regular(&state.ellipse) + change))?;
+    let edge = edges(&s.fine, &s.quick.shares, None, &change, s.quick.widen());
+    let covariance = Some(covariance_from_regular(&to_regular(&ellipse), s.quick.covariance()));
+    Some(accept(&Found { ellipse, blur_px: state.blur_px, covariance }, edge, &model, start, options))
+}
+
+/// Least distance of an ellipse from a contour beside it, px.
+fn least_gap_px(frame: &Frame, other: &Ellipse) -> f64 {
+    (0..64)
+        .map(|k| other.point(f64::from(k) / 64.0 * std::f64::consts::TAU))
+        .map(|p| frame.foot(p.u_px, p.v_px, None).distance)
+        .fold(f64::INFINITY, f64::min)
+}
+
+/// Whether every sector of the contour says the same.
+fn agree(shares: &[Share], sorted: &mut Vec<f64>) -> bool {
+    let mut typical = |f: &dyn Fn(&Share) -> f64| {
+        sorted.clear();
+        sorted.extend(shares.iter().map(f));
+        median(sorted)
+    };
+    let information = typical(&|x| x.information);
+    let shift = 1.4826 * typical(&|x| x.shift_px().abs());
+    let limit = 4.5 * shift.max(information.powf(-0.5));
+    shares.iter().all(|x| {
+        let (enough, spread) = (x.information > 0.15 * information, x.squares / x.pixels.max(1.0));
+        enough && x.shift_px().abs() < limit && spread < 2.0 + 5.0 * (2.0 / x.pixels.max(1.0)).sqrt()
+    })
+}
+
+/// Edge points of the sectors that count.
+fn edges(
+    contour: &Contour,
+    shares: &[Share],
+    kept: Option<&[bool]>,
+    change: &SVector<f64, 5>,
+    widen: f64,
+) -> EdgePoints {
+    let mut edge = EdgePoints::default();
+    for (k, share) in shares.iter().enumerate().filter(|(k, x)| kept.is_none_or(|l| l[*k]) && x.information > 0.0) {
+        let shift = share.shift_px() - (0..5).map(|i| contour.row[k][i] * change[i]).sum::<f64>();
+        edge.u_px.push(contour.u[k] + shift * contour.normal_u[k]);
+        edge.v_px.push(contour.v[k] + shift * contour.normal_v[k]);
+        edge.sigma_px.push(widen * share.information.powf(-0.5));
+    }
+    edge
+}
+
+/// What the fit to single pixels came to.
+pub(super) enum Exactly {
+    Fitted(Box<Found>, EdgePoints),
+    /// What it leaves looks like smoke, of a disc too large for a field: nodes are to follow the light.
+    Smoke,
+}
+
+/// The fit to single pixels, with the sectors that the rounds kept; none where it does not hold.
+pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: &mut Scratch) -> Option<Exactly> {
+    let keep = s.sectors.keep.clone();
+    let (sides, nodes) = match &model.light {
+        Light::Surface(sides) => (*sides, false),
+        Light::Nodes(..) => ([Side::plain(1, model.step.abs()), Side::plain(0, model.step.abs())], true),
+    };
+    let large = model.ellipse.perimeter_px() > MOST_CONTOUR_PX;
+    if nodes && (large || !start.smoke) {
+        return None;
+    }
+    let mut state = State {
+        ellipse: model.ellipse,
+        blur_px: model.blur_px,
+        expected_blur_px: model.expected_blur_px,
+        sides,
+        field: None,
+        variance: model.variance,
+        step: model.step,
+    };
+    let before = state.clone();
+    let floor = quantisation(view).max((1e-4 * model.step).powi(2));
+    let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
+    if start.smoke && (nodes || s.exact.smoke_left()) {
+        if large {
+            return Some(Exactly::Smoke);
+        }
+        match fit_smoke(view, &before, &state, start, (&keep, floor), s)? {
+            Some(smoky) => (state, kept) = smoky,
+            None if nodes => return None,
+            None => kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?,
+        }
+    }
+    let (ellipse, change, blur_px) = s.exact.finished(&state)?;
+    let edge = edges(&s.fine, &s.exact.shares, Some(&kept), &change, s.exact.widen());
+    let covariance = covariance_from_regular(&to_regular(&ellipse), &s.exact.covariance());
+    Some(Exactly::Fitted(Box::new(Found { ellipse, blur_px, covariance: Some(covariance) }), edge))
+}
+
+/// The fit with a field of smoke and the sectors that counted, from where `before` stood; `plain` is what polynomials came to, their
+/// residuals still in the scratch. `Some(None)` where no field explains the light, `None` where nothing could be solved.
+#[allow(clippy::option_option)]
+fn fit_smoke(
+    view: &GrayView,
+    before: &State,
+    plain: &State,
+    start: &Start,
+    (keep, floor): (&[bool], f64),
+    s: &mut Scratch,
+) -> Option<Option<(State, Vec<bool>)>> {
+    let mut smoky = State { field: Some(Field::default()), ..before.clone() };
+    smoky.sides[0] = Side::plain(0, before.step.abs());
+    // Noise inside is told from smoke only once the smoke is known.
+    let outside = s.exact.noise()[1].unwrap_or(plain.variance[1]).max(floor);
+    let inside = s.exact.noise_between_neighbours(plain).unwrap_or(outside).max(floor);
+    smoky.variance = [inside, outside];
+    // What is no smoke is not to pass for noise.
+    let explains = |state: &State, exact: &Exact, most: f64| {
+        state.field.is_some() && state.variance[0] < LOUDER * inside && exact.misfit() < most
+    };
+    // Smoke looked like disagreement before it was known.
+    let mut whole = smoky.clone();
+    if let Some(kept) = s.exact.settle(view, &mut whole, &mut s.fine, &vec![true; keep.len()], start, floor) {
+        if explains(&whole, &s.exact, 1.3) {
+            return Some(Some((whole, kept)));
+        }
+    }
+    let kept = s.exact.settle(view, &mut smoky, &mut s.fine, keep, start, floor)?;
+    // Where there is another edge inside, the field must explain what it is said to be.
+    let most = if start.inner_px >= 0.85 * before.ellipse.semi_minor_px { f64::INFINITY } else { 1.5 };
+    Some(explains(&smoky, &s.exact, most).then_some((smoky, kept)))
+}
