@@ -43,7 +43,7 @@ mod lanes;
 mod radial;
 mod window;
 
-pub(crate) use arrays::rows;
+pub(crate) use arrays::{LineImage, rows};
 pub(crate) use bulk::BulkCamera;
 pub use convert::{EffectivePinhole, HalconTilt, OpenCvTilted};
 pub use design::Drawing;

@@ -28,12 +28,15 @@ mod map;
 mod placement;
 mod resample;
 mod rows;
+mod sampler;
 mod soloff;
+mod weights;
 
 pub use grid::SheetGrid;
-pub use kernel::{Kernel, Sampler};
+pub use kernel::Kernel;
 pub use map::{NoMeeting, PixelJets, Pixels, SheetJets, SheetMap, SheetPoints, ViewAngles};
 pub use placement::Placement;
 pub(crate) use resample::resample;
-pub use resample::{Dewarped, dewarp};
+pub use resample::{Dewarped, dewarp, dewarp_into};
+pub use sampler::Sampler;
 pub use soloff::{Soloff, SoloffDegrees, SoloffFit, SoloffVolume};

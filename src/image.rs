@@ -129,6 +129,21 @@ impl GrayImage {
         GrayView::new(image.samples(), width, height, width)?;
         Ok(image)
     }
+    /// Makes room for an image of `width` x `height` of the depth of `like`, in the memory that is there where its depth is the same; what the
+    /// samples are is left open.
+    pub(crate) fn renew(&mut self, like: &Samples<'_>, width: usize, height: usize) -> &mut Pixels {
+        let n = width * height;
+        match (&mut self.pixels, like) {
+            (Pixels::U8(p), Samples::U8(_)) => p.resize(n, 0),
+            (Pixels::U16(p), Samples::U16(_)) => p.resize(n, 0),
+            (Pixels::F32(p), Samples::F32(_)) => p.resize(n, 0.0),
+            (p, Samples::U8(_)) => *p = Pixels::U8(vec![0; n]),
+            (p, Samples::U16(_)) => *p = Pixels::U16(vec![0; n]),
+            (p, Samples::F32(_)) => *p = Pixels::F32(vec![0.0; n]),
+        }
+        (self.width, self.height) = (width, height);
+        &mut self.pixels
+    }
     fn samples(&self) -> Samples<'_> {
         match &self.pixels {
             Pixels::U8(p) => Samples::U8(p),

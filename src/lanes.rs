@@ -9,11 +9,15 @@
 #![allow(unsafe_code)]
 
 mod columns;
+mod greys;
+mod raster;
 mod sweep;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
 pub(crate) use columns::{Column, ColumnMut};
+pub(crate) use greys::Greys;
+pub(crate) use raster::{Level, Raster};
 pub(crate) use sweep::{Each, sweep};
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -29,6 +33,8 @@ pub(crate) trait Lanes:
     const N: usize;
     /// One truth value per number.
     type Mask: Copy;
+    /// Eight numbers of single precision.
+    type Greys: Greys;
     /// The same number everywhere.
     fn splat(x: f64) -> Self;
     /// The first N numbers of a slice; panics where it is shorter.
@@ -45,8 +51,12 @@ pub(crate) trait Lanes:
     /// # Safety
     /// They can be written.
     unsafe fn store_at(self, out: *mut f64);
+    /// Into the first N places of a slice, rounded to single precision; panics where it is shorter.
+    fn narrow(self, out: &mut [f32]);
     /// Square root.
     fn sqrt(self) -> Self;
+    /// The whole number at or below.
+    fn floor(self) -> Self;
     /// `self < other`; false for NaN.
     fn below(self, other: Self) -> Self::Mask;
     /// `a` where the mask is set, else `b`.
@@ -70,6 +80,7 @@ pub(crate) trait Lanes:
 impl Lanes for f64 {
     const N: usize = 1;
     type Mask = bool;
+    type Greys = greys::Plain;
     #[inline(always)]
     fn splat(x: f64) -> Self {
         x
@@ -93,8 +104,16 @@ impl Lanes for f64 {
         unsafe { out.write_unaligned(self) }
     }
     #[inline(always)]
+    fn narrow(self, out: &mut [f32]) {
+        out[0] = self as f32;
+    }
+    #[inline(always)]
     fn sqrt(self) -> Self {
         self.sqrt()
+    }
+    #[inline(always)]
+    fn floor(self) -> Self {
+        self.floor()
     }
     #[inline(always)]
     fn below(self, other: Self) -> bool {

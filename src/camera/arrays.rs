@@ -33,6 +33,32 @@ impl<L: Lanes> Each<L, 3, 2> for Image<L> {
     }
 }
 
+/// Images of points of another frame on a line along its x axis.
+pub(crate) struct LineImage<L> {
+    camera: BulkCamera<L>,
+    along: [L; 3],
+    /// The point with x = 0 in the camera frame.
+    foot: [L; 3],
+}
+
+impl<L: Lanes> LineImage<L> {
+    /// Of the line with these y and z, mm.
+    #[inline(always)]
+    pub(crate) fn new<F>(camera: BulkCamera<L>, cam_from_points: &Motion<Cam, F>, y_mm: f64, z_mm: f64) -> Self {
+        let (r, t) = (&cam_from_points.rotation, &cam_from_points.translation_mm);
+        let foot =
+            [r.m12 * y_mm + r.m13 * z_mm + t.x, r.m22 * y_mm + r.m23 * z_mm + t.y, r.m32 * y_mm + r.m33 * z_mm + t.z];
+        Self { camera, along: splats([r.m11, r.m21, r.m31]), foot: splats(foot) }
+    }
+
+    /// Image (u, v), px, of the point with this x, mm; `NaN` where it has none.
+    #[inline(always)]
+    pub(crate) fn at(&self, x: L) -> [L; 2] {
+        let (a, f) = (&self.along, &self.foot);
+        self.camera.image([f[0] + a[0] * x, f[1] + a[1] * x, f[2] + a[2] * x])
+    }
+}
+
 struct Images<'a> {
     camera: &'a Camera,
     rotation: &'a Matrix3<f64>,

@@ -10,10 +10,10 @@ use crate::lanes::{Lanes, splats};
 const NEAR: f64 = 1e-10;
 
 /// A camera, each of its numbers in every lane.
+#[derive(Clone, Copy)]
 pub(crate) struct BulkCamera<L> {
     outward: bool,
     straight: bool,
-    f: [L; 2],
     center: [L; 2],
     /// 1 / f
     per_f: [L; 2],
@@ -24,10 +24,10 @@ pub(crate) struct BulkCamera<L> {
     image: L,
     /// h = 1 - h_by . xd
     h_by: [L; 2],
-    /// tx h = x_by . xd
-    x_by: [L; 2],
-    /// ty h = y_by yd
-    y_by: L,
+    /// f tx h = u_by . xd
+    u_by: [L; 2],
+    /// aspect f ty h = v_by yd
+    v_by: L,
     /// Back: h = 1 + back_h . t, xd h = back_x . t, yd h = back_y ty
     back_h: [L; 2],
     back_x: [L; 2],
@@ -48,7 +48,6 @@ impl<L: Lanes> BulkCamera<L> {
         Some(Self {
             outward: i.radial == Radial::IdealToDistorted,
             straight: i.k == [0.0; 3],
-            f: splats(f),
             center: splats([i.cx_px, i.cy_px]),
             per_f: f.map(|f| L::splat(1.0 / f)),
             k: splats(i.k),
@@ -56,8 +55,8 @@ impl<L: Lanes> BulkCamera<L> {
             radius_squared: L::splat((radius * radius).min(f64::MAX)),
             image: L::splat(image),
             h_by: splats([t.tb / m, t.ta / (t.cb * m)]),
-            x_by: splats([1.0 / t.cb, t.ta * t.tb]),
-            y_by: L::splat(1.0 / t.ca),
+            u_by: splats([f[0] / t.cb, f[0] * t.ta * t.tb]),
+            v_by: L::splat(f[1] / t.ca),
             back_h: splats([t.sb / m, t.sa * t.cb / m]),
             back_x: splats([t.cb, -t.sa * t.sb]),
             back_y: L::splat(t.ca),
@@ -73,11 +72,12 @@ impl<L: Lanes> BulkCamera<L> {
         let ([xd, yd], lens) = if self.outward { self.polynomial(x, y) } else { self.inverse(x, y) };
         let h = one - (xd * self.h_by[0] + yd * self.h_by[1]);
         let ih = one / h;
-        let u = self.center[0] + self.f[0] * ((xd * self.x_by[0] + yd * self.x_by[1]) * ih);
-        let v = self.center[1] + self.f[1] * (yd * self.y_by * ih);
+        let u = self.center[0] + (xd * self.u_by[0] + yd * self.u_by[1]) * ih;
+        let v = self.center[1] + yd * self.v_by * ih;
         // Comparisons with NaN are false, 1 / Z of an infinite Z is zero; the last one refuses what overflows.
         let before = L::and(zero.below(iz), lens);
-        let bounded = L::and(zero.below(h), (u * u + v * v).below(L::splat(f64::INFINITY)));
+        let both = u + v;
+        let bounded = L::and(zero.below(h), (both - both).below(one));
         let valid = L::and(before, bounded);
         let none = L::splat(f64::NAN);
         [L::select(valid, u, none), L::select(valid, v, none)]

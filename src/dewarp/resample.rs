@@ -1,14 +1,19 @@
-//! Images resampled on a grid of the sheet; the map is computed on the way, row by row.
+//! Images resampled on a grid of the sheet; the map is computed on the way, a few pixels at a time.
 
 use super::grid::SheetGrid;
-use super::kernel::{Kernel, Sampler};
+use super::kernel::{Kernel, Source};
 use super::map::SheetMap;
-use super::rows::Row;
+use super::rows::{Band, Levels};
+use super::sampler::Sampler;
+use super::weights::Table;
 use crate::error::{Invalid, Result};
 use crate::image::{GrayImage, GrayView, Pixels, Samples};
-use crate::lanes::run;
+use crate::lanes::{Level, run};
 use nalgebra::Vector2;
 use rayon::prelude::*;
+
+/// Rows that one thread takes at a time.
+const ROWS: usize = 8;
 
 /// A dewarped image.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,33 +30,46 @@ pub(super) fn inside(q: &Vector2<f64>, size_px: [usize; 2]) -> bool {
     within(q.x, size_px[0]) && within(q.y, size_px[1])
 }
 
-/// Images of a row of the grid; `NaN` where a point has none.
-fn positions(map: &SheetMap, grid: &SheetGrid, j: usize, z_mm: f64) -> [Vec<f64>; 2] {
-    let n = grid.width_px;
-    let (mut x_mm, mut y_mm) = (Vec::with_capacity(n), Vec::with_capacity(n));
-    for i in 0..n {
-        let [x, y] = grid.point_mm(i as f64, j as f64);
-        x_mm.push(x);
-        y_mm.push(y);
+/// The grid in the plane z = `z_mm`, as a camera sees it.
+#[derive(Clone, Copy)]
+struct Plane<'a> {
+    map: &'a SheetMap,
+    grid: &'a SheetGrid,
+    z_mm: f64,
+}
+
+impl Plane<'_> {
+    /// Levels and validity of every pixel, by the threads of the pool in which this is called; the bits do not depend on their number.
+    fn fill<S: Level, D: Send>(
+        &self,
+        source: Source<'_, S>,
+        pixels: &mut [D],
+        valid: &mut [bool],
+        levels: impl Fn(&mut [D]) -> Levels<'_> + Sync,
+    ) {
+        let Self { map, grid, z_mm } = *self;
+        let table = matches!(source.kernel, Kernel::Lanczos | Kernel::BSpline).then(|| Table::of(source.kernel));
+        let table = table.as_ref();
+        let band = ROWS * grid.width_px;
+        pixels.par_chunks_mut(band).zip(valid.par_chunks_mut(band)).enumerate().for_each(|(k, (pixels, valid))| {
+            run(Band { source, table, map, grid, z_mm, first_row: k * ROWS, levels: levels(pixels), valid });
+        });
     }
-    let mut out = [vec![0.0; n], vec![0.0; n]];
-    let [u, v] = &mut out;
-    map.images_into([&x_mm, &y_mm, &vec![z_mm; n]], [u, v]);
-    out
+
+    fn fill_pixels<S: Level>(&self, source: Source<'_, S>, pixels: &mut Pixels, valid: &mut [bool]) {
+        match pixels {
+            Pixels::U8(p) => self.fill(source, p, valid, |p| Levels::U8(p)),
+            Pixels::U16(p) => self.fill(source, p, valid, |p| Levels::U16(p)),
+            Pixels::F32(p) => self.fill(source, p, valid, |p| Levels::F32(p)),
+        }
+    }
 }
 
 /// Grey levels and validity on the grid in the plane z = `z_mm`, rows packed.
-///
-/// Rows are worked on by the threads of the pool in which this is called; the bits do not depend on their number.
 pub(crate) fn resample(sampler: &Sampler, map: &SheetMap, grid: &SheetGrid, z_mm: f64) -> (Vec<f32>, Vec<bool>) {
     let n = grid.width_px * grid.height_px;
     let (mut levels, mut valid) = (vec![0.0; n], vec![false; n]);
-    levels.par_chunks_mut(grid.width_px).zip(valid.par_chunks_mut(grid.width_px)).enumerate().for_each(
-        |(j, (levels, valid))| {
-            let [u_px, v_px] = positions(map, grid, j, z_mm);
-            run(Row { sampler, u_px: &u_px, v_px: &v_px, levels, valid });
-        },
-    );
+    Plane { map, grid, z_mm }.fill(sampler.source(), &mut levels, &mut valid, |p| Levels::F32(p));
     (levels, valid)
 }
 
@@ -62,16 +80,120 @@ pub(crate) fn resample(sampler: &Sampler, map: &SheetMap, grid: &SheetGrid, z_mm
 /// # Errors
 /// [`Invalid::Value`] where the image has another size than the map was made for.
 pub fn dewarp(view: &GrayView<'_>, map: &SheetMap, grid: &SheetGrid, kernel: Kernel, z_mm: f64) -> Result<Dewarped> {
-    let size = [view.width(), view.height()];
-    if let Some(a) = (0..2).find(|a| size[*a] != map.size_px()[*a]) {
+    let mut out = Dewarped { image: GrayImage::new(Pixels::U8(vec![0]), 1, 1)?, valid: vec![] };
+    dewarp_into(view, map, grid, kernel, z_mm, &mut out)?;
+    Ok(out)
+}
+
+/// [`dewarp`] into an image that is there already, for series: of any size and depth, but where both are those of the result its memory is used
+/// again and, except for the coefficients of the B-spline, none other is asked for.
+///
+/// ```
+/// use nalgebra::{Matrix3, Vector3};
+/// use spivcal::camera::{Camera, Intrinsics};
+/// use spivcal::dewarp::{Kernel, SheetGrid, SheetMap, dewarp, dewarp_into};
+/// use spivcal::image::{GrayView, Samples};
+/// use spivcal::rigid::Motion;
+/// // A camera straight above the sheet, 10 px per mm.
+/// let turn = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
+/// let camera = Camera::new(Intrinsics::pinhole(5000.0, 49.5, 39.5))?;
+/// let map = SheetMap::new(camera, Motion::new(turn, Vector3::new(0.0, 0.0, 500.0)), [100, 80]);
+/// let grid = SheetGrid::over([-4.0, -3.0, 4.0, 3.0], 0.1)?;
+/// let frames = [vec![7_u8; 8000], vec![9_u8; 8000]];
+/// let view = |i: usize| GrayView::new(Samples::U8(&frames[i]), 100, 80, 100);
+/// let mut out = dewarp(&view(0)?, &map, &grid, Kernel::Cubic, 0.0)?;
+/// dewarp_into(&view(1)?, &map, &grid, Kernel::Cubic, 0.0, &mut out)?;
+/// assert_eq!(out.image.view().get(40, 30), 9.0);
+/// # Ok::<(), spivcal::Error>(())
+/// ```
+///
+/// # Errors
+/// As [`dewarp`]; `out` is then left as it was.
+pub fn dewarp_into(
+    view: &GrayView<'_>,
+    map: &SheetMap,
+    grid: &SheetGrid,
+    kernel: Kernel,
+    z_mm: f64,
+    out: &mut Dewarped,
+) -> Result<()> {
+    let size_px = [view.width(), view.height()];
+    if let Some(a) = (0..2).find(|a| size_px[*a] != map.size_px()[*a]) {
         let what = format!("{} px, as at the calibration", map.size_px()[a]);
-        return Err(Invalid::value(["image width", "image height"][a], size[a] as f64, what).into());
+        return Err(Invalid::value(["image width", "image height"][a], size_px[a] as f64, what).into());
     }
-    let (levels, valid) = resample(&Sampler::new(view, kernel), map, grid, z_mm);
-    let pixels = match view.samples() {
-        Samples::U8(_) => Pixels::U8(levels.iter().map(|x| x.round() as u8).collect()),
-        Samples::U16(_) => Pixels::U16(levels.iter().map(|x| x.round() as u16).collect()),
-        Samples::F32(_) => Pixels::F32(levels),
-    };
-    Ok(Dewarped { image: GrayImage::new(pixels, grid.width_px, grid.height_px)?, valid })
+    let valid = &mut out.valid;
+    valid.resize(grid.width_px * grid.height_px, false);
+    let pixels = out.image.renew(&view.samples(), grid.width_px, grid.height_px);
+    let (plane, stride) = (Plane { map, grid, z_mm }, view.stride());
+    if kernel == Kernel::BSpline {
+        plane.fill_pixels(Sampler::new(view, kernel).source(), pixels, valid);
+        return Ok(());
+    }
+    match view.samples() {
+        Samples::U8(samples) => plane.fill_pixels(Source { kernel, samples, stride, size_px }, pixels, valid),
+        Samples::U16(samples) => plane.fill_pixels(Source { kernel, samples, stride, size_px }, pixels, valid),
+        Samples::F32(samples) => plane.fill_pixels(Source { kernel, samples, stride, size_px }, pixels, valid),
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::{Camera, Intrinsics};
+    use crate::rigid::{Motion, rotation_exp};
+    use nalgebra::Vector3;
+
+    /// Memory that was there, of another size or depth, rows with a stride and threads change no bit.
+    #[test]
+    fn series_have_the_bits_of_single_images() {
+        let (w, h, stride) = (64, 50, 71);
+        let camera = Camera::new(Intrinsics::pinhole(1000.0, 31.0, 25.0)).unwrap();
+        let place = Motion::new(rotation_exp(&Vector3::new(3.1, 0.05, 0.1)), Vector3::new(0.3, -0.2, 500.0));
+        let map = SheetMap::new(camera, place, [w, h]);
+        let grids = [0.31, 0.47].map(|step| SheetGrid::over([-17.0, -12.0, 16.0, 13.0], step).unwrap());
+        let words: Vec<u16> = (0..stride * h).map(|i| (i * i * 37 % 65536) as u16).collect();
+        let bytes: Vec<u8> = words.iter().map(|x| (x >> 8) as u8).collect();
+        let floats: Vec<f32> = words.iter().map(|x| f32::from(*x) - 3e4).collect();
+        let mut out =
+            dewarp(&GrayView::new(Samples::U8(&bytes), w, h, w).unwrap(), &map, &grids[0], Kernel::Nearest, 0.0)
+                .unwrap();
+        for kernel in [Kernel::Nearest, Kernel::Linear, Kernel::Cubic, Kernel::Lanczos, Kernel::BSpline] {
+            for samples in [Samples::U16(&words), Samples::U8(&bytes), Samples::F32(&floats)] {
+                let view = GrayView::new(samples, w, h, stride).unwrap();
+                let mut row = vec![];
+                let rows = (0..h).flat_map(|v| {
+                    view.row(v, &mut row);
+                    row.clone()
+                });
+                let packed: Vec<f32> = rows.collect();
+                let packed = GrayView::new(Samples::F32(&packed), w, h, w).unwrap();
+                for grid in &grids {
+                    dewarp_into(&view, &map, grid, kernel, 0.5, &mut out).unwrap();
+                    assert_eq!(out, dewarp(&view, &map, grid, kernel, 0.5).unwrap());
+                    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+                    assert_eq!(out, pool.install(|| dewarp(&view, &map, grid, kernel, 0.5)).unwrap());
+                    // The same levels from floats, rounded.
+                    let plain = dewarp(&packed, &map, grid, kernel, 0.5).unwrap();
+                    assert_eq!(out.valid, plain.valid);
+                    for j in 0..grid.height_px {
+                        for i in 0..grid.width_px {
+                            let level = plain.image.view().get(i, j);
+                            let wanted = match view.samples() {
+                                Samples::U8(_) => level.round().clamp(0.0, 255.0),
+                                Samples::U16(_) => level.round().clamp(0.0, 65535.0),
+                                Samples::F32(_) => level,
+                            };
+                            assert_eq!(out.image.view().get(i, j), wanted, "{kernel:?} {i} {j}");
+                        }
+                    }
+                }
+            }
+        }
+        let before = out.clone();
+        let small = GrayView::new(Samples::U8(&bytes), w - 1, h, stride).unwrap();
+        assert!(dewarp_into(&small, &map, &grids[0], Kernel::Cubic, 0.0, &mut out).is_err());
+        assert_eq!(out, before);
+    }
 }

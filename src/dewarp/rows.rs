@@ -1,207 +1,362 @@
-//! Grey levels at a row of positions.
+//! Rows of a dewarped image: the map and the levels, [`TOGETHER`] pixels at a time.
 //!
-//! Inside the image every kernel is evaluated from a table: the weight of each tap is a cubic of the position within the pixel, in
-//! [`SEGMENTS`] pieces through Chebyshev nodes (exact for the cubic kernel, to 1e-8 for the others), and sums are of `f32`. That is equal
-//! to [`Sampler::at`] to the rounding of `f32`. At the border [`Sampler::at`] itself is asked.
-//! ```text
-//! f(u, v) = sum_k w_k(v - floor v) sum_i w_i(u - floor u) c_(k, i),    w_i(t) = ((a_3 x + a_2) x + a_1) x + a_0,
-//! x = SEGMENTS t - segment - 1/2
-//! ```
-//! Products and sums are never fused and stand in one order: equal bits on every machine and for any number of threads.
+//! Where a window lies in the image as a whole its levels come from [`super::weights`], read from the image in its own depth and memory; that is equal to
+//! [`Source::at`] to the rounding of `f32`. At the border [`Source::at`] itself is asked. Nothing but a block's positions is ever held.
 
-use super::kernel::{Kernel, Sampler};
-use crate::lanes;
-use nalgebra::{Matrix4, Vector4};
+use super::grid::SheetGrid;
+use super::kernel::{Kernel, Source};
+use super::map::SheetMap;
+use super::weights::{Cubic, Linear, Nearest, SEGMENTS, Table, Weights};
+use crate::camera::{BulkCamera, LineImage};
+use crate::lanes::{self, Lanes, Level, Raster};
+use nalgebra::Vector3;
 
-/// Pieces of a pixel.
-const SEGMENTS: usize = 32;
-/// Taps of the widest kernel.
-const WIDE: usize = 8;
-
-/// Four coefficients, lowest first, for each piece; taps side by side.
-#[derive(Debug, Clone)]
-pub(super) struct Weights {
-    taps: usize,
-    table: Vec<[[f32; WIDE]; 4]>,
-}
-
-impl Weights {
-    /// Of a kernel; `None` where a sample is only copied.
-    pub(super) fn of(kernel: Kernel) -> Option<Self> {
-        let own = kernel.taps();
-        if own < 2 {
-            return None;
-        }
-        // Six taps stand in the middle of eight.
-        let taps = if own == 6 { 8 } else { own };
-        let margin = (taps - own) / 2;
-        let nodes = [0, 1, 2, 3].map(|j| 0.5 * (f64::from(2 * j + 1) * std::f64::consts::PI / 8.0).cos());
-        let powers = Matrix4::from_fn(|j, p| nodes[j].powi(p as i32));
-        let inverse = powers.try_inverse()?;
-        let segment = |s: usize| {
-            let mut out = [[0.0; WIDE]; 4];
-            for tap in 0..own {
-                let at = |x: f64| kernel.weights(16.0 + (s as f64 + 0.5 + x) / SEGMENTS as f64).1[tap];
-                let c = inverse * Vector4::from(nodes.map(at));
-                (0..4).for_each(|p| out[p][margin + tap] = c[p] as f32);
-            }
-            out
-        };
-        Some(Self { taps, table: (0..SEGMENTS).map(segment).collect() })
-    }
-
-    /// Weights in the piece `segment`, at x of it.
-    #[inline(always)]
-    fn at<const T: usize>(&self, segment: u32, x: f32) -> [f32; T] {
-        let [a, b, c, d] = &self.table[segment as usize % SEGMENTS];
-        let mut out = [0.0; T];
-        for i in 0..T {
-            out[i] = a[i] + x * (b[i] + x * (c[i] + x * d[i]));
-        }
-        out
-    }
-}
-
-/// Positions that are prepared together.
-const TOGETHER: usize = 32;
+/// Pixels that go through all steps together.
+pub(super) const TOGETHER: usize = 64;
 /// Added to a whole number below 2^52 it leaves that number in the lowest bits: quicker than a conversion that asks for overflow.
 const WHOLE: f64 = 4_503_599_627_370_496.0;
 const LOWEST: u64 = (1 << 52) - 1;
+/// 0, 1, 2, ...
+const COUNT: [f64; TOGETHER] = {
+    let mut out = [0.0; TOGETHER];
+    let mut i = 0;
+    while i < TOGETHER {
+        out[i] = i as f64;
+        i += 1;
+    }
+    out
+};
 
 /// Where the windows of some positions begin, and what their weights need.
-struct Places {
-    /// First sample of the window.
-    start: [u64; TOGETHER],
-    /// Along u and v.
-    segment: [[u32; TOGETHER]; 2],
-    x: [[f32; TOGETHER]; 2],
-    on_sensor: [bool; TOGETHER],
-    /// Whether the whole window lies in the image.
-    whole: [bool; TOGETHER],
+pub(super) struct Places {
+    u_px: [f64; TOGETHER],
+    v_px: [f64; TOGETHER],
+    /// First sample of the window, beyond 2^52.
+    start: [f64; TOGETHER],
+    /// Along u and v, beyond 2^52.
+    segment: [[f64; TOGETHER]; 2],
+    /// Place in the pixel or in the segment.
+    pub(super) x: [[f32; TOGETHER]; 2],
 }
 
 impl Places {
     const NONE: Self = Self {
-        start: [0; TOGETHER],
-        segment: [[0; TOGETHER]; 2],
+        u_px: [0.0; TOGETHER],
+        v_px: [0.0; TOGETHER],
+        start: [0.0; TOGETHER],
+        segment: [[0.0; TOGETHER]; 2],
         x: [[0.0; TOGETHER]; 2],
-        on_sensor: [false; TOGETHER],
-        whole: [false; TOGETHER],
     };
 
-    /// Without branches, so that the compiler takes several at a time. Comparisons with NaN are false.
     #[inline(always)]
-    fn find<const T: usize>(&mut self, size_px: [usize; 2], u_px: &[f64; TOGETHER], v_px: &[f64; TOGETHER]) {
-        let [width, height] = size_px.map(|n| n as f64);
-        let reach = (T / 2 - 1) as f64;
-        let (last_u, last_v) = (width - T as f64, height - T as f64);
-        for i in 0..TOGETHER {
-            let (u, v) = (u_px[i], v_px[i]);
-            self.on_sensor[i] = (u >= -0.5) & (u <= width - 0.5) & (v >= -0.5) & (v <= height - 0.5);
-            let (whole_u, whole_v) = (u.floor(), v.floor());
-            let (first_u, first_v) = (whole_u - reach, whole_v - reach);
-            let whole = (first_u >= 0.0) & (first_u <= last_u) & (first_v >= 0.0) & (first_v <= last_v);
-            self.whole[i] = whole;
-            let start = if whole { first_v * width + first_u } else { 0.0 };
-            self.start[i] = (start + WHOLE).to_bits() & LOWEST;
-            let place_u = if whole { (u - whole_u) * SEGMENTS as f64 } else { 0.0 };
-            let place_v = if whole { (v - whole_v) * SEGMENTS as f64 } else { 0.0 };
-            let (segment_u, segment_v) = (place_u.floor(), place_v.floor());
-            self.segment[0][i] = (segment_u + WHOLE).to_bits() as u32;
-            self.segment[1][i] = (segment_v + WHOLE).to_bits() as u32;
-            self.x[0][i] = (place_u - segment_u - 0.5) as f32;
-            self.x[1][i] = (place_v - segment_v - 0.5) as f32;
+    pub(super) fn start(&self, i: usize) -> usize {
+        (self.start[i].to_bits() & LOWEST) as usize
+    }
+
+    #[inline(always)]
+    pub(super) fn segment(&self, axis: usize, i: usize) -> usize {
+        self.segment[axis][i].to_bits() as usize
+    }
+
+    /// Windows of the positions; whether all of them lie in the image. Those that do not begin at the first sample.
+    #[inline(always)]
+    fn find<L: Lanes, const T: usize>(&mut self, bounds: &Bounds, pieces: bool) -> bool {
+        let (zero, low, half) = (L::splat(0.0), L::splat(-0.5), L::splat(0.5));
+        let (stride, shift, whole_number) = (L::splat(bounds.stride), L::splat(bounds.shift), L::splat(WHOLE));
+        let reach = L::splat(bounds.reach);
+        let [end_u, end_v] = bounds.end.map(L::splat);
+        let segments = L::splat(SEGMENTS as f64);
+        let mut all = zero.below(half);
+        let mut i = 0;
+        while i < TOGETHER {
+            let (u, v) = (L::load(&self.u_px[i..]), L::load(&self.v_px[i..]));
+            let (pixel_u, pixel_v) = ((u + shift).floor(), (v + shift).floor());
+            let (first_u, first_v) = (pixel_u - reach, pixel_v - reach);
+            let inside_u = L::and(low.below(first_u), first_u.below(end_u));
+            let whole = L::and(inside_u, L::and(low.below(first_v), first_v.below(end_v)));
+            all = L::and(all, whole);
+            (L::select(whole, first_v * stride + first_u, zero) + whole_number).store(&mut self.start[i..]);
+            let place = [L::select(whole, u - pixel_u, zero), L::select(whole, v - pixel_v, zero)];
+            for k in 0..2 {
+                if pieces {
+                    let scaled = place[k] * segments;
+                    let segment = scaled.floor();
+                    (segment + whole_number).store(&mut self.segment[k][i..]);
+                    (scaled - segment - half).narrow(&mut self.x[k][i..]);
+                } else {
+                    place[k].narrow(&mut self.x[k][i..]);
+                }
+            }
+            i += L::N;
+        }
+        L::all(all)
+    }
+}
+
+/// What positions are compared with.
+struct Bounds {
+    stride: f64,
+    /// Added before a position is rounded down.
+    shift: f64,
+    /// Samples of a window before the one at or below the position.
+    reach: f64,
+    /// Half a sample beyond where the last window begins.
+    end: [f64; 2],
+    size_px: [f64; 2],
+}
+
+impl Bounds {
+    fn new<S, const T: usize>(source: &Source<'_, S>) -> Self {
+        let size_px = source.size_px.map(|n| n as f64);
+        Self {
+            stride: source.stride as f64,
+            shift: if T == 1 { 0.5 } else { 0.0 },
+            reach: if T == 1 { 0.0 } else { (T / 2 - 1) as f64 },
+            end: size_px.map(|n| n - T as f64 + 0.5),
+            size_px,
+        }
+    }
+
+    fn on_sensor(&self, u: f64, v: f64) -> bool {
+        let [width, height] = self.size_px;
+        u >= -0.5 && u <= width - 0.5 && v >= -0.5 && v <= height - 0.5
+    }
+
+    fn whole(&self, u: f64, v: f64) -> bool {
+        let first = [u, v].map(|x| (x + self.shift).floor() - self.reach);
+        first[0] > -0.5 && first[0] < self.end[0] && first[1] > -0.5 && first[1] < self.end[1]
+    }
+}
+
+/// Where levels go: 8 and 16 bit are rounded and kept within their limits.
+pub(super) enum Levels<'a> {
+    U8(&'a mut [u8]),
+    U16(&'a mut [u16]),
+    F32(&'a mut [f32]),
+}
+
+impl Levels<'_> {
+    #[inline(always)]
+    fn put(&mut self, first: usize, levels: &[f32]) {
+        let range = first..first + levels.len();
+        match self {
+            Self::U8(out) => {
+                for (o, x) in out[range].iter_mut().zip(levels) {
+                    *o = x.round() as u8;
+                }
+            }
+            Self::U16(out) => {
+                for (o, x) in out[range].iter_mut().zip(levels) {
+                    *o = x.round() as u16;
+                }
+            }
+            Self::F32(out) => out[range].copy_from_slice(levels),
         }
     }
 }
 
-/// Grey levels and validity at positions (u, v), px; where a position is not on the sensor (or `NaN`) both stay as they are.
-pub(super) struct Row<'a> {
-    pub(super) sampler: &'a Sampler,
-    pub(super) u_px: &'a [f64],
-    pub(super) v_px: &'a [f64],
-    pub(super) levels: &'a mut [f32],
+/// Rows of a grid in the plane z = `z_mm` from number `first_row` on; zero and not valid where the camera does not see a pixel.
+pub(super) struct Band<'a, S> {
+    pub(super) source: Source<'a, S>,
+    /// Of kernels that have one.
+    pub(super) table: Option<&'a Table>,
+    pub(super) map: &'a SheetMap,
+    pub(super) grid: &'a SheetGrid,
+    pub(super) z_mm: f64,
+    pub(super) first_row: usize,
+    pub(super) levels: Levels<'a>,
     pub(super) valid: &'a mut [bool],
 }
 
-impl lanes::Kernel for Row<'_> {
+impl<S: Level> lanes::Kernel for Band<'_, S> {
     type Output = ();
     #[inline(always)]
-    fn run<L: lanes::Lanes>(self) {
-        match self.sampler.weights().map(|w| (w, w.taps)) {
-            Some((w, 2)) => self.sample::<2>(w),
-            Some((w, 4)) => self.sample::<4>(w),
-            Some((w, _)) => self.sample::<8>(w),
-            None => self.copy(),
+    fn run<L: Lanes>(self) {
+        match (self.source.kernel, self.table) {
+            (Kernel::Nearest, _) => self.rows::<L, _, 1>(&Nearest),
+            (Kernel::Linear, _) => self.rows::<L, _, 2>(&Linear),
+            (Kernel::Lanczos | Kernel::BSpline, Some(table)) => self.rows::<L, _, 8>(table),
+            _ => self.rows::<L, _, 4>(&Cubic),
         }
     }
 }
 
-impl Row<'_> {
+impl<S: Level> Band<'_, S> {
     #[inline(always)]
-    fn sample<const T: usize>(self, weights: &Weights) {
-        let size_px = self.sampler.size_px();
-        let (width, coefficients) = (size_px[0], self.sampler.coefficients());
-        // An image smaller than a window has no whole one.
-        let span = (T - 1) * width + T;
+    fn rows<L: Lanes, W: Weights<T>, const T: usize>(mut self, weights: &W) {
+        let bounds = Bounds::new::<S, T>(&self.source);
+        let raster = Raster::<S, T>::new(self.source.samples, self.source.stride);
+        let raster = raster.filter(|_| bounds.end.iter().all(|e| *e > 0.0));
+        let camera = BulkCamera::<L>::of(self.map.camera());
+        let width = self.grid.width_px;
         let mut places = Places::NONE;
-        let mut products = [[0.0_f32; T]; TOGETHER];
-        let mut first = 0;
-        while first < self.u_px.len() {
-            let n = TOGETHER.min(self.u_px.len() - first);
-            let (mut u, mut v) = ([f64::NAN; TOGETHER], [f64::NAN; TOGETHER]);
-            u[..n].copy_from_slice(&self.u_px[first..first + n]);
-            v[..n].copy_from_slice(&self.v_px[first..first + n]);
-            places.find::<T>(size_px, &u, &v);
-            for i in 0..n {
-                let across = weights.at::<T>(places.segment[0][i], places.x[0][i]);
-                let down = weights.at::<T>(places.segment[1][i], places.x[1][i]);
-                let start = places.start[i] as usize;
-                let Some(window) = coefficients.get(start..start + span) else { continue };
-                let mut sums = [0.0_f32; T];
-                for k in 0..T {
-                    let row = &window[k * width..k * width + T];
-                    for j in 0..T {
-                        sums[j] += down[k] * row[j];
+        for j in 0..self.valid.len() / width {
+            let [_, y_mm] = self.grid.point_mm(0.0, (self.first_row + j) as f64);
+            let line = camera.map(|c| LineImage::new(c, self.map.cam_from_sheet(), y_mm, self.z_mm));
+            let mut first = 0;
+            while first < width {
+                let n = TOGETHER.min(width - first);
+                match &line {
+                    Some(line) => self.positions(line, first, &mut places),
+                    None => self.positions_one_by_one(first, y_mm, &mut places),
+                }
+                let to = j * width + first;
+                let whole = match &raster {
+                    Some(raster) => {
+                        let whole = places.find::<L, T>(&bounds, W::PIECES);
+                        let mut levels = [0.0; TOGETHER];
+                        let mut i = 0;
+                        while i < n {
+                            levels[i..i + 8].copy_from_slice(&weights.levels::<S, L::Greys>(raster, &places, i));
+                            i += 8;
+                        }
+                        self.levels.put(to, &levels[..n]);
+                        whole
                     }
+                    None => false,
+                };
+                if whole {
+                    self.valid[to..to + n].fill(true);
+                } else {
+                    self.at_border(&bounds, raster.is_some(), &places, to, n);
                 }
-                for j in 0..T {
-                    products[i][j] = sums[j] * across[j];
-                }
+                first += TOGETHER;
             }
-            for i in 0..n {
-                let mut sum = products[i];
-                let mut half = T / 2;
-                while half > 0 {
-                    for k in 0..half {
-                        sum[k] += sum[k + half];
-                    }
-                    half /= 2;
-                }
-                if places.whole[i] {
-                    self.levels[first + i] = sum[0];
-                }
-            }
-            for i in 0..n {
-                if places.on_sensor[i] {
-                    self.valid[first + i] = true;
-                    if !places.whole[i] {
-                        self.levels[first + i] = self.sampler.at(u[i], v[i]);
-                    }
-                }
-            }
-            first += TOGETHER;
         }
     }
 
     #[inline(always)]
-    fn copy(self) {
-        let [width, height] = self.sampler.size_px();
-        for i in 0..self.u_px.len() {
-            let (u, v) = (self.u_px[i], self.v_px[i]);
-            if u >= -0.5 && u <= width as f64 - 0.5 && v >= -0.5 && v <= height as f64 - 0.5 {
-                self.valid[i] = true;
-                self.levels[i] = self.sampler.at(u, v);
+    fn positions<L: Lanes>(&self, line: &LineImage<L>, first: usize, places: &mut Places) {
+        let (origin, step) = (L::splat(self.grid.origin_mm[0]), L::splat(self.grid.mm_per_px));
+        let first = L::splat(first as f64);
+        let mut i = 0;
+        while i < TOGETHER {
+            let [u, v] = line.at(origin + step * (L::load(&COUNT[i..]) + first));
+            u.store(&mut places.u_px[i..]);
+            v.store(&mut places.v_px[i..]);
+            i += L::N;
+        }
+    }
+
+    /// Of a camera behind a window.
+    fn positions_one_by_one(&self, first: usize, y_mm: f64, places: &mut Places) {
+        for i in 0..TOGETHER {
+            let [x_mm, _] = self.grid.point_mm((first + i) as f64, 0.0);
+            let q = self.map.project(&Vector3::new(x_mm, y_mm, self.z_mm));
+            (places.u_px[i], places.v_px[i]) = q.map_or((f64::NAN, f64::NAN), |q| (q.x, q.y));
+        }
+    }
+
+    /// Validity, and the levels of windows that do not lie in the image as a whole.
+    #[inline(never)]
+    fn at_border(&mut self, bounds: &Bounds, some_whole: bool, places: &Places, to: usize, n: usize) {
+        for i in 0..n {
+            let (u, v) = (places.u_px[i], places.v_px[i]);
+            let on_sensor = bounds.on_sensor(u, v);
+            self.valid[to + i] = on_sensor;
+            if !on_sensor {
+                self.levels.put(to + i, &[0.0]);
+            } else if !(some_whole && bounds.whole(u, v)) {
+                self.levels.put(to + i, &[self.source.at(u, v)]);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::{Camera, Intrinsics, Window};
+    use crate::dewarp::Sampler;
+    use crate::image::{GrayView, Samples};
+    use crate::lanes::{Kernel as _, run_all};
+    use crate::rigid::{Motion, rotation_exp};
+
+    const ALL: [Kernel; 5] = [Kernel::Nearest, Kernel::Linear, Kernel::Cubic, Kernel::Lanczos, Kernel::BSpline];
+
+    /// An oblique camera with distortion, 2 px per mm, in the air or behind glass.
+    fn map(size_px: [usize; 2], window: Option<Window>) -> SheetMap {
+        let [cx, cy] = size_px.map(|n| 0.5 * (n as f64 - 1.0));
+        let mut i = Intrinsics::pinhole(1000.0, cx, cy);
+        (i.alpha_rad, i.beta_rad, i.k[0]) = (0.01, 0.11, -0.3);
+        let turn = rotation_exp(&Vector3::new(0.0, -0.6, 0.0)) * rotation_exp(&Vector3::new(3.1, 0.05, 0.1));
+        let camera = Camera::new(i).unwrap().with_window(window);
+        SheetMap::new(camera, Motion::new(turn, Vector3::new(0.3, -0.2, 500.0)), size_px)
+    }
+
+    #[derive(Clone)]
+    struct Bits<'a, S> {
+        source: Source<'a, S>,
+        map: SheetMap,
+        grid: SheetGrid,
+    }
+    impl<S: Level> lanes::Kernel for Bits<'_, S> {
+        type Output = (Vec<u32>, Vec<bool>);
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> Self::Output {
+            let table = Table::of(Kernel::Lanczos);
+            let table = if self.source.kernel == Kernel::BSpline { Table::of(Kernel::BSpline) } else { table };
+            let n = self.grid.width_px * self.grid.height_px;
+            let (mut levels, mut valid) = (vec![f32::NAN; n], vec![false; n]);
+            let band = Band {
+                source: self.source,
+                table: Some(&table),
+                map: &self.map,
+                grid: &self.grid,
+                z_mm: 0.7,
+                first_row: 0,
+                levels: Levels::F32(&mut levels),
+                valid: &mut valid,
+            };
+            band.run::<L>();
+            (levels.iter().map(|x| x.to_bits()).collect(), valid)
+        }
+    }
+
+    /// Against [`Source::at`] at the exact position, of levels up to `scale`; returns the largest difference.
+    fn agree<S: Level>(source: Source<'_, S>, map: &SheetMap, grid: &SheetGrid, scale: f64) -> f64 {
+        let all = run_all(&Bits { source, map: map.clone(), grid: *grid });
+        all.iter().for_each(|one| assert!(*one == all[0], "{:?}", source.kernel));
+        let ([width, height], mut worst, mut inside) = (source.size_px.map(|n| n as f64), 0.0_f64, 0);
+        for (i, (bits, valid)) in all[0].0.iter().zip(&all[0].1).enumerate() {
+            let [x, y] = grid.point_mm((i % grid.width_px) as f64, (i / grid.width_px) as f64);
+            let q = map.project(&Vector3::new(x, y, 0.7)).unwrap();
+            let on = (-0.5..=width - 0.5).contains(&q.x) && (-0.5..=height - 0.5).contains(&q.y);
+            let wanted = if on { f64::from(source.at(q.x, q.y)) } else { 0.0 };
+            worst = worst.max((f64::from(f32::from_bits(*bits)) - wanted).abs() / scale);
+            assert_eq!(*valid, on, "{:?} {q}", source.kernel);
+            inside += usize::from(on);
+        }
+        assert!(inside > all[0].1.len() / 3 && inside < all[0].1.len(), "{inside} of {}", all[0].1.len());
+        worst
+    }
+
+    /// All kernels, depths and widths of the processor, in the air and behind a window, windows beyond the border and images smaller than one.
+    #[test]
+    fn levels_are_those_of_the_plain_path() {
+        let glass = Window::new(Vector3::new(-0.1, -0.2, 1.0), 300.0, 8.0, [1.0, 1.52, 1.33]).unwrap();
+        for (size_px, grid, window) in [
+            ([90, 77], SheetGrid::over([-27.0, -21.0, 26.0, 22.0], 0.31).unwrap(), None),
+            ([90, 77], SheetGrid::over([-27.0, -21.0, 26.0, 22.0], 0.31).unwrap(), Some(glass)),
+            ([3, 2], SheetGrid::over([-0.8, -0.5, 0.8, 0.5], 0.31).unwrap(), None),
+        ] {
+            let (map, [w, h]) = (map(size_px, window), size_px);
+            let stride = w + 5;
+            let wave = |i: usize| 0.5 + 0.5 * (0.8 * i as f64 * i as f64).sin();
+            let floats: Vec<f32> = (0..stride * h).map(|i| wave(i) as f32).collect();
+            let words: Vec<u16> = floats.iter().map(|x| (65535.0 * x) as u16).collect();
+            let bytes: Vec<u8> = floats.iter().map(|x| (255.0 * x) as u8).collect();
+            for kernel in ALL {
+                let view = GrayView::new(Samples::F32(&floats), w, h, stride).unwrap();
+                let sampler = Sampler::new(&view, kernel);
+                let mut worst = [agree(sampler.source(), &map, &grid, 1.0), 0.0, 0.0, 0.0];
+                if kernel != Kernel::BSpline {
+                    worst[1] = agree(Source { kernel, samples: &floats, stride, size_px }, &map, &grid, 1.0);
+                    worst[2] = agree(Source { kernel, samples: &words, stride, size_px }, &map, &grid, 65535.0);
+                    worst[3] = agree(Source { kernel, samples: &bytes, stride, size_px }, &map, &grid, 255.0);
+                }
+                println!("{size_px:?} {kernel:?}: {worst:.9?} of full scale");
+                assert!(worst.iter().all(|w| *w < 1e-6), "{kernel:?}: {worst:?}");
             }
         }
     }

@@ -1,0 +1,129 @@
+//! Grey levels of an image in its own depth, read window by window.
+
+use super::Greys;
+use std::marker::PhantomData;
+
+/// A grey level.
+pub(crate) trait Level: Copy + Send + Sync {
+    /// As a number.
+    fn number(self) -> f32;
+}
+
+impl Level for u8 {
+    #[inline(always)]
+    fn number(self) -> f32 {
+        f32::from(self)
+    }
+}
+
+impl Level for u16 {
+    #[inline(always)]
+    fn number(self) -> f32 {
+        f32::from(self)
+    }
+}
+
+impl Level for f32 {
+    #[inline(always)]
+    fn number(self) -> f32 {
+        self
+    }
+}
+
+/// Samples whose rows begin `stride` samples apart, read in windows of T rows of T samples.
+#[derive(Clone, Copy)]
+pub(crate) struct Raster<'a, S, const T: usize> {
+    samples: &'a [S],
+    stride: usize,
+    /// Where the last window begins.
+    last: usize,
+}
+
+/// What is left of one of its windows: rows are taken from above.
+pub(crate) struct Window<'a, S, const T: usize> {
+    next: *const S,
+    left: usize,
+    stride: usize,
+    memory: PhantomData<&'a [S]>,
+}
+
+impl<'a, S: Level, const T: usize> Raster<'a, S, T> {
+    /// `None` where the samples are fewer than those of one window.
+    pub(crate) fn new(samples: &'a [S], stride: usize) -> Option<Self> {
+        let span = stride.checked_mul(T - 1)?.checked_add(T)?;
+        Some(Self { samples, stride, last: samples.len().checked_sub(span)? })
+    }
+
+    /// The window that begins at a sample.
+    #[inline(always)]
+    pub(crate) fn window(&self, start: usize) -> Window<'a, S, T> {
+        assert!(start <= self.last);
+        // SAFETY: inside the slice.
+        Window { next: unsafe { self.samples.as_ptr().add(start) }, left: T, stride: self.stride, memory: PhantomData }
+    }
+}
+
+impl<S: Level, const T: usize> Window<'_, S, T> {
+    // Pointers from row to row: multiples of the stride would be kept and read again for every window.
+    #[inline(always)]
+    fn row(&mut self) -> [S; T] {
+        assert!(self.left > 0);
+        self.left -= 1;
+        // SAFETY: `Raster::window` saw to it that all T rows of T samples lie in the slice; the pointer may wrap behind the last.
+        unsafe {
+            let row = self.next.cast::<[S; T]>().read_unaligned();
+            self.next = self.next.wrapping_add(self.stride);
+            row
+        }
+    }
+}
+
+/// Eight numbers of two lists of four.
+#[inline(always)]
+fn both<S: Level, G: Greys>(a: [S; 4], b: [S; 4]) -> G {
+    let mut out = [0.0; 8];
+    for i in 0..4 {
+        out[i] = a[i].number();
+        out[i + 4] = b[i].number();
+    }
+    G::load(&out)
+}
+
+impl<S: Level> Window<'_, S, 8> {
+    /// The next row.
+    #[inline(always)]
+    pub(crate) fn greys<G: Greys>(&mut self) -> G {
+        let row = self.row();
+        let mut out = [0.0; 8];
+        for i in 0..8 {
+            out[i] = row[i].number();
+        }
+        G::load(&out)
+    }
+}
+
+impl<S: Level> Window<'_, S, 4> {
+    /// The next row of this window, then that of another.
+    #[inline(always)]
+    pub(crate) fn greys<G: Greys>(&mut self, other: &mut Self) -> G {
+        both(self.row(), other.row())
+    }
+}
+
+impl<S: Level> Window<'_, S, 2> {
+    /// Both rows of this window, then both of another.
+    #[inline(always)]
+    pub(crate) fn greys<G: Greys>(mut self, mut other: Self) -> G {
+        let ([a, b], [c, d]) = (self.row(), self.row());
+        let ([e, f], [g, h]) = (other.row(), other.row());
+        both([a, b, c, d], [e, f, g, h])
+    }
+}
+
+impl<S: Level> Window<'_, S, 1> {
+    /// The sample.
+    #[inline(always)]
+    pub(crate) fn number(mut self) -> f32 {
+        self.row()[0].number()
+    }
+}
