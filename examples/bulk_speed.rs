@@ -4,7 +4,8 @@
 //!     cargo run --release --example bulk_speed -- WORK THREADS [SECONDS]
 //!
 //! WORK: plane-to-pixel, pixel-to-plane (4096 points of arrays that stay in the cache), linear, cubic, lanczos, b-spline (2048 x 2048 float,
-//! the map computed on the way), components (4096 vectors). `cpp_tests/bench/bench_bulk.cpp` lets it take turns with OpenCV and numpy.
+//! the map computed on the way), components (4096 vectors), components-5000. `cpp_tests/bench/bench_bulk.cpp` lets it take turns with OpenCV and
+//! numpy.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)]
 
@@ -66,10 +67,12 @@ fn measured(work: &str, seconds: f64) -> Option<[f64; 2]> {
             let mut out = SheetPoints::default();
             rate(POINTS, seconds, || map.sheet_of_pixel_into(black_box(&u), &v, &zero, &mut out).unwrap())
         }
-        "components" => {
-            let all: Vec<Vec<f64>> = (0..8).map(|k| wave(1.0, 0.37 + 0.1 * f64::from(k))).collect();
+        "components" | "components-5000" => {
+            let count = if work == "components" { POINTS } else { 5000 };
+            let list = |k: u32| (0..count).map(|i| ((0.37 + 0.1 * f64::from(k)) * i as f64).sin()).collect();
+            let all: Vec<Vec<f64>> = (0..8).map(list).collect();
             let mut out = Components::default();
-            rate(POINTS, seconds, || {
+            rate(count, seconds, || {
                 let slopes = [[&all[0][..], &all[1]], [&all[2], &all[3]]];
                 let planar = [[&all[4][..], &all[5]], [&all[6], &all[7]]];
                 three_components(black_box(slopes), planar, &mut out).unwrap();

@@ -93,7 +93,7 @@ int main(int argc, char** argv) {
   const std::string threads = argc > 3 ? argv[3] : "1";
   alone = threads == "1";
   cv::setNumThreads(std::atoi(threads.c_str()));
-  const auto numpy = [&] { return by_program("python3 " + std::string(argv[2])); };
+  const auto numpy = [&](const char* count) { return by_program("python3 " + std::string(argv[2]) + " " + count); };
   const struct {
     const char *name, *other;
     std::function<double()> run;
@@ -103,7 +103,8 @@ int main(int argc, char** argv) {
       {"linear", "cv::remap", [] { return remap(cv::INTER_LINEAR); }},
       {"cubic", "cv::remap", [] { return remap(cv::INTER_CUBIC); }},
       {"lanczos", "cv::remap LANCZOS4", [] { return remap(cv::INTER_LANCZOS4); }},
-      {"components", "numpy", numpy},
+      {"components", "numpy", [&] { return numpy("4096"); }},
+      {"components-5000", "numpy", [&] { return numpy("5000"); }},
   };
   std::printf("OpenCV %s, %s thread(s); millions per second\n%-16s %-20s %10s %10s %7s\n", CV_VERSION, threads.c_str(), "work", "other", "other", "spivcal", "ratio");
   for (const auto& one : all) {

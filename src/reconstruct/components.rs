@@ -19,7 +19,7 @@
 //! cameras look along one line: `NaN`.
 
 use crate::error::{Invalid, Result};
-use crate::lanes::{GROUP, Kernel, Lanes, run};
+use crate::lanes::{Kernel, Lanes, run};
 
 /// Slopes of the rays, or planar displacements, of both cameras: along x and along y each.
 pub type PlanarPair<'a> = [[&'a [f64]; 2]; 2];
@@ -73,45 +73,74 @@ struct All<'a> {
     to: [&'a mut [f64]; 4],
 }
 
-/// Eight numbers to four: slopes and planar displacements of both cameras.
+/// Groups whose numbers are read list by list. One group of twelve lists after the other, of lengths that are powers of two, would
+/// want more lines of one set of the cache than it has, and read each line anew for the next group.
+const TOGETHER: usize = 4;
+
+/// Half the sum and the difference of the same coordinate of both cameras.
 #[inline(always)]
-fn solved<L: Lanes>(s: [[L; 2]; 2], d: [[L; 2]; 2]) -> [L; 4] {
-    let half = L::splat(0.5);
-    let e = [s[1][0] - s[0][0], s[1][1] - s[0][1]];
-    let g = [d[1][0] - d[0][0], d[1][1] - d[0][1]];
-    let size = e[0] * e[0] + e[1] * e[1];
-    // 0 / 0 where both look along one line.
-    let w = -((g[0] * e[0] + g[1] * e[1]) / size);
-    let u = half * (d[0][0] + d[1][0]) + w * (half * (s[0][0] + s[1][0]));
-    let v = half * (d[0][1] + d[1][1]) + w * (half * (s[0][1] + s[1][1]));
-    let left = [g[0] + w * e[0], g[1] + w * e[1]];
-    [u, v, w, (half * (left[0] * left[0] + left[1] * left[1])).sqrt()]
+fn compared<L: Lanes, const T: usize>(a: &[f64], b: &[f64], first: usize) -> [[L; T]; 2] {
+    let [mut x, mut y, mut half] = [[L::splat(0.0); T]; 3];
+    for k in 0..T {
+        x[k] = L::load(&a[first + k * L::N..]);
+    }
+    for k in 0..T {
+        y[k] = L::load(&b[first + k * L::N..]);
+    }
+    for k in 0..T {
+        half[k] = L::splat(0.5) * (x[k] + y[k]);
+        y[k] = y[k] - x[k];
+    }
+    [half, y]
+}
+
+#[inline(always)]
+fn put<L: Lanes, const T: usize>(x: [L; T], to: &mut [f64], first: usize) {
+    for k in 0..T {
+        x[k].store(&mut to[first + k * L::N..]);
+    }
+}
+
+/// Vectors from number `first` on.
+#[inline(always)]
+fn solve<L: Lanes, const T: usize>(
+    slopes: &PlanarPair<'_>,
+    planar: &PlanarPair<'_>,
+    to: &mut [&mut [f64]; 4],
+    first: usize,
+) {
+    let [mx, ex] = compared::<L, T>(slopes[0][0], slopes[1][0], first);
+    let [my, ey] = compared::<L, T>(slopes[0][1], slopes[1][1], first);
+    let [dx, gx] = compared::<L, T>(planar[0][0], planar[1][0], first);
+    let [dy, gy] = compared::<L, T>(planar[0][1], planar[1][1], first);
+    let [mut u, mut v, mut w, mut residual] = [[L::splat(0.0); T]; 4];
+    for k in 0..T {
+        // 0 / 0 where both look along one line.
+        w[k] = -((gx[k] * ex[k] + gy[k] * ey[k]) / (ex[k] * ex[k] + ey[k] * ey[k]));
+        u[k] = dx[k] + w[k] * mx[k];
+        v[k] = dy[k] + w[k] * my[k];
+        let left = [gx[k] + w[k] * ex[k], gy[k] + w[k] * ey[k]];
+        residual[k] = (L::splat(0.5) * (left[0] * left[0] + left[1] * left[1])).sqrt();
+    }
+    put(u, to[0], first);
+    put(v, to[1], first);
+    put(w, to[2], first);
+    put(residual, to[3], first);
 }
 
 impl Kernel for All<'_> {
     type Output = ();
     #[inline(always)]
-    fn run<L: Lanes>(self) {
-        let [[a, b], [c, d]] = self.slopes;
-        let [[e, f], [g, h]] = self.planar;
-        let n = a.len();
-        let whole = n - n % GROUP;
-        let [u, v, w, r] = self.to;
-        let mut i = 0;
-        while i < whole {
-            let s = [[L::load(&a[i..]), L::load(&b[i..])], [L::load(&c[i..]), L::load(&d[i..])]];
-            let p = [[L::load(&e[i..]), L::load(&f[i..])], [L::load(&g[i..]), L::load(&h[i..])]];
-            let [x, y, z, left] = solved(s, p);
-            x.store(&mut u[i..]);
-            y.store(&mut v[i..]);
-            z.store(&mut w[i..]);
-            left.store(&mut r[i..]);
-            i += L::N;
+    fn run<L: Lanes>(mut self) {
+        let n = self.slopes[0][0].len();
+        let step = TOGETHER * L::N;
+        let mut first = 0;
+        while first + step <= n {
+            solve::<L, TOGETHER>(&self.slopes, &self.planar, &mut self.to, first);
+            first += step;
         }
-        for i in whole..n {
-            let s = [[a[i], b[i]], [c[i], d[i]]];
-            let p = [[e[i], f[i]], [g[i], h[i]]];
-            [u[i], v[i], w[i], r[i]] = solved::<f64>(s, p);
+        for i in first..n {
+            solve::<f64, 1>(&self.slopes, &self.planar, &mut self.to, i);
         }
     }
 }
