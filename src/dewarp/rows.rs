@@ -1,7 +1,8 @@
 //! Rows of a dewarped image: the map and the levels, [`TOGETHER`] pixels at a time.
 //!
-//! Where a window lies in the image as a whole its levels come from [`super::weights`], read from the image in its own depth and memory; that is equal to
-//! [`Source::at`] to the rounding of `f32`. At the border [`Source::at`] itself is asked. Nothing but a block's positions is ever held.
+//! Where a window lies in the image as a whole its levels come from [`super::weights`], read from the image in its own depth and memory;
+//! that is equal to [`Source::at`] to the rounding of `f32`. At the border [`Source::at`] itself is asked. Nothing but a block's positions
+//! is ever held.
 
 use super::grid::SheetGrid;
 use super::kernel::{Kernel, Source};
@@ -269,7 +270,7 @@ mod tests {
     use crate::camera::{Camera, Intrinsics, Window};
     use crate::dewarp::Sampler;
     use crate::image::{GrayView, Samples};
-    use crate::lanes::{Kernel as _, run_all};
+    use crate::lanes::run_all;
     use crate::rigid::{Motion, rotation_exp};
 
     const ALL: [Kernel; 5] = [Kernel::Nearest, Kernel::Linear, Kernel::Cubic, Kernel::Lanczos, Kernel::BSpline];
@@ -308,7 +309,7 @@ mod tests {
                 levels: Levels::F32(&mut levels),
                 valid: &mut valid,
             };
-            band.run::<L>();
+            lanes::Kernel::run::<L>(band);
             (levels.iter().map(|x| x.to_bits()).collect(), valid)
         }
     }

@@ -22,6 +22,21 @@ pub(crate) fn sweep<L: Lanes, E: Each<L, N, M>, const N: usize, const M: usize>(
     let mut x = [L::splat(0.0); N];
     let mut all = L::splat(0.0);
     let mut i = 0;
+    // Two groups list by list: lists that lie a power of two apart take each other's lines of the cache, which the next group would read anew.
+    while i + 2 * L::N <= whole {
+        let mut y = x;
+        for k in 0..N {
+            x[k] = from[k].lanes(i);
+            y[k] = from[k].lanes(i + L::N);
+        }
+        let found = [each.of(x), each.of(y)];
+        for k in 0..M {
+            to[k].put(i, found[0][k]);
+            to[k].put(i + L::N, found[1][k]);
+        }
+        all = all + (not_finite(found[0]) + not_finite(found[1]));
+        i += 2 * L::N;
+    }
     while i < whole {
         for k in 0..N {
             x[k] = from[k].lanes(i);
