@@ -151,7 +151,8 @@ mod tests {
     use crate::lanes::run_all;
     use nalgebra::{SMatrix, SVector, Vector4};
 
-    const N: usize = 21;
+    /// Whole strips of the widest lanes, and a rest.
+    const N: usize = 75;
 
     fn lists(seed: f64) -> Vec<Vec<f64>> {
         (0..4).map(|c| (0..N).map(|i| (seed + 1.7 * i as f64 + 0.9 * f64::from(c)).sin()).collect()).collect()
