@@ -6,6 +6,7 @@ mod contour;
 mod edge_model;
 mod exact;
 mod find;
+mod level;
 mod light;
 pub mod pattern;
 mod plane;
@@ -17,6 +18,7 @@ mod rough;
 mod sectors;
 mod surface;
 mod trace;
+mod whole;
 
 pub use find::find_discs;
 

@@ -5,7 +5,7 @@
 //! 0.41 and 0.64 of an ellipse, 0.5 and 1 of a parallelogram, 1 and 1 of a triangle; blur rounds corners, so the limits lie between.
 
 use crate::conic::{Ellipse, fit_direct};
-use crate::detect::plane::Plane;
+use crate::detect::level::Level;
 use crate::detect::trace::Line;
 use crate::detect::{DetectOptions, RejectionReason};
 use crate::frames::Pixel;
@@ -63,7 +63,13 @@ pub(crate) struct Strength {
 }
 
 /// Judges a line traced at `level` on `smooth`; coordinates come back in pixels of the image.
-pub(crate) fn judge(line: &Line, smooth: &Plane, strength: Strength, level: u32, options: &DetectOptions) -> Verdict {
+pub(crate) fn judge(
+    line: &Line,
+    smooth: &impl Level,
+    strength: Strength,
+    level: u32,
+    options: &DetectOptions,
+) -> Verdict {
     let scale = f64::from(1u32 << level);
     let least = 0.6 * options.min_semi_minor_px / scale;
     if line.u.len() < 6 {
@@ -136,7 +142,7 @@ pub(crate) fn judge_odd(odd: &Odd, options: &DetectOptions) -> Verdict {
 }
 
 /// A line that leaves the image: a disc cut by the border, or nothing.
-fn judge_open(line: &Line, smooth: &Plane, strength: Strength, level: u32, options: &DetectOptions) -> Verdict {
+fn judge_open(line: &Line, smooth: &impl Level, strength: Strength, level: u32, options: &DetectOptions) -> Verdict {
     let scale = f64::from(1u32 << level);
     let (u, v) = thinned(line, 96);
     let Ok(ellipse) = fit_direct(&u, &v) else { return Verdict::Nothing };
@@ -147,7 +153,7 @@ fn judge_open(line: &Line, smooth: &Plane, strength: Strength, level: u32, optio
         && ratio > options.min_axis_ratio.max(0.3);
     // An arc must show a good part of the contour, else any bent edge would pass for a disc.
     let seen = line_length(&u, &v) / ellipse.perimeter_px();
-    if !fits || seen < 0.3 || ellipse.semi_major_px > 0.4 * smooth.width.min(smooth.height) as f64 {
+    if !fits || seen < 0.3 || ellipse.semi_major_px > 0.4 * smooth.width().min(smooth.height()) as f64 {
         return Verdict::Nothing;
     }
     let inside = Pixel::new(ellipse.center_px.u_px, ellipse.center_px.v_px);
@@ -237,7 +243,7 @@ struct Edge {
 
 /// Looks across the line at up to 64 places; returns the typical edge and the share of places where the grey falls outwards
 /// (`turn` = sense of turning, negated for dark regions) by more than the least gradient.
-fn edge_strength(line: &Line, smooth: &Plane, strength: Strength, turn: f64) -> (Edge, f64) {
+fn edge_strength(line: &Line, smooth: &impl Level, strength: Strength, turn: f64) -> (Edge, f64) {
     let n = line.u.len();
     let looks = n.min(64);
     let (mut strong, mut gradients, mut steps) = (0usize, [0.0_f64; 64], [0.0_f64; 64]);
@@ -266,12 +272,13 @@ fn edge_strength(line: &Line, smooth: &Plane, strength: Strength, turn: f64) -> 
 }
 
 /// Bilinear grey level, border repeated.
-fn grey_at(plane: &Plane, u: f64, v: f64) -> f64 {
-    let (u, v) = (u.clamp(0.0, plane.width as f64 - 1.001), v.clamp(0.0, plane.height as f64 - 1.001));
+fn grey_at(level: &impl Level, u: f64, v: f64) -> f64 {
+    let (width, height) = (level.width(), level.height());
+    let (u, v) = (u.clamp(0.0, width as f64 - 1.001), v.clamp(0.0, height as f64 - 1.001));
     let (i, j) = (u as usize, v as usize);
     let (fu, fv) = (u - i as f64, v - j as f64);
-    let (i1, j1) = ((i + 1).min(plane.width - 1), (j + 1).min(plane.height - 1));
-    let g = |a: usize, b: usize| f64::from(plane.at(a, b));
+    let (i1, j1) = ((i + 1).min(width - 1), (j + 1).min(height - 1));
+    let g = |a: usize, b: usize| f64::from(level.smooth(a, b));
     (1.0 - fv) * ((1.0 - fu) * g(i, j) + fu * g(i1, j)) + fv * ((1.0 - fu) * g(i, j1) + fu * g(i1, j1))
 }
 

@@ -6,14 +6,15 @@
 
 use crate::conic::{Ellipse, Frame};
 use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd};
-use crate::detect::plane::{self, Source, Steep, check_finite, smooth_and_field};
+use crate::detect::level::Level;
+use crate::detect::plane::{self, Floats, Source, check_finite};
 use crate::detect::refine::{Scratch, Start, refine};
 use crate::detect::trace::{Line, Tracer};
+use crate::detect::whole::{self, Rows, Whole};
 use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason, Shape};
 use crate::error::{Invalid, Result};
 use crate::frames::Pixel;
 use crate::image::GrayView;
-use crate::lanes;
 use crate::target::{MarkKind, Polarity};
 use rayon::prelude::*;
 
@@ -146,37 +147,47 @@ fn rejection(c: &Candidate, reason: RejectionReason) -> Rejection {
 /// Follows and judges the zero lines of every pyramid level.
 fn look(view: &GrayView, noise: f32, options: &DetectOptions) -> Seen {
     let mut seen = Seen::default();
-    let mut line = Line::default();
-    let quantum = 0.3;
     let range = plane::range(view);
+    let quantum = 0.3;
     let mut noise = noise.max(quantum * range.min(1.0));
-    let mut halved;
-    let mut current = Source::View(view);
+    // Whole numbers are faster; floats hold whatever there is.
+    let (mut finer, mut halved);
+    let mut rows = whole::rows(view, noise);
+    let mut source = Source::View(view);
+    let mut starts = Vec::new();
     for level in 0..LEVELS {
-        if current.width() < 12 || current.height() < 12 {
+        if (view.width() - 1) >> level < 11 || (view.height() - 1) >> level < 11 {
             break;
         }
-        let (smooth, field) = smooth_and_field(current);
         // Central difference over 1.5 px of the smoothed image: its noise is about 0.18 of a pixel's.
         let gradient = (5.0 * 0.18 * noise).max(0.008 * range);
-        let mut tracer = Tracer::new(&field);
-        let mut steep = Vec::new();
-        for v in 0..field.height - 1 {
-            // Gradients are rare, zeros of the field are everywhere: the noise crosses zero all the time.
-            lanes::run(Steep { row: smooth.row(v), gradient, found: &mut steep });
-            for &u in &steep {
-                if tracer.fresh_crossing(u, v) {
-                    tracer.follow(u, v, &mut line);
-                    let strength = Strength { gradient: f64::from(gradient) };
-                    seen.take(judge(&line, &smooth, strength, level, options));
-                }
-            }
+        if let Some(given) = rows {
+            finer = Whole::new(given, gradient, &mut starts);
+            follow(&finer, &starts, gradient, level, options, &mut seen);
+            rows = Some(Rows::Finer(&finer));
+        } else {
+            let floats = Floats::new(source, gradient, &mut starts);
+            follow(&floats, &starts, gradient, level, options, &mut seen);
+            halved = floats.smoothed().halved();
+            source = Source::Plane(&halved);
         }
-        halved = smooth.halved();
-        current = Source::Plane(&halved);
         noise *= 0.273;
     }
     seen
+}
+
+/// Follows and judges the lines of one level from where they start.
+fn follow(on: &impl Level, starts: &[u32], gradient: f32, level: u32, options: &DetectOptions, seen: &mut Seen) {
+    let mut line = Line::default();
+    let mut tracer = Tracer::new(on);
+    let strength = Strength { gradient: f64::from(gradient) };
+    for start in starts {
+        let (u, v) = (*start as usize % on.width(), *start as usize / on.width());
+        if tracer.fresh(u, v) {
+            tracer.follow(u, v, &mut line);
+            seen.take(judge(&line, on, strength, level, options));
+        }
+    }
 }
 
 fn distance(a: Pixel, b: Pixel) -> f64 {

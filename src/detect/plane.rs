@@ -3,6 +3,7 @@
 //! The difference `s - m` (s: binomial blur, sigma 1 px; m: mean of `s` over 9 x 9 px) changes sign at every edge, however uneven
 //! the light: its zero line is the first guess of a contour.
 
+use crate::detect::level::Level;
 use crate::error::{Invalid, Result};
 use crate::image::{GrayView, Samples};
 use crate::lanes::{self, Kernel, Lanes as Width};
@@ -134,7 +135,7 @@ pub(crate) fn range(view: &GrayView) -> f32 {
 
 /// An image blurred by the binomial (1 4 6 4 1)/16 in both directions, and the same minus its mean over the window around each pixel;
 /// borders are repeated. One pass: each row is finished while those that it needs are at hand.
-pub(crate) fn smooth_and_field(source: Source) -> (Plane, Plane) {
+fn smooth_and_field(source: Source) -> (Plane, Plane) {
     lanes::run(SmoothAndField(source))
 }
 
@@ -248,11 +249,58 @@ impl BoxMean {
     }
 }
 
+/// One level of the pyramid in floats.
+#[derive(Debug)]
+pub(crate) struct Floats {
+    smooth: Plane,
+    field: Plane,
+}
+
+impl Level for Floats {
+    fn width(&self) -> usize {
+        self.field.width
+    }
+    fn height(&self) -> usize {
+        self.field.height
+    }
+    #[inline]
+    fn smooth(&self, u: usize, v: usize) -> f32 {
+        self.smooth.at(u, v)
+    }
+    #[inline]
+    fn field(&self, u: usize, v: usize) -> f32 {
+        self.field.at(u, v)
+    }
+}
+
+impl Floats {
+    /// Makes a level; `starts` takes the places `v * width + u` where a line runs between `u` and `u + 1` and the grey level changes by more than
+    /// `gradient`, row by row.
+    pub(crate) fn new(source: Source, gradient: f32, starts: &mut Vec<u32>) -> Self {
+        starts.clear();
+        let (smooth, field) = smooth_and_field(source);
+        let mut steep = Vec::new();
+        for v in 0..field.height - 1 {
+            // Gradients are rare, zeros of the field are everywhere: the noise crosses zero all the time.
+            lanes::run(Steep { row: smooth.row(v), gradient, found: &mut steep });
+            let row = field.row(v);
+            let crossed = steep.iter().filter(|u| (row[**u] > 0.0) != (row[**u + 1] > 0.0));
+            starts.extend(crossed.map(|u| (v * field.width + u) as u32));
+        }
+        Self { smooth, field }
+    }
+
+    /// The smoothed image.
+    pub(crate) fn smoothed(&self) -> &Plane {
+        &self.smooth
+    }
+}
+
 /// Finds the places of a row where the grey level changes by more than `gradient` to the next.
-pub(crate) struct Steep<'a> {
-    pub(crate) row: &'a [f32],
-    pub(crate) gradient: f32,
-    pub(crate) found: &'a mut Vec<usize>,
+struct Steep<'a> {
+    row: &'a [f32],
+    gradient: f32,
+    found: &'a mut Vec<usize>,
 }
 
 impl Kernel for Steep<'_> {
