@@ -15,6 +15,7 @@ mod quick;
 mod refine;
 mod rim;
 mod rough;
+mod rows;
 mod sectors;
 mod surface;
 mod trace;

@@ -62,13 +62,15 @@ pub(crate) struct Strength {
     pub(crate) gradient: f64,
 }
 
-/// Judges a line traced at `level` on `smooth`; coordinates come back in pixels of the image.
+/// Judges a line traced at `level` on `smooth`; coordinates come back in pixels of the image. `known` says whether a region with such an
+/// ellipse, bright or not, was seen before.
 pub(crate) fn judge(
     line: &Line,
     smooth: &impl Level,
     strength: Strength,
     level: u32,
     options: &DetectOptions,
+    known: &impl Fn(&Ellipse, bool) -> bool,
 ) -> Verdict {
     let scale = f64::from(1u32 << level);
     let least = 0.6 * options.min_semi_minor_px / scale;
@@ -85,6 +87,9 @@ pub(crate) fn judge(
     }
     let turn = m.doubled_area.signum();
     let bright = line.encloses_positive;
+    if known(&scaled(&rough, scale), bright) {
+        return Verdict::Nothing;
+    }
     let (edge, share) = edge_strength(line, smooth, strength, if bright { turn } else { -turn });
     if share < 0.6 {
         return Verdict::Nothing;
