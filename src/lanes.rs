@@ -9,11 +9,15 @@
 #![allow(unsafe_code)]
 
 mod columns;
+mod singles;
 mod sweep;
 #[cfg(target_arch = "x86_64")]
 mod x86;
+#[cfg(target_arch = "x86_64")]
+mod x86_singles;
 
 pub(crate) use columns::{Column, ColumnMut};
+pub(crate) use singles::{SINGLES, Singles, sum_of_singles};
 pub(crate) use sweep::{Each, sweep};
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -29,6 +33,8 @@ pub(crate) trait Lanes:
     const N: usize;
     /// One truth value per number.
     type Mask: Copy;
+    /// Numbers of single precision in the same registers.
+    type Single: Singles;
     /// The same number everywhere.
     fn splat(x: f64) -> Self;
     /// The first N numbers of a slice; panics where it is shorter.
@@ -70,6 +76,7 @@ pub(crate) trait Lanes:
 impl Lanes for f64 {
     const N: usize = 1;
     type Mask = bool;
+    type Single = f32;
     #[inline(always)]
     fn splat(x: f64) -> Self {
         x

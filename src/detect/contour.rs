@@ -124,10 +124,9 @@ impl Contour {
         }
     }
 
-    /// Sector of a foot point.
+    /// Sector of an angle on the diamond.
     #[inline]
-    pub(crate) fn sector(&self, c: f64, s: f64) -> usize {
-        let at = diamond(c, s);
+    pub(crate) fn sector(&self, at: f64) -> usize {
         let cells = self.first.len() - 1;
         let mut k = self.first[((0.25 * at * cells as f64) as usize).min(cells)] as usize;
         while k + 1 < self.end.len() && at > self.end[k] {

@@ -3,6 +3,7 @@
 //! A value of these types is only ever made inside a function compiled for its instructions, which [`super::run`] enters after having
 //! asked the processor: that is what makes each `unsafe` below sound.
 
+use super::x86_singles::{EightSingles, SixteenSingles};
 use super::{Kernel, Lanes};
 use std::arch::x86_64::{
     __m256d, __m512d, __mmask8, _CMP_LT_OQ, _mm256_add_pd, _mm256_and_pd, _mm256_blendv_pd, _mm256_cmp_pd,
@@ -75,6 +76,7 @@ impl Neg for Eight {
 impl Lanes for Four {
     const N: usize = 4;
     type Mask = __m256d;
+    type Single = EightSingles;
     #[inline(always)]
     fn splat(x: f64) -> Self {
         // SAFETY: see the head of the file.
@@ -130,6 +132,7 @@ impl Lanes for Four {
 impl Lanes for Eight {
     const N: usize = 8;
     type Mask = __mmask8;
+    type Single = SixteenSingles;
     #[inline(always)]
     fn splat(x: f64) -> Self {
         // SAFETY: see the head of the file.
