@@ -58,7 +58,7 @@ pub(super) fn clean_disc(
     let ellipse = from_regular(&(to_regular(&state.ellipse) + change))?;
     let edge = edges(&s.fine, &s.quick.shares, None, &change, s.quick.widen());
     let covariance = Some(covariance_from_regular(&to_regular(&ellipse), s.quick.covariance()));
-    Some(accept(&Found { ellipse, blur_px: state.blur_px, covariance }, edge, &model, start, options))
+    Some(accept(&Found { ellipse, blur_px: state.blur_px, covariance }, edge, &model, start, options, &mut s.feet))
 }
 
 /// Least distance of an ellipse from a contour beside it, px.
