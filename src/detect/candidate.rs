@@ -257,10 +257,10 @@ fn edge_strength(line: &Line, smooth: &impl Level, strength: Strength, turn: f64
         let (before, after) =
             if line.closed { ((i + n - 2) % n, (i + 2) % n) } else { (i.saturating_sub(2), (i + 2).min(n - 1)) };
         let (tu, tv) = (line.u[after] - line.u[before], line.v[after] - line.v[before]);
-        let length = f64::from(tu).hypot(f64::from(tv)).max(1e-6);
+        let length = f64::from(tu * tu + tv * tv).sqrt().max(1e-6);
         let (nu, nv) = (turn * f64::from(tv) / length, -turn * f64::from(tu) / length);
         let (u, v) = (f64::from(line.u[i]), f64::from(line.v[i]));
-        let fall = |d: f64| grey_at(smooth, u - d * nu, v - d * nv) - grey_at(smooth, u + d * nu, v + d * nv);
+        let fall = |d: f64| smooth.grey(u - d * nu, v - d * nv) - smooth.grey(u + d * nu, v + d * nv);
         gradients[k] = fall(0.75) / 1.5;
         steps[k] = fall(3.0);
         if gradients[k] > strength.gradient {
@@ -276,26 +276,16 @@ fn edge_strength(line: &Line, smooth: &impl Level, strength: Strength, turn: f64
     (Edge { contrast: contrast.max(gradient), blur_px }, strong as f64 / looks as f64)
 }
 
-/// Bilinear grey level, border repeated.
-fn grey_at(level: &impl Level, u: f64, v: f64) -> f64 {
-    let (width, height) = (level.width(), level.height());
-    let (u, v) = (u.clamp(0.0, width as f64 - 1.001), v.clamp(0.0, height as f64 - 1.001));
-    let (i, j) = (u as usize, v as usize);
-    let (fu, fv) = (u - i as f64, v - j as f64);
-    let (i1, j1) = ((i + 1).min(width - 1), (j + 1).min(height - 1));
-    let g = |a: usize, b: usize| f64::from(level.smooth(a, b));
-    (1.0 - fv) * ((1.0 - fu) * g(i, j) + fu * g(i1, j)) + fv * ((1.0 - fu) * g(i, j1) + fu * g(i1, j1))
-}
-
 /// First-order distance of a point from an ellipse, px.
 fn gap(e: &Ellipse, (s, c): (f64, f64), u: f64, v: f64) -> f64 {
     let (du, dv) = (u - e.center_px.u_px, v - e.center_px.v_px);
     let (x, y) = ((c * du + s * dv) / e.semi_major_px, (c * dv - s * du) / e.semi_minor_px);
-    let q = x.hypot(y);
+    let q = (x * x + y * y).sqrt();
     if q == 0.0 {
         return -e.semi_minor_px;
     }
-    (q - 1.0) * q / (x / e.semi_major_px).hypot(y / e.semi_minor_px)
+    let (gx, gy) = (x / e.semi_major_px, y / e.semi_minor_px);
+    (q - 1.0) * q / (gx * gx + gy * gy).sqrt()
 }
 
 fn rms_gap(e: &Ellipse, u: &[f64], v: &[f64]) -> f64 {

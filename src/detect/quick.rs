@@ -23,7 +23,7 @@ use crate::detect::exact::{SLOPE, SMALL, Share};
 use crate::detect::refine::reach_px;
 use crate::image::GrayView;
 use crate::lanes;
-use columns::{BLOCK, Columns, Lens, SumUp};
+use columns::{Columns, Left, Lens, SumUp};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use pixels::{Collect, Pixels, Rings};
 
@@ -262,19 +262,11 @@ impl Quick {
         self.shares.clear();
         self.shares.resize(contour.len(), Share::default());
         let count = self.pixels.near.count;
-        let found = self.found.map(|x| x as f32);
-        for (block, column) in self.columns.values.iter().enumerate().take(count.div_ceil(BLOCK)) {
-            let mut left = column[N];
-            for (x, c) in found.iter().zip(column) {
-                for l in 0..BLOCK {
-                    left[l] -= x * c[l];
-                }
-            }
-            let from = block * BLOCK;
-            for l in 0..BLOCK.min(count - from) {
-                let k = contour.sector(f64::from(self.columns.diamond[from + l]));
-                self.shares[k].push(f64::from(self.columns.response[from + l]), f64::from(left[l]));
-            }
+        lanes::run(Left { columns: &mut self.columns, found: &self.found, count });
+        let Columns { diamond, response, left, .. } = &self.columns;
+        for i in 0..count {
+            let k = contour.sector(f64::from(diamond[i]));
+            self.shares[k].push(f64::from(response[i]), f64::from(left[i]));
         }
     }
 

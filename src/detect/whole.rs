@@ -72,6 +72,15 @@ impl Level for Whole {
         f32::from(self.data[self.smooth_at(v) + u]) / self.per_grey
     }
     #[inline]
+    fn square(&self, u: usize, v: usize) -> [[f64; 2]; 2] {
+        let unit = 1.0 / f64::from(self.per_grey);
+        let (top, bottom) = (&self.smooth_row(v)[u..u + 2], &self.smooth_row(v + 1)[u..u + 2]);
+        [
+            [f64::from(top[0]) * unit, f64::from(top[1]) * unit],
+            [f64::from(bottom[0]) * unit, f64::from(bottom[1]) * unit],
+        ]
+    }
+    #[inline]
     fn field(&self, u: usize, v: usize) -> f32 {
         f32::from(self.data[self.field_at(v) + u] as i16)
     }

@@ -63,13 +63,15 @@ pub(super) struct Columns {
     pub(super) response: Vec<f32>,
     /// Angle of the foot point on the diamond, see [`crate::detect::contour`].
     pub(super) diamond: Vec<f32>,
+    /// What is left of the grey value, over the noise, once [`Left`] has run.
+    pub(super) left: Vec<f32>,
     /// Sums of products of two columns.
     pub(super) gram: [f64; PRODUCTS],
 }
 
 impl Default for Columns {
     fn default() -> Self {
-        Self { values: vec![], response: vec![], diamond: vec![], gram: [0.0; PRODUCTS] }
+        Self { values: vec![], response: vec![], diamond: vec![], left: vec![], gram: [0.0; PRODUCTS] }
     }
 }
 
@@ -122,6 +124,33 @@ impl SumUp<'_> {
         }
         for k in 0..PRODUCTS {
             self.out.gram[k] = sum_of_singles(&sums[k]);
+        }
+    }
+}
+
+/// What the columns times the unknowns `found` leave of the first `count` grey values.
+pub(super) struct Left<'a> {
+    pub(super) columns: &'a mut Columns,
+    pub(super) found: &'a [f64; N],
+    pub(super) count: usize,
+}
+
+impl Kernel for Left<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Columns { values, left, .. } = self.columns;
+        let n = self.count.div_ceil(SINGLES) * SINGLES;
+        left.resize(n, 0.0);
+        let mut at = 0;
+        while at < n {
+            let (block, i) = (&values[at / BLOCK], at % BLOCK);
+            let mut sum = L::Single::load(&block[N][i..]);
+            for k in 0..N {
+                sum = sum - L::Single::splat(self.found[k] as f32) * L::Single::load(&block[k][i..]);
+            }
+            sum.store(&mut left[at..]);
+            at += L::Single::N;
         }
     }
 }

@@ -193,8 +193,8 @@ impl Pixels {
         }
         let at = v * view.stride();
         let of = match view.samples() {
-            Samples::U8(s) => sums_of(&s[at + from..at + to], self.ground),
-            Samples::U16(s) => sums_of(&s[at + from..at + to], self.ground),
+            Samples::U8(s) => whole_sums_of(&s[at + from..at + to], self.ground),
+            Samples::U16(s) => whole_sums_of(&s[at + from..at + to], self.ground),
             Samples::F32(s) => sums_of(&s[at + from..at + to], self.ground),
         };
         let [g, gi, gg, dd] = of;
@@ -229,9 +229,13 @@ impl Pixels {
         let (du, dv) = (from as f64 - frame.u0, v as f64 - frame.v0);
         let (x, y) = (frame.cos * du + frame.sin * dv, frame.cos * dv - frame.sin * du);
         let near = &mut self.near;
-        for i in 0..to - from {
-            near.x.push((x + frame.cos * i as f64) as f32);
-            near.y.push((y - frame.sin * i as f64) as f32);
+        let (old, new) = (near.x.len(), near.x.len() + to - from);
+        near.x.resize(new, 0.0);
+        near.y.resize(new, 0.0);
+        let (xs, ys) = (&mut near.x[old..new], &mut near.y[old..new]);
+        for i in 0..xs.len() {
+            xs[i] = (x + frame.cos * i as f64) as f32;
+            ys[i] = (y - frame.sin * i as f64) as f32;
         }
         let ground = self.ground;
         match view.samples() {
@@ -249,11 +253,11 @@ fn less<T: Into<f64>>(x: T, ground: f64) -> f32 {
 
 /// Sums of the grey value, of it times the place, of its squares, and of the squared differences of neighbours.
 #[inline(always)]
-fn sums_of<T: Copy + Into<f64>>(grey: &[T], ground: f64) -> [f64; 4] {
+fn sums_of(grey: &[f32], ground: f64) -> [f64; 4] {
     let (mut g, mut gi, mut gg, mut dd) = (0.0, 0.0, 0.0, 0.0);
-    let mut before = grey[0].into() - ground;
+    let mut before = f64::from(grey[0]) - ground;
     for i in 0..grey.len() {
-        let x = grey[i].into() - ground;
+        let x = f64::from(grey[i]) - ground;
         g += x;
         gi += x * i as f64;
         gg += x * x;
@@ -262,6 +266,24 @@ fn sums_of<T: Copy + Into<f64>>(grey: &[T], ground: f64) -> [f64; 4] {
         before = x;
     }
     [g, gi, gg, dd]
+}
+
+/// The same of whole numbers, whose sums do not wait for each other.
+#[inline(always)]
+fn whole_sums_of<T: Copy + Into<i64>>(grey: &[T], ground: f64) -> [f64; 4] {
+    let ground = ground as i64;
+    let (mut g, mut gi, mut gg, mut dd) = (0, 0, 0, 0);
+    let mut before = grey[0].into() - ground;
+    for i in 0..grey.len() {
+        let x = grey[i].into() - ground;
+        g += x;
+        gi += x * i as i64;
+        gg += x * x;
+        let step = x - before;
+        dd += step * step;
+        before = x;
+    }
+    [g as f64, gi as f64, gg as f64, dd as f64]
 }
 
 #[cfg(test)]
