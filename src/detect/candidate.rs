@@ -11,6 +11,9 @@ use crate::detect::{DetectOptions, RejectionReason};
 use crate::frames::Pixel;
 use crate::target::MarkKind;
 
+/// Places of a line at which its edge is looked at.
+const LOOKS: usize = 36;
+
 /// A region that may be a disc.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Candidate {
@@ -246,12 +249,12 @@ struct Edge {
     blur_px: f64,
 }
 
-/// Looks across the line at up to 64 places; returns the typical edge and the share of places where the grey falls outwards
+/// Looks across the line at up to [`LOOKS`] places; returns the typical edge and the share of places where the grey falls outwards
 /// (`turn` = sense of turning, negated for dark regions) by more than the least gradient.
 fn edge_strength(line: &Line, smooth: &impl Level, strength: Strength, turn: f64) -> (Edge, f64) {
     let n = line.u.len();
-    let looks = n.min(64);
-    let (mut strong, mut gradients, mut steps) = (0usize, [0.0_f64; 64], [0.0_f64; 64]);
+    let looks = n.min(LOOKS);
+    let (mut strong, mut gradients, mut steps) = (0usize, [0.0_f64; LOOKS], [0.0_f64; LOOKS]);
     for k in 0..looks {
         let i = k * n / looks;
         let (before, after) =

@@ -22,6 +22,11 @@ pub(crate) trait Level {
     fn square(&self, u: usize, v: usize) -> [[f64; 2]; 2] {
         [v, v + 1].map(|v| [u, u + 1].map(|u| f64::from(self.smooth(u, v))))
     }
+    /// The field at (u, v), (u + 1, v), (u + 1, v + 1), (u, v + 1).
+    #[inline]
+    fn corners(&self, u: usize, v: usize) -> [f32; 4] {
+        [self.field(u, v), self.field(u + 1, v), self.field(u + 1, v + 1), self.field(u, v + 1)]
+    }
     /// Its difference from the local mean, in a unit that is the same all over the image.
     fn field(&self, u: usize, v: usize) -> f32;
 }

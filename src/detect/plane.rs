@@ -107,6 +107,9 @@ pub(crate) fn noise(view: &GrayView) -> f32 {
     }
     // A few ten thousand pixels fix the median to a per cent.
     let step = ((width * height / 40_000) as f64).sqrt().floor().max(1.0) as usize;
+    if let Samples::U8(s) = view.samples() {
+        return noise_of_bytes(s, view, step);
+    }
     let mut seen = Vec::with_capacity(60_000);
     for v in (1..height - 1).step_by(step) {
         for u in (1..width - 1).step_by(step) {
@@ -121,10 +124,41 @@ pub(crate) fn noise(view: &GrayView) -> f32 {
     *median / (0.6745 * 6.0)
 }
 
+/// The same of bytes, whose differences are few enough to be counted.
+fn noise_of_bytes(grey: &[u8], view: &GrayView, step: usize) -> f32 {
+    let mut counts = vec![0usize; 8 * 255 + 1];
+    for v in (1..view.height() - 1).step_by(step) {
+        let [a, b, c] = [v - 1, v, v + 1].map(|v| &grey[v * view.stride()..][..view.width()]);
+        for u in (1..view.width() - 1).step_by(step) {
+            let sum = |r: &[u8]| i32::from(r[u - 1]) - 2 * i32::from(r[u]) + i32::from(r[u + 1]);
+            counts[(sum(a) - 2 * sum(b) + sum(c)).unsigned_abs() as usize] += 1;
+        }
+    }
+    let middle = counts.iter().sum::<usize>() / 2;
+    ranked(&counts, middle) as f32 / (0.6745 * 6.0)
+}
+
+/// The value that stands at a place of the sorted list, from how often each value occurs.
+fn ranked(counts: &[usize], place: usize) -> usize {
+    let mut sum = 0;
+    let found = counts.iter().position(|count| {
+        sum += count;
+        sum > place
+    });
+    found.unwrap_or(counts.len() - 1)
+}
+
 /// Span of the grey levels without the darkest and brightest thousandth.
 pub(crate) fn range(view: &GrayView) -> f32 {
     let (width, count) = (view.width(), view.width() * view.height());
     let step = (count / 100_000).max(1) | 1;
+    if let Samples::U8(s) = view.samples() {
+        let mut counts = vec![0; 256];
+        (0..count).step_by(step).for_each(|i| counts[usize::from(s[i / width * view.stride() + i % width])] += 1);
+        let number: usize = counts.iter().sum();
+        let cut = number / 1000;
+        return (ranked(&counts, number - 1 - cut) - ranked(&counts, cut)) as f32;
+    }
     let mut seen: Vec<f32> = (0..count).step_by(step).map(|i| view.get(i % width, i / width)).collect();
     let cut = seen.len() / 1000;
     let last = seen.len() - 1;
@@ -336,6 +370,20 @@ fn repeat_ends(line: &mut [f32], pad: usize) {
 #[allow(clippy::expect_used)]
 mod tests {
     use super::*;
+
+    /// Counted bytes against the sorted list of the same values as floats.
+    #[test]
+    fn noise_and_range_of_bytes_are_those_of_floats() {
+        for (width, height, stride) in [(61, 47, 61), (301, 240, 310), (900, 700, 900)] {
+            let grey: Vec<u8> = (0..stride * height).map(|i| ((i * i / 7) % 83 + 40 * (i % 5)) as u8).collect();
+            let floats: Vec<f32> = grey.iter().map(|x| f32::from(*x)).collect();
+            let bytes = GrayView::new(Samples::U8(&grey), width, height, stride).expect("an image");
+            let floats = GrayView::new(Samples::F32(&floats), width, height, stride).expect("an image");
+            assert!(noise(&bytes) > 1.0 && range(&bytes) > 50.0);
+            assert_eq!(noise(&bytes), noise(&floats));
+            assert_eq!(range(&bytes), range(&floats));
+        }
+    }
 
     /// The pass over rows in rings against sums written out for each pixel.
     #[test]

@@ -88,8 +88,7 @@ impl<'a, L: Level> Tracer<'a, L> {
 
     /// The side through which the line that came in by `entry` leaves.
     fn exit(&self, u: usize, v: usize, entry: u8) -> u8 {
-        let f = self.level;
-        let corner = [f.field(u, v), f.field(u + 1, v), f.field(u + 1, v + 1), f.field(u, v + 1)];
+        let corner = self.level.corners(u, v);
         let positive = corner.map(|x| x > 0.0);
         let crossed = |side: u8| positive[side as usize] != positive[(side as usize + 1) % 4];
         if (0..4).all(crossed) {

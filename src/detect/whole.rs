@@ -81,6 +81,12 @@ impl Level for Whole {
         ]
     }
     #[inline]
+    fn corners(&self, u: usize, v: usize) -> [f32; 4] {
+        let row = |v: usize| &self.data[self.field_at(v) + u..][..2];
+        let (top, bottom) = (row(v), row(v + 1));
+        [top[0], top[1], bottom[1], bottom[0]].map(|x| f32::from(x as i16))
+    }
+    #[inline]
     fn field(&self, u: usize, v: usize) -> f32 {
         f32::from(self.data[self.field_at(v) + u] as i16)
     }

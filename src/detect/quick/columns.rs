@@ -10,38 +10,55 @@ use crate::lanes::{Kernel, Lanes, SINGLES, Singles, sum_of_singles};
 
 /// Pixels whose columns are stored before their products are taken; a multiple of [`SINGLES`].
 pub(super) const BLOCK: usize = 128;
+/// Places in a group.
+const FIRST: [f32; SINGLES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
 /// Newton steps of a foot point at most.
 const STEPS: usize = 6;
 
-/// Pixels near the edge, in the frame of the axes; filled up to a multiple of [`SINGLES`] with pixels that are not shown.
+/// Pixels near the edge, in the frame of the axes. The lists only ever grow: what follows the pixels that count is of no meaning, and
+/// finite.
 #[derive(Debug, Default)]
 pub(super) struct Near {
-    pub(super) x: Vec<f32>,
-    pub(super) y: Vec<f32>,
-    pub(super) grey: Vec<f32>,
-    /// One, or zero where there is no pixel.
-    pub(super) shown: Vec<f32>,
-    /// Pixels that are shown; they come first.
+    x: Vec<f32>,
+    y: Vec<f32>,
+    grey: Vec<f32>,
+    /// Pixels that count; they come first.
     pub(super) count: usize,
 }
 
 impl Near {
     pub(super) fn clear(&mut self) {
-        for list in [&mut self.x, &mut self.y, &mut self.grey, &mut self.shown] {
-            list.clear();
-        }
         self.count = 0;
     }
 
-    /// Fills up with pixels on the contour at `(a, 0)`.
+    /// Room for `more` pixels, which count from now on: `x`, `y`, grey value.
+    #[inline(always)]
+    pub(super) fn take(&mut self, more: usize) -> [&mut [f32]; 3] {
+        let (old, new) = (self.count, self.count + more);
+        if self.grey.len() < new {
+            let room = (2 * new).div_ceil(SINGLES) * SINGLES;
+            for list in [&mut self.x, &mut self.y, &mut self.grey] {
+                list.resize(room, 0.0);
+            }
+        }
+        self.count = new;
+        [&mut self.x[old..new], &mut self.y[old..new], &mut self.grey[old..new]]
+    }
+
+    /// Fills up to a multiple of [`SINGLES`] with pixels on the contour at `(a, 0)`.
     pub(super) fn fill_up(&mut self, a: f64) {
-        self.count = self.grey.len();
-        let n = self.count.div_ceil(SINGLES) * SINGLES;
-        self.shown.resize(self.count, 1.0);
-        self.shown.resize(n, 0.0);
-        self.grey.resize(n, 0.0);
-        self.x.resize(n, a as f32);
-        self.y.resize(n, 0.0);
+        let (count, n) = (self.count, self.padded());
+        if n > count {
+            // The lists have a multiple of as many places.
+            self.x[count..n].fill(a as f32);
+            self.y[count..n].fill(0.0);
+            self.grey[count..n].fill(0.0);
+        }
+    }
+
+    /// The number of pixels, filled up.
+    fn padded(&self) -> usize {
+        self.count.div_ceil(SINGLES) * SINGLES
     }
 }
 
@@ -94,13 +111,16 @@ impl Kernel for SumUp<'_> {
 impl SumUp<'_> {
     #[inline(always)]
     fn of<S: Singles>(self) {
-        let n = self.near.x.len();
+        let n = self.near.padded();
         let blocks = n.div_ceil(BLOCK);
         if self.out.values.len() < blocks {
             self.out.values.resize(blocks, [[0.0; BLOCK]; M]);
         }
-        self.out.response.resize(n, 0.0);
-        self.out.diamond.resize(n, 0.0);
+        if self.out.response.len() < n {
+            self.out.response.resize(n, 0.0);
+            self.out.diamond.resize(n, 0.0);
+        }
+        let count = S::splat(self.near.count as f32);
         let seen = Seen::<S>::new(self.frame, self.lens);
         let mut sums = [[0.0; SINGLES]; PRODUCTS];
         for block in 0..blocks {
@@ -111,7 +131,10 @@ impl SumUp<'_> {
             while i < m {
                 let at = from + i;
                 let (x, y) = (S::load(&self.near.x[at..]), S::load(&self.near.y[at..]));
-                let (grey, shown) = (S::load(&self.near.grey[at..]), S::load(&self.near.shown[at..]));
+                let grey = S::load(&self.near.grey[at..]);
+                // Single precision counts up to 16 million pixels.
+                let index = S::splat(at as f32) + S::load(&FIRST);
+                let shown = S::select(index.below(count), S::splat(1.0), S::splat(0.0));
                 let (columns, response, diamond) = seen.pixel(x, y, grey, shown);
                 for k in 0..M {
                     columns[k].store(&mut values[k][i..]);
@@ -141,7 +164,9 @@ impl Kernel for Left<'_> {
     fn run<L: Lanes>(self) {
         let Columns { values, left, .. } = self.columns;
         let n = self.count.div_ceil(SINGLES) * SINGLES;
-        left.resize(n, 0.0);
+        if left.len() < n {
+            left.resize(n, 0.0);
+        }
         let mut at = 0;
         while at < n {
             let (block, i) = (&values[at / BLOCK], at % BLOCK);
@@ -323,7 +348,9 @@ impl<S: Singles> Seen<S> {
             let f = e2 * c * s - ax * s + by * c;
             let df = e2 * (c * c - s * s) - ax * c - by * s;
             let t = S::select(df.below(zero), -(f / df), zero).at_least(-half).at_most(half) * left;
-            let inverse = one / (one + t * t).sqrt();
+            // 1 / (1 + t^2)^(1/2) to the last digit for small turns; after large ones the vector is set to length one at the end.
+            let t2 = t * t;
+            let inverse = one - half * t2 * (one - S::splat(0.75) * t2);
             let turned = (c - t * s) * inverse;
             s = (s + t * c) * inverse;
             c = turned;
@@ -333,6 +360,8 @@ impl<S: Singles> Seen<S> {
                 break;
             }
         }
+        let length = one / (c * c + s * s).sqrt();
+        (c, s) = (c * length, s * length);
         let (bc, sa) = (b * c, a * s);
         let inverse = one / (bc * bc + sa * sa).sqrt();
         let distance = ((x - a * c) * bc + (y - b * s) * sa) * inverse;
@@ -442,9 +471,9 @@ mod tests {
             let (x, y) = (f64::from(i) + 0.3, f64::from(j) - 0.1);
             let q = (x / frame.a).hypot(y / frame.b);
             if (q - 1.0).abs() * frame.b < reach {
-                near.x.push(x as f32);
-                near.y.push(y as f32);
-                near.grey.push((100.0 * (1.0 - q) + f64::from((i * 7 + j * 3) % 5)) as f32);
+                let [u, v, grey] = near.take(1);
+                (u[0], v[0]) = (x as f32, y as f32);
+                grey[0] = (100.0 * (1.0 - q) + f64::from((i * 7 + j * 3) % 5)) as f32;
             }
         }
         near.fill_up(frame.a);
@@ -532,8 +561,8 @@ mod tests {
             let all = run_all(&Summed(&near, &e, lens));
             for one in &all {
                 assert_eq!(one.gram.map(f64::to_bits), all[0].gram.map(f64::to_bits));
-                assert_eq!(one.diamond, all[0].diamond);
-                assert_eq!(one.response, all[0].response);
+                assert_eq!(one.diamond[..near.count], all[0].diamond[..near.count]);
+                assert_eq!(one.response[..near.count], all[0].response[..near.count]);
             }
         }
     }

@@ -228,27 +228,25 @@ impl Pixels {
         let at = v * view.stride();
         let (du, dv) = (from as f64 - frame.u0, v as f64 - frame.v0);
         let (x, y) = (frame.cos * du + frame.sin * dv, frame.cos * dv - frame.sin * du);
-        let near = &mut self.near;
-        let (old, new) = (near.x.len(), near.x.len() + to - from);
-        near.x.resize(new, 0.0);
-        near.y.resize(new, 0.0);
-        let (xs, ys) = (&mut near.x[old..new], &mut near.y[old..new]);
+        let ground = self.ground;
+        let [xs, ys, greys] = self.near.take(to - from);
         for i in 0..xs.len() {
             xs[i] = (x + frame.cos * i as f64) as f32;
             ys[i] = (y - frame.sin * i as f64) as f32;
         }
-        let ground = self.ground;
         match view.samples() {
-            Samples::U8(s) => near.grey.extend(s[at + from..at + to].iter().map(|x| less(*x, ground))),
-            Samples::U16(s) => near.grey.extend(s[at + from..at + to].iter().map(|x| less(*x, ground))),
-            Samples::F32(s) => near.grey.extend(s[at + from..at + to].iter().map(|x| less(*x, ground))),
+            Samples::U8(s) => copy_less(&s[at + from..at + to], ground, greys),
+            Samples::U16(s) => copy_less(&s[at + from..at + to], ground, greys),
+            Samples::F32(s) => copy_less(&s[at + from..at + to], ground, greys),
         }
     }
 }
 
 #[inline(always)]
-fn less<T: Into<f64>>(x: T, ground: f64) -> f32 {
-    (x.into() - ground) as f32
+fn copy_less<T: Copy + Into<f64>>(from: &[T], ground: f64, to: &mut [f32]) {
+    for (x, y) in from.iter().zip(to) {
+        *y = ((*x).into() - ground) as f32;
+    }
 }
 
 /// Sums of the grey value, of it times the place, of its squares, and of the squared differences of neighbours.

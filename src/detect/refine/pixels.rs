@@ -98,7 +98,7 @@ fn edges(
         let shift = share.shift_px() - (0..5).map(|i| contour.row[k][i] * change[i]).sum::<f64>();
         edge.u_px.push(contour.u[k] + shift * contour.normal_u[k]);
         edge.v_px.push(contour.v[k] + shift * contour.normal_v[k]);
-        edge.sigma_px.push(widen * share.information.powf(-0.5));
+        edge.sigma_px.push(widen / share.information.sqrt());
     }
     edge
 }
