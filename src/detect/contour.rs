@@ -115,7 +115,7 @@ impl Contour {
                 self.outer_px[k] = self.outer_px[k].min(NEIGHBOUR * gap.max(LEAST_GAP_PX));
             }
         }
-        let cells = 2 * count;
+        let cells = 4 * count;
         self.first.clear();
         let mut k = 0;
         for cell in 0..=cells {

@@ -154,7 +154,14 @@ pub(crate) fn range(view: &GrayView) -> f32 {
     let step = (count / 100_000).max(1) | 1;
     if let Samples::U8(s) = view.samples() {
         let mut counts = vec![0; 256];
-        (0..count).step_by(step).for_each(|i| counts[usize::from(s[i / width * view.stride() + i % width])] += 1);
+        let (mut row, mut u) = (0, 0);
+        for _ in (0..count).step_by(step) {
+            counts[usize::from(s[row + u])] += 1;
+            u += step;
+            while u >= width {
+                (row, u) = (row + view.stride(), u - width);
+            }
+        }
         let number: usize = counts.iter().sum();
         let cut = number / 1000;
         return (ranked(&counts, number - 1 - cut) - ranked(&counts, cut)) as f32;

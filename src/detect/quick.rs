@@ -44,7 +44,7 @@ const MOST_ROUNDS: usize = 6;
 /// A change below this ends the rounds, px.
 const STILL_PX: f64 = 0.03;
 /// Pixels near the edge that suffice for a start.
-const START_PIXELS: f64 = 250.0;
+const START_PIXELS: f64 = 190.0;
 /// Every so many rows at most are taken for a start.
 const THINNEST: f64 = 4.0;
 
