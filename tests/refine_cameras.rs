@@ -4,9 +4,11 @@
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
 mod particle_scene;
+mod render;
 
 use nalgebra::{DMatrix, DVector, SVector, Vector3};
 use particle_scene::{pairs, scene, truth};
+use render::Random;
 use spivcal::disparity::{CheckOptions, CheckOutput, check_sheet};
 use spivcal::frames::{Cam, Rig, Sheet};
 use spivcal::image::GrayImage;
@@ -25,25 +27,9 @@ fn names() -> Vec<String> {
     [own("left"), own("right"), STEPS.map(|s| format!("right.cam_from_rig.{s}")).to_vec()].concat()
 }
 
-/// Numbers that look like noise: normal, of unit variance.
-struct Noise(u64);
-
-impl Noise {
-    fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut x = self.0;
-        x = (x ^ (x >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        x = (x ^ (x >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((x ^ (x >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-    fn normal(&mut self) -> f64 {
-        (-2.0 * self.uniform().max(1e-300).ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
-    }
-}
-
 /// A factor of a covariance with all kinds of correlations.
 fn factor(scale: f64) -> DMatrix<f64> {
-    let mut noise = Noise(5);
+    let mut noise = Random(5);
     let mixed = DMatrix::from_fn(18, 18, |i, j| noise.normal() * 0.35 + if i == j { 1.0 } else { 0.0 });
     DMatrix::from_fn(18, 18, |i, j| scale * SIGMA[i] * mixed[(i, j)] / mixed.row(i).norm())
 }
@@ -121,7 +107,7 @@ fn cameras_moved_within_their_covariance_come_back_as_far_as_the_new_one_says() 
     // Some 1.5 px across the direction of depth: the coarse search for the plane still finds particles alike.
     let l = factor(0.3);
     let real = truth(&scene(71, 0.0, [0.0; 2], 0.6, 2));
-    let (mut noise, mut z2, mut heard, mut plane, mut before, mut after) = (Noise(99), 0.0, 0.0, 0.0, 0.0, 0.0);
+    let (mut noise, mut z2, mut heard, mut plane, mut before, mut after) = (Random(99), 0.0, 0.0, 0.0, 0.0, 0.0);
     let (mut draws, mut chances) = (0.0, vec![]);
     for seed in 71..74 {
         let images = simulate_particles(&scene(seed, 0.0, [0.0; 2], 0.6, 2)).unwrap();

@@ -32,10 +32,11 @@
 //! Sources: Wieneke, Exp. Fluids 39 (2005) 267 (disparities refine cameras, too); Gelb, Applied Optimal Estimation (1974), 4.2. Not valid
 //! where the light is bent (taken for an error of the cameras), nor along directions that the calibration leaves undetermined: refused.
 
+mod windows;
+
 use super::anchor::Anchor;
-use super::plane::{Match, PlaneFit, Seen, see, tukey, tukey_slope};
-use super::propagate::{Propagated, SHEET, against, against_by_start, sheet_pose, start_rows, tilted};
-use super::stepped::{Steps, maps_after, numbers_between, record_after, step_between, take_sigmas};
+use super::propagate::{Propagated, SHEET, against_by_sheet, against_by_start, sheet_pose, start_rows, tilted};
+use super::stepped::{Steps, numbers_between, record_after, step_between, take_sigmas};
 use crate::bundle::symmetric_eigen;
 use crate::error::{Error, Insufficient, Result};
 use crate::frames::{Cam, Rig, Sheet, Target};
@@ -43,22 +44,15 @@ use crate::record::{CamerasRefined, Covariance, Pose, Record, RefinedNumber, Vie
 use crate::rigid::Motion;
 use crate::sheet::{Parameter, STEP_NAMES};
 use crate::stats::chi_square_above;
-use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Matrix6, OMatrix, SMatrix, SVector, U3, Vector3};
+use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Matrix6, OMatrix, SVector, U3};
+pub(super) use windows::Update;
 
 /// Directions of the correlation with less than this part of the largest are exact dependences.
 const EXACT: f64 = 1e-12;
-/// Gauss-Newton steps on one set of matches; two suffice but for cameras that were knocked.
-const STEPS: usize = 8;
-/// They end when w moves by less.
-const STILL: f64 = 1e-4;
 /// Steps of w for derivatives, standard deviations.
 const SIDE: f64 = 1e-3;
-/// Part of a step below which it is taken as it is: rounding decides.
-const SHORTEST: f64 = 1e-3;
 /// The method of a sheet that is the plane of a view's target.
 const METHOD_OF_VIEW: &str = "target plane";
-/// The smooth part of a map: a quadratic.
-const TERMS: usize = 6;
 /// A change of one number beyond this many of its standard deviations is told.
 const FAR: f64 = 3.0;
 /// And changes that together are less likely than this.
@@ -73,16 +67,6 @@ pub(super) struct Prior {
     anchor: Anchor,
     /// Left step of the anchor by w, where the calibration stands.
     drift: DMatrix<f64>,
-}
-
-/// Cameras and plane after the windows were heard.
-pub(super) struct Update {
-    pub(super) w: DVector<f64>,
-    /// Of the plane in the frame of the sheet that the matches were seen in, carried along.
-    pub(super) abc: Vector3<f64>,
-    covariance: DMatrix<f64>,
-    /// Information of the windows on w, the plane eliminated.
-    information: DMatrix<f64>,
 }
 
 fn unknown(what: &str) -> Error {
@@ -198,88 +182,6 @@ impl Prior {
         let at = |w: &DVector<f64>| self.anchor.at(start, &self.steps(start, w));
         let beside: Motion<Sheet, Sheet> = at(from)?.inverse() * *sheet;
         Some(at(to)? * beside)
-    }
-
-    /// Hears the windows that were matched in `now`, the calibration at w with the sheet where it then was.
-    pub(super) fn update(
-        &self,
-        start: &Record,
-        now: &Record,
-        matches: &[Match],
-        fit: &PlaneFit,
-        from: &DVector<f64>,
-    ) -> Option<Update> {
-        let k = from.len();
-        let f_px = [0, 1].map(|c| start.cameras[c].f_px);
-        let beside: Motion<Sheet, Sheet> =
-            self.anchor.at(start, &self.steps(start, from))?.inverse() * sheet_pose(now)?;
-        let seen_at = |numbers: &DVector<f64>| -> Option<Vec<Seen>> {
-            let mut all = vec![0.0; start.covariance.names.len()];
-            self.numbers.iter().zip(numbers.iter()).for_each(|((i, _), s)| all[*i] = *s);
-            let steps = Steps::new(&start.covariance.names, all.into_iter());
-            let maps = maps_after(start, &steps, &(self.anchor.at(start, &steps)? * beside))?;
-            matches.iter().map(|m| see([&maps[0], &maps[1]], m)).collect()
-        };
-        let distance_mm = sheet_pose(now)?.translation_mm.norm();
-        let (mut w, mut abc) = (from.clone(), fit.abc);
-        let mut seen = seen_at(&(&self.factor * &w))?;
-        let weights = information(&seen, matches, fit)?;
-        let cost = |w: &DVector<f64>, rest: &DVector<f64>| {
-            w.norm_squared() + rest.iter().zip(&weights).map(|(r, u)| u * r * r).sum::<f64>()
-        };
-        let mut normal = DMatrix::zeros(0, 0);
-        for _ in 0..STEPS {
-            let at = &self.factor * &w;
-            let rest = residuals(&seen, &abc);
-            let mut by_number = DMatrix::zeros(rest.len(), at.len());
-            for (j, (_, parameter)) in self.numbers.iter().enumerate() {
-                let h = parameter.step(f_px, distance_mm);
-                let side = |h: f64| {
-                    let mut moved = at.clone();
-                    moved[j] += h;
-                    seen_at(&moved).map(|s| residuals(&s, &abc))
-                };
-                by_number.set_column(j, &((side(h)? - side(-h)?) / (2.0 * h)));
-            }
-            let mut g = DMatrix::zeros(rest.len(), k + 3);
-            g.columns_mut(0, k).copy_from(&(by_number * &self.factor));
-            for (i, s) in seen.iter().enumerate() {
-                for (a, x) in [1.0, s.point_mm.x, s.point_mm.y].into_iter().enumerate() {
-                    g[(2 * i + 1, k + a)] = -x * s.slope_apart;
-                }
-            }
-            let weighted = DMatrix::from_fn(g.nrows(), g.ncols(), |i, j| weights[i] * g[(i, j)]);
-            normal = g.tr_mul(&weighted);
-            let mut right = -weighted.tr_mul(&rest);
-            for j in 0..k {
-                normal[(j, j)] += 1.0;
-                right[j] -= w[j];
-            }
-            let step = normal.clone().cholesky()?.solve(&right);
-            let before = cost(&w, &rest);
-            // Shorter where the whole step does not pay.
-            let mut part = 1.0;
-            loop {
-                let (next_w, next_abc) = (&w + step.rows(0, k) * part, abc + step.fixed_rows::<3>(k) * part);
-                let tried = seen_at(&(&self.factor * &next_w));
-                let better =
-                    tried.as_ref().is_some_and(|s| cost(&next_w, &residuals(s, &next_abc)) <= before * (1.0 + 1e-12));
-                if better || part < SHORTEST {
-                    (w, abc) = (next_w, next_abc);
-                    seen = tried?;
-                    break;
-                }
-                part *= 0.5;
-            }
-            if step.rows(0, k).amax() < STILL {
-                break;
-            }
-        }
-        let covariance = normal.clone().cholesky()?.inverse();
-        let plane = normal.view((k, k), (3, 3)).into_owned().cholesky()?.inverse();
-        let with = normal.view((0, k), (k, 3));
-        let information = normal.view((0, 0), (k, k)) - with * plane * with.transpose() - DMatrix::identity(k, k);
-        Some(Update { w, abc, covariance, information })
     }
 
     /// What is known afterwards: `reference` is the calibration at w with the starting sheet moved along, `now` the one with the sheet found.
@@ -424,79 +326,8 @@ impl Prior {
     }
 }
 
-/// Derivative of [`against`] by left steps of the sheet found.
-fn against_by_sheet(
-    start: &Motion<Rig, Sheet>,
-    now: &Motion<Rig, Sheet>,
-    reference_mm: [f64; 2],
-) -> SMatrix<f64, 3, 6> {
-    let mut out = SMatrix::<f64, 3, 6>::zeros();
-    for k in 0..6 {
-        let h = if k < 3 { 1e-7 } else { 1e-4 };
-        let at = |h: f64| against(start, &now.retract(&(SVector::<f64, 6>::ith(k, h))), reference_mm);
-        out.set_column(k, &((at(h) - at(-h)) / (2.0 * h)));
-    }
-    out
-}
-
 /// The calibration with all that was learnt: the record at w with its sheet, covariance and standard deviations.
 pub(super) fn with_sigmas(mut record: Record, covariance: &Covariance) -> Record {
     take_sigmas(&mut record, covariance);
     record
-}
-
-/// Across and along for every match, mm of disparity.
-fn residuals(seen: &[Seen], abc: &Vector3<f64>) -> DVector<f64> {
-    let along = |s: &Seen| (s.point_mm.z - abc.dot(&Vector3::new(1.0, s.point_mm.x, s.point_mm.y))) * s.slope_apart;
-    DVector::from_iterator(2 * seen.len(), seen.iter().flat_map(|s| [s.across_mm, along(s)]))
-}
-
-/// `u_i / s^2` for both parts of every match, 1/mm^2; `None` for too few of them.
-fn information(seen: &[Seen], matches: &[Match], fit: &PlaneFit) -> Option<Vec<f64>> {
-    let rest = residuals(seen, &fit.abc);
-    let reach = seen.iter().fold(1e-9_f64, |m, s| m.max(s.point_mm.xy().amax()));
-    let places = DMatrix::from_fn(seen.len(), TERMS, |i, k| {
-        let (x, y) = (seen[i].point_mm.x / reach, seen[i].point_mm.y / reach);
-        [1.0, x, y, x * x, x * y, y * y][k]
-    });
-    let used: Vec<bool> = fit.used.clone();
-    let part = |a: usize| {
-        let values = DVector::from_fn(seen.len(), |i, _| rest[2 * i + a]);
-        scattered(&places, &values, matches, &used)
-    };
-    let (across, along) = (part(0)?, part(1)?);
-    Some(across.into_iter().zip(along).flat_map(|(a, b)| [a, b]).collect())
-}
-
-/// Robust fit of the smooth part, and what each value then counts.
-fn scattered(places: &DMatrix<f64>, values: &DVector<f64>, matches: &[Match], used: &[bool]) -> Option<Vec<f64>> {
-    let n = used.iter().filter(|u| **u).count();
-    if n < TERMS + 3 {
-        return None;
-    }
-    let quality = |i: usize| if used[i] { matches[i].correlation.powi(2) } else { 0.0 };
-    let mean = (0..values.len()).map(quality).sum::<f64>() / n as f64;
-    // Windows of lower correlation scatter more: all of them on one scale.
-    let even: Vec<f64> = (0..values.len()).map(|i| quality(i) / mean).collect();
-    let mut robust = vec![1.0; values.len()];
-    let (mut rest, mut scale) = (values.clone(), 0.0);
-    for _ in 0..30 {
-        let weighted = DMatrix::from_fn(places.nrows(), TERMS, |i, k| even[i] * robust[i] * places[(i, k)]);
-        let c = places.tr_mul(&weighted).cholesky()?.solve(&weighted.tr_mul(values));
-        rest = values - places * c;
-        let mut sizes: Vec<f64> =
-            (0..values.len()).filter(|i| used[*i]).map(|i| rest[i].abs() * even[i].sqrt()).collect();
-        sizes.sort_by(f64::total_cmp);
-        scale = (1.4826 * sizes[sizes.len() / 2]).max(1e-12);
-        (0..values.len()).for_each(|i| robust[i] = tukey(rest[i] * even[i].sqrt() / scale));
-    }
-    let (mut slope, mut square, mut sum) = (0.0, 0.0, 0.0);
-    for i in (0..values.len()).filter(|i| used[*i]) {
-        slope += even[i] * tukey_slope(rest[i] * even[i].sqrt() / scale);
-        square += even[i] * (robust[i] * rest[i] * even[i].sqrt()).powi(2);
-        sum += even[i] * robust[i];
-    }
-    // The smooth part has taken its terms from the scatter.
-    let known = slope * slope / square * (n - TERMS) as f64 / n as f64;
-    (known > 0.0 && known.is_finite()).then(|| (0..values.len()).map(|i| even[i] * robust[i] * known / sum).collect())
 }

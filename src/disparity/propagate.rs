@@ -180,14 +180,24 @@ pub(super) fn against_by_start(
     now: &Motion<Rig, Sheet>,
     reference_mm: [f64; 2],
 ) -> SMatrix<f64, 3, 6> {
+    by_left_steps(|step| against(&start.retract(step), now, reference_mm))
+}
+
+/// Derivative of [`against`] by left steps of the sheet found.
+pub(super) fn against_by_sheet(
+    start: &Motion<Rig, Sheet>,
+    now: &Motion<Rig, Sheet>,
+    reference_mm: [f64; 2],
+) -> SMatrix<f64, 3, 6> {
+    by_left_steps(|step| against(start, &now.retract(step), reference_mm))
+}
+
+/// Central differences by a turn (rad) and a shift (mm).
+fn by_left_steps(of: impl Fn(&SVector<f64, 6>) -> Vector3<f64>) -> SMatrix<f64, 3, 6> {
     let mut out = SMatrix::<f64, 3, 6>::zeros();
     for k in 0..6 {
         let h = if k < 3 { 1e-7 } else { 1e-4 };
-        let at = |h: f64| {
-            let mut step = SVector::<f64, 6>::zeros();
-            step[k] = h;
-            against(&start.retract(&step), now, reference_mm)
-        };
+        let at = |h: f64| of(&SVector::<f64, 6>::ith(k, h));
         out.set_column(k, &((at(h) - at(-h)) / (2.0 * h)));
     }
     out
