@@ -24,13 +24,13 @@ fn picture(width: usize, height: usize, spots: impl Fn(f64, f64) -> (f64, f64, f
 }
 
 /// Two discs in 1024 x 768.
-pub fn two_discs() -> (Vec<u8>, usize, usize) {
+pub(crate) fn two_discs() -> (Vec<u8>, usize, usize) {
     let spots = |x, _| if x < 512.0 { (300.3, 380.2, 120.0, 90.0) } else { (720.7, 390.6, 100.0, 75.0) };
     (picture(1024, 768, spots), 1024, 768)
 }
 
 /// A grid of dots of 13 x 11 px, 74 px apart.
-pub fn dots(width: usize, height: usize) -> (Vec<u8>, usize, usize) {
+pub(crate) fn dots(width: usize, height: usize) -> (Vec<u8>, usize, usize) {
     let pitch = 74.0;
     let spots = |x: f64, y: f64| ((x / pitch).floor() * pitch + 37.0, (y / pitch).floor() * pitch + 37.0, 13.0, 11.0);
     (picture(width, height, spots), width, height)

@@ -343,7 +343,7 @@ mod tests {
         (0..count)
             .map(|i| {
                 state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                let step = if (i % width / 11 + i / width / 9) % 2 == 0 { 0.7 } else { 0.1 };
+                let step = if (i % width / 11 + i / width / 9).is_multiple_of(2) { 0.7 } else { 0.1 };
                 let grey = step + 0.2 * f64::from(state >> 16) / 65_536.0;
                 (grey * f64::from((1u32 << bits) - 1)) as u16
             })
