@@ -47,7 +47,8 @@ if [ "${SPIVCAL_WINDOWS:-}" != build-std ] && { has_std || { have rustup && rust
     std=()
 else
     echo "== the standard library from its source"
-    have rustup && rustup toolchain install nightly --profile minimal --component rust-src ||
+    [ -d "$(rustc +nightly --print sysroot 2>/dev/null)/lib/rustlib/src/rust/library" ] ||
+        { have rustup && rustup toolchain install nightly --profile minimal --component rust-src; } ||
         fail "rustup has neither the target $triple nor a nightly toolchain with rust-src"
     toolchain=nightly
     std=(-Zbuild-std=std,panic_unwind)
