@@ -19,11 +19,13 @@
 //! the angle of a circle has no meaning, its standard deviation is reported as at most that of a uniform angle.
 
 mod circle;
+mod feet;
 mod fit;
 mod foot;
 mod geometry;
 
 pub use circle::image_of_circle;
+pub(crate) use feet::Feet;
 pub(crate) use fit::fit_geometric_from;
 pub use fit::{EllipseFit, fit_direct, fit_geometric};
 pub(crate) use foot::Frame;

@@ -6,6 +6,7 @@ mod contour;
 mod edge_model;
 mod exact;
 mod find;
+mod level;
 mod light;
 pub mod pattern;
 mod plane;
@@ -14,9 +15,11 @@ mod quick;
 mod refine;
 mod rim;
 mod rough;
+mod rows;
 mod sectors;
 mod surface;
 mod trace;
+mod whole;
 
 pub use find::find_discs;
 

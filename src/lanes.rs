@@ -11,13 +11,17 @@
 mod columns;
 mod greys;
 mod raster;
+mod singles;
 mod sweep;
 #[cfg(target_arch = "x86_64")]
 mod x86;
+#[cfg(target_arch = "x86_64")]
+mod x86_singles;
 
 pub(crate) use columns::{Column, ColumnMut};
 pub(crate) use greys::Greys;
 pub(crate) use raster::{Level, Raster};
+pub(crate) use singles::{SINGLES, Singles, sum_of_singles};
 pub(crate) use sweep::{Each, sweep};
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -35,6 +39,8 @@ pub(crate) trait Lanes:
     type Mask: Copy;
     /// Eight numbers of single precision.
     type Greys: Greys;
+    /// Numbers of single precision in the same registers.
+    type Single: Singles;
     /// The same number everywhere.
     fn splat(x: f64) -> Self;
     /// The first N numbers of a slice; panics where it is shorter.
@@ -81,6 +87,7 @@ impl Lanes for f64 {
     const N: usize = 1;
     type Mask = bool;
     type Greys = greys::Plain;
+    type Single = f32;
     #[inline(always)]
     fn splat(x: f64) -> Self {
         x

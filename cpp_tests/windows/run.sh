@@ -26,7 +26,6 @@ need objdump binutils || fail "objdump is missing: apt-get install binutils"
 package wine64 && need wine wine || fail "wine is missing: apt-get install wine64 wine"
 
 # --- compiler and linker -----------------------------------------------------------------------------------------------------
-cargo=cargo
 if [ "${SPIVCAL_WINDOWS:-}" != zig ] && need x86_64-w64-mingw32-gcc gcc-mingw-w64-x86-64; then
     echo "== mingw"
     compile=(x86_64-w64-mingw32-gcc)
@@ -34,11 +33,10 @@ if [ "${SPIVCAL_WINDOWS:-}" != zig ] && need x86_64-w64-mingw32-gcc gcc-mingw-w6
 else
     echo "== zig in place of mingw"
     python3 -m pip --version >/dev/null 2>&1 || package python3-pip || fail "neither mingw nor pip: apt-get install gcc-mingw-w64-x86-64"
-    python3 -m pip install --quiet --upgrade --target "$work/zig" ziglang==0.13.0 cargo-zigbuild==0.20.1 || fail "pip cannot install ziglang"
-    export PYTHONPATH="$work/zig${PYTHONPATH:+:$PYTHONPATH}" PATH="$work/zig/bin:$PATH"
+    python3 -m pip install --quiet --upgrade --target "$work/zig" ziglang==0.13.0 || fail "pip cannot install ziglang"
+    export PYTHONPATH="$work/zig${PYTHONPATH:+:$PYTHONPATH}" CARGO_TARGET_X86_64_PC_WINDOWS_GNU_LINKER=$here/zig_linker.sh
     compile=(python3 -m ziglang cc -target x86_64-windows-gnu)
     dlltool=(python3 -m ziglang dlltool -m i386:x86-64)
-    cargo=cargo-zigbuild
 fi
 # The import library that Microsoft's linker likes best, where LLVM is there.
 if have llvm-dlltool; then dlltool=(llvm-dlltool -m i386:x86-64); fi
@@ -49,13 +47,14 @@ if [ "${SPIVCAL_WINDOWS:-}" != build-std ] && { has_std || { have rustup && rust
     std=()
 else
     echo "== the standard library from its source"
-    have rustup && rustup toolchain install nightly --profile minimal --component rust-src ||
+    [ -d "$(rustc +nightly --print sysroot 2>/dev/null)/lib/rustlib/src/rust/library" ] ||
+        { have rustup && rustup toolchain install nightly --profile minimal --component rust-src; } ||
         fail "rustup has neither the target $triple nor a nightly toolchain with rust-src"
     toolchain=nightly
     std=(-Zbuild-std=std,panic_unwind)
 fi
 RUSTUP_TOOLCHAIN=${toolchain:-${RUSTUP_TOOLCHAIN:-}} cmake -DROOT="$root" -DTARGET="$work" -DTRIPLE=$triple \
-    -DRUSTC="$cargo rustc ${std[*]:-}" -P "$root/cmake/build_library.cmake"
+    -DRUSTC="cargo rustc ${std[*]:-}" -P "$root/cmake/build_library.cmake"
 dll=$work/$triple/release/spivcal.dll
 cp "$dll" "$work/dist/"
 cp "$header" "$root/include/spivcal.hpp" "$root/include/spivcal_labview.h" "$work/dist/"

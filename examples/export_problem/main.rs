@@ -26,6 +26,8 @@ mod render;
 #[path = "../../tests/rig_scene/mod.rs"]
 mod rig_scene;
 mod scale;
+#[path = "../../benches/scenes/mod.rs"]
+mod scenes;
 mod text;
 mod timing;
 

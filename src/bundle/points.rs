@@ -11,8 +11,8 @@
 //! | p, g | `by_point` | 3 | mm, 1/mm | the point in the camera frame; derivative of one coordinate by it, over sigma |
 //!
 //! Several points at a time go into the rows of [`super::edges`], the u coordinates of eight points as one group and the v coordinates as the
-//! next, so that no Jacobian outlives some hundred rows. Cameras behind windows or of the photogrammetric polynomial take the plain path. Equal to the plain path up to rounding; the same bits
-//! on every machine.
+//! next, so that no Jacobian outlives some hundred rows. Cameras behind windows or of the photogrammetric polynomial take the plain path.
+//! Equal to the plain path up to rounding; the same bits on every machine.
 
 use super::assemble::{ImageNormal, LOCAL, OffsetNormal, SPACE, SeenImage};
 use super::contour::{Foot, row};
@@ -56,27 +56,28 @@ struct PlainPoint<const E: usize> {
     residual: [f64; 2],
 }
 
-/// Point `i` of an image; `None` where it has no image.
-fn plain<const E: usize>(image: &SeenImage, i: usize) -> Option<PlainPoint<E>> {
+/// Point `i` of an image in the camera frame, one over its sigma, its whitened residual; `None` where it has no image.
+fn plain_image(image: &SeenImage, i: usize) -> Option<(Vector3<f64>, f64, [f64; 2])> {
     let (seen, camera) = (&image.observations.points, &image.camera.camera);
     let p_in_cam = image.cam_from_target.apply(&image.disc(seen.disc[i] as usize).0);
     let (q, _) = camera.image_of_point(&p_in_cam).ok()?;
     let iw = 1.0 / (seen.sigma_px[i] * image.observations.sigma_scale);
+    Some((p_in_cam, iw, [(seen.u_px[i] - q.x) * iw, (seen.v_px[i] - q.y) * iw]))
+}
+
+/// Point `i` of an image with its rows.
+fn plain<const E: usize>(image: &SeenImage, i: usize) -> Option<PlainPoint<E>> {
+    let (p_in_cam, iw, residual) = plain_image(image, i)?;
     let of = |normal: Vector2<f64>| -> Option<[f64; E]> {
         let foot = Foot { p_in_cam, radial: Vector3::zeros(), normal, distance_px: 0.0 };
-        Some(row::<E>(camera, &foot)?.map(|x| x * iw))
+        Some(row::<E>(&image.camera.camera, &foot)?.map(|x| x * iw))
     };
-    let rows = [of(Vector2::x())?, of(Vector2::y())?];
-    Some(PlainPoint { rows, residual: [(seen.u_px[i] - q.x) * iw, (seen.v_px[i] - q.y) * iw] })
+    Some(PlainPoint { rows: [of(Vector2::x())?, of(Vector2::y())?], residual })
 }
 
 /// Whitened residuals of point `i`.
 fn plain_residual(image: &SeenImage, i: usize) -> Option<[f64; 2]> {
-    let (seen, camera) = (&image.observations.points, &image.camera.camera);
-    let p_in_cam = image.cam_from_target.apply(&image.disc(seen.disc[i] as usize).0);
-    let (q, _) = camera.image_of_point(&p_in_cam).ok()?;
-    let iw = 1.0 / (seen.sigma_px[i] * image.observations.sigma_scale);
-    Some([(seen.u_px[i] - q.x) * iw, (seen.v_px[i] - q.y) * iw])
+    plain_image(image, i).map(|(_, _, residual)| residual)
 }
 
 fn square(r: [f64; 2]) -> f64 {

@@ -131,8 +131,17 @@ impl Frame {
         }
     }
 
+    /// Derivative of the distance with respect to the regular coordinates, for the foot point at an eccentric angle.
+    #[inline(always)]
+    pub(crate) fn row_at(&self, c: f64, s: f64) -> [f64; 5] {
+        let (a, b) = (self.a, self.b);
+        let big_n = (b * b * c * c + a * a * s * s).sqrt();
+        let inverse = 1.0 / big_n;
+        self.row(c, s, b * c * inverse, a * s * inverse, big_n)
+    }
+
     /// Derivative of the distance with respect to the regular coordinates, for a foot point with normal `(nx, ny)`.
-    #[inline]
+    #[inline(always)]
     fn row(&self, c: f64, s: f64, nx: f64, ny: f64, big_n: f64) -> [f64; 5] {
         let (da, db) = (-nx * c, -ny * s);
         let along = da - db;

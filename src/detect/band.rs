@@ -1,7 +1,7 @@
 //! The pixels around one ellipse with their distances from it, eight at a time.
 
 use crate::conic::{Ellipse, Frame};
-use crate::detect::contour::Contour;
+use crate::detect::contour::{Contour, diamond};
 use crate::image::{GrayView, Samples};
 
 /// Pixels worked on together.
@@ -144,7 +144,7 @@ impl Band {
                 let mut kept = at + i < seen && d >= -reach.inner_px && d <= reach.outer_px;
                 let mut sector = 0;
                 if kept {
-                    sector = contour.sector(feet.cos[i], feet.sin[i]);
+                    sector = contour.sector(diamond(feet.cos[i], feet.sin[i]));
                     kept = d <= contour.outer_px[sector];
                 }
                 self.distance[at + i] = if kept { d } else { f64::NAN };

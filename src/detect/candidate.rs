@@ -5,11 +5,14 @@
 //! 0.41 and 0.64 of an ellipse, 0.5 and 1 of a parallelogram, 1 and 1 of a triangle; blur rounds corners, so the limits lie between.
 
 use crate::conic::{Ellipse, fit_direct};
-use crate::detect::plane::Plane;
+use crate::detect::level::Level;
 use crate::detect::trace::Line;
 use crate::detect::{DetectOptions, RejectionReason};
 use crate::frames::Pixel;
 use crate::target::MarkKind;
+
+/// Places of a line at which its edge is looked at.
+const LOOKS: usize = 36;
 
 /// A region that may be a disc.
 #[derive(Debug, Clone, Copy)]
@@ -62,8 +65,16 @@ pub(crate) struct Strength {
     pub(crate) gradient: f64,
 }
 
-/// Judges a line traced at `level` on `smooth`; coordinates come back in pixels of the image.
-pub(crate) fn judge(line: &Line, smooth: &Plane, strength: Strength, level: u32, options: &DetectOptions) -> Verdict {
+/// Judges a line traced at `level` on `smooth`; coordinates come back in pixels of the image. `known` says whether a region with such an
+/// ellipse, bright or not, was seen before.
+pub(crate) fn judge(
+    line: &Line,
+    smooth: &impl Level,
+    strength: Strength,
+    level: u32,
+    options: &DetectOptions,
+    known: &impl Fn(&Ellipse, bool) -> bool,
+) -> Verdict {
     let scale = f64::from(1u32 << level);
     let least = 0.6 * options.min_semi_minor_px / scale;
     if line.u.len() < 6 {
@@ -79,6 +90,9 @@ pub(crate) fn judge(line: &Line, smooth: &Plane, strength: Strength, level: u32,
     }
     let turn = m.doubled_area.signum();
     let bright = line.encloses_positive;
+    if known(&scaled(&rough, scale), bright) {
+        return Verdict::Nothing;
+    }
     let (edge, share) = edge_strength(line, smooth, strength, if bright { turn } else { -turn });
     if share < 0.6 {
         return Verdict::Nothing;
@@ -136,7 +150,7 @@ pub(crate) fn judge_odd(odd: &Odd, options: &DetectOptions) -> Verdict {
 }
 
 /// A line that leaves the image: a disc cut by the border, or nothing.
-fn judge_open(line: &Line, smooth: &Plane, strength: Strength, level: u32, options: &DetectOptions) -> Verdict {
+fn judge_open(line: &Line, smooth: &impl Level, strength: Strength, level: u32, options: &DetectOptions) -> Verdict {
     let scale = f64::from(1u32 << level);
     let (u, v) = thinned(line, 96);
     let Ok(ellipse) = fit_direct(&u, &v) else { return Verdict::Nothing };
@@ -147,7 +161,7 @@ fn judge_open(line: &Line, smooth: &Plane, strength: Strength, level: u32, optio
         && ratio > options.min_axis_ratio.max(0.3);
     // An arc must show a good part of the contour, else any bent edge would pass for a disc.
     let seen = line_length(&u, &v) / ellipse.perimeter_px();
-    if !fits || seen < 0.3 || ellipse.semi_major_px > 0.4 * smooth.width.min(smooth.height) as f64 {
+    if !fits || seen < 0.3 || ellipse.semi_major_px > 0.4 * smooth.width().min(smooth.height()) as f64 {
         return Verdict::Nothing;
     }
     let inside = Pixel::new(ellipse.center_px.u_px, ellipse.center_px.v_px);
@@ -235,21 +249,21 @@ struct Edge {
     blur_px: f64,
 }
 
-/// Looks across the line at up to 64 places; returns the typical edge and the share of places where the grey falls outwards
+/// Looks across the line at up to [`LOOKS`] places; returns the typical edge and the share of places where the grey falls outwards
 /// (`turn` = sense of turning, negated for dark regions) by more than the least gradient.
-fn edge_strength(line: &Line, smooth: &Plane, strength: Strength, turn: f64) -> (Edge, f64) {
+fn edge_strength(line: &Line, smooth: &impl Level, strength: Strength, turn: f64) -> (Edge, f64) {
     let n = line.u.len();
-    let looks = n.min(64);
-    let (mut strong, mut gradients, mut steps) = (0usize, [0.0_f64; 64], [0.0_f64; 64]);
+    let looks = n.min(LOOKS);
+    let (mut strong, mut gradients, mut steps) = (0usize, [0.0_f64; LOOKS], [0.0_f64; LOOKS]);
     for k in 0..looks {
         let i = k * n / looks;
         let (before, after) =
             if line.closed { ((i + n - 2) % n, (i + 2) % n) } else { (i.saturating_sub(2), (i + 2).min(n - 1)) };
         let (tu, tv) = (line.u[after] - line.u[before], line.v[after] - line.v[before]);
-        let length = f64::from(tu).hypot(f64::from(tv)).max(1e-6);
+        let length = f64::from(tu * tu + tv * tv).sqrt().max(1e-6);
         let (nu, nv) = (turn * f64::from(tv) / length, -turn * f64::from(tu) / length);
         let (u, v) = (f64::from(line.u[i]), f64::from(line.v[i]));
-        let fall = |d: f64| grey_at(smooth, u - d * nu, v - d * nv) - grey_at(smooth, u + d * nu, v + d * nv);
+        let fall = |d: f64| smooth.grey(u - d * nu, v - d * nv) - smooth.grey(u + d * nu, v + d * nv);
         gradients[k] = fall(0.75) / 1.5;
         steps[k] = fall(3.0);
         if gradients[k] > strength.gradient {
@@ -265,25 +279,16 @@ fn edge_strength(line: &Line, smooth: &Plane, strength: Strength, turn: f64) -> 
     (Edge { contrast: contrast.max(gradient), blur_px }, strong as f64 / looks as f64)
 }
 
-/// Bilinear grey level, border repeated.
-fn grey_at(plane: &Plane, u: f64, v: f64) -> f64 {
-    let (u, v) = (u.clamp(0.0, plane.width as f64 - 1.001), v.clamp(0.0, plane.height as f64 - 1.001));
-    let (i, j) = (u as usize, v as usize);
-    let (fu, fv) = (u - i as f64, v - j as f64);
-    let (i1, j1) = ((i + 1).min(plane.width - 1), (j + 1).min(plane.height - 1));
-    let g = |a: usize, b: usize| f64::from(plane.at(a, b));
-    (1.0 - fv) * ((1.0 - fu) * g(i, j) + fu * g(i1, j)) + fv * ((1.0 - fu) * g(i, j1) + fu * g(i1, j1))
-}
-
 /// First-order distance of a point from an ellipse, px.
 fn gap(e: &Ellipse, (s, c): (f64, f64), u: f64, v: f64) -> f64 {
     let (du, dv) = (u - e.center_px.u_px, v - e.center_px.v_px);
     let (x, y) = ((c * du + s * dv) / e.semi_major_px, (c * dv - s * du) / e.semi_minor_px);
-    let q = x.hypot(y);
+    let q = (x * x + y * y).sqrt();
     if q == 0.0 {
         return -e.semi_minor_px;
     }
-    (q - 1.0) * q / (x / e.semi_major_px).hypot(y / e.semi_minor_px)
+    let (gx, gy) = (x / e.semi_major_px, y / e.semi_minor_px);
+    (q - 1.0) * q / (gx * gx + gy * gy).sqrt()
 }
 
 fn rms_gap(e: &Ellipse, u: &[f64], v: &[f64]) -> f64 {

@@ -328,8 +328,13 @@ impl Dense {
         self.alone += fixed.fixed_view::<5, 5>(1, 1);
     }
 
-    /// Solves in place (lower triangle); false where the matrix is not positive definite.
+    /// Solves in place (lower triangle) and says how well the geometry is known; false where the matrix is not positive definite.
     pub(crate) fn solve(&mut self, n: usize) -> bool {
+        self.unknowns(n) && self.geometry(n)
+    }
+
+    /// Solves in place (lower triangle); false where the matrix is not positive definite.
+    pub(crate) fn unknowns(&mut self, n: usize) -> bool {
         let a = &mut self.matrix;
         for j in 0..n {
             let before = a[j * n + j];
@@ -358,6 +363,12 @@ impl Dense {
             let dot: f64 = (i + 1..n).map(|k| a[k * n + i] * b[k]).sum();
             b[i] = (b[i] - dot) / a[i * n + i];
         }
+        true
+    }
+
+    /// Covariance of the geometry, from the factor; false where the geometry is not fixed.
+    pub(crate) fn geometry(&mut self, n: usize) -> bool {
+        let a = &self.matrix;
         // The last block of the factor is that of the Schur complement on the geometry.
         let lower = SMatrix::<f64, 5, 5>::from_fn(|i, j| if j <= i { a[(n - 5 + i) * n + n - 5 + j] } else { 0.0 });
         let (Some(root), Some(alone)) = (lower.try_inverse(), self.alone.try_inverse()) else { return false };

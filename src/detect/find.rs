@@ -6,14 +6,16 @@
 
 use crate::conic::{Ellipse, Frame};
 use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd};
-use crate::detect::plane::{self, Source, Steep, check_finite, smooth_and_field};
+use crate::detect::level::Level;
+use crate::detect::plane::{self, Floats, Source, check_finite};
 use crate::detect::refine::{Scratch, Start, refine};
+use crate::detect::rows::ByRow;
 use crate::detect::trace::{Line, Tracer};
+use crate::detect::whole::{self, Rows, Whole};
 use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason, Shape};
 use crate::error::{Invalid, Result};
 use crate::frames::Pixel;
 use crate::image::GrayView;
-use crate::lanes;
 use crate::target::{MarkKind, Polarity};
 use rayon::prelude::*;
 
@@ -63,10 +65,12 @@ pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection>
     drop_texture(&mut seen, f64::from(noise), options);
     drop_repeats(&mut seen);
     let mut detection = Detection::default();
-    for (candidate, refined) in refine_all(view, &seen.candidates, options) {
+    let refined = refine_all(view, &seen.candidates, options);
+    let found = drop_twins(&refined);
+    for ((candidate, refined), keep) in refined.into_iter().zip(found) {
         match refined {
-            Ok(disc) if detection.discs.iter().any(|d| one_and_the_same(d, &disc)) => {}
-            Ok(disc) => detection.discs.push(disc),
+            Ok(disc) if keep => detection.discs.push(disc),
+            Ok(_) => {}
             Err(reason) => detection.rejections.push(rejection(candidate, reason)),
         }
     }
@@ -146,41 +150,60 @@ fn rejection(c: &Candidate, reason: RejectionReason) -> Rejection {
 /// Follows and judges the zero lines of every pyramid level.
 fn look(view: &GrayView, noise: f32, options: &DetectOptions) -> Seen {
     let mut seen = Seen::default();
-    let mut line = Line::default();
-    let quantum = 0.3;
     let range = plane::range(view);
+    let quantum = 0.3;
     let mut noise = noise.max(quantum * range.min(1.0));
-    let mut halved;
-    let mut current = Source::View(view);
+    // Whole numbers are faster; floats hold whatever there is.
+    let (mut finer, mut halved);
+    let mut rows = whole::rows(view, noise);
+    let mut source = Source::View(view);
+    let mut starts = Vec::new();
     for level in 0..LEVELS {
-        if current.width() < 12 || current.height() < 12 {
+        if (view.width() - 1) >> level < 11 || (view.height() - 1) >> level < 11 {
             break;
         }
-        let (smooth, field) = smooth_and_field(current);
         // Central difference over 1.5 px of the smoothed image: its noise is about 0.18 of a pixel's.
         let gradient = (5.0 * 0.18 * noise).max(0.008 * range);
-        let mut tracer = Tracer::new(&field);
-        let mut steep = Vec::new();
-        for v in 0..field.height - 1 {
-            // Gradients are rare, zeros of the field are everywhere: the noise crosses zero all the time.
-            lanes::run(Steep { row: smooth.row(v), gradient, found: &mut steep });
-            for &u in &steep {
-                if tracer.fresh_crossing(u, v) {
-                    tracer.follow(u, v, &mut line);
-                    let strength = Strength { gradient: f64::from(gradient) };
-                    seen.take(judge(&line, &smooth, strength, level, options));
-                }
-            }
+        if let Some(given) = rows {
+            finer = Whole::new(given, gradient, &mut starts);
+            follow(&finer, &starts, gradient, level, options, &mut seen);
+            rows = Some(Rows::Finer(&finer));
+        } else {
+            let floats = Floats::new(source, gradient, &mut starts);
+            follow(&floats, &starts, gradient, level, options, &mut seen);
+            halved = floats.smoothed().halved();
+            source = Source::Plane(&halved);
         }
-        halved = smooth.halved();
-        current = Source::Plane(&halved);
         noise *= 0.273;
     }
     seen
 }
 
-fn distance(a: Pixel, b: Pixel) -> f64 {
-    (a.u_px - b.u_px).hypot(a.v_px - b.v_px)
+/// Follows and judges the lines of one level from where they start.
+fn follow(on: &impl Level, starts: &[u32], gradient: f32, level: u32, options: &DetectOptions, seen: &mut Seen) {
+    let mut line = Line::default();
+    let mut tracer = Tracer::new(on);
+    let strength = Strength { gradient: f64::from(gradient) };
+    let finer: Vec<(Ellipse, bool)> = seen.candidates.iter().map(|c| (c.ellipse, c.bright)).collect();
+    let by_row = ByRow::new(finer.iter().map(|c| &c.0));
+    // What was seen at a finer level need not be judged again.
+    let known = |e: &Ellipse, bright: bool| {
+        let reach = repeat_px(e.semi_minor_px.max(by_row.largest_px));
+        by_row.near(e.center_px, reach).any(|k| finer[k].1 == bright && same_place(&finer[k].0, e))
+    };
+    for start in starts {
+        let (u, v) = (*start as usize % on.width(), *start as usize / on.width());
+        if tracer.fresh(u, v) {
+            tracer.follow(u, v, &mut line);
+            seen.take(judge(&line, on, strength, level, options, &known));
+        }
+    }
+}
+
+/// Whether two points are less than `limit_px` apart.
+fn within(a: Pixel, b: Pixel, limit_px: f64) -> bool {
+    let (du, dv) = (a.u_px - b.u_px, a.v_px - b.v_px);
+    du * du + dv * dv < limit_px * limit_px
 }
 
 /// Drops what is far weaker than the discs that dominate the image: paper, cloth, smoke. What has the size of a disc is named.
@@ -224,9 +247,18 @@ fn drop_texture(seen: &mut Seen, noise: f64, options: &DetectOptions) {
 
 /// The same region seen twice.
 fn same(a: &Candidate, b: &Candidate) -> bool {
-    let (ra, rb) = (a.ellipse.semi_minor_px, b.ellipse.semi_minor_px);
-    a.bright == b.bright
-        && distance(a.ellipse.center_px, b.ellipse.center_px) < 0.4 * ra.max(rb) + 1.0
+    a.bright == b.bright && same_place(&a.ellipse, &b.ellipse)
+}
+
+/// How far apart two views of one region may lie, of which the larger one has this minor semi-axis, px.
+fn repeat_px(semi_minor_px: f64) -> f64 {
+    0.4 * semi_minor_px + 1.0
+}
+
+/// Two ellipses of about one place and size.
+fn same_place(a: &Ellipse, b: &Ellipse) -> bool {
+    let (ra, rb) = (a.semi_minor_px, b.semi_minor_px);
+    within(a.center_px, b.center_px, repeat_px(ra.max(rb)))
         && (ra / rb - 1.0).abs().min((rb / ra - 1.0).abs()) < 0.35 + 1.0 / ra.min(rb)
 }
 
@@ -234,16 +266,31 @@ fn same(a: &Candidate, b: &Candidate) -> bool {
 fn one_and_the_same(a: &Disc, b: &Disc) -> bool {
     let (ra, rb) = (a.ellipse.semi_minor_px, b.ellipse.semi_minor_px);
     a.polarity == b.polarity
-        && distance(a.ellipse.center_px, b.ellipse.center_px) < 0.5 * ra.min(rb)
+        && within(a.ellipse.center_px, b.ellipse.center_px, 0.5 * ra.min(rb))
         && ra.min(rb) > 0.5 * ra.max(rb)
+}
+
+/// Which results are no second view of a disc that came before.
+fn drop_twins(refined: &[(&Candidate, std::result::Result<Disc, RejectionReason>)]) -> Vec<bool> {
+    let discs: Vec<(usize, &Disc)> =
+        refined.iter().enumerate().filter_map(|(i, (_, r))| r.as_ref().ok().map(|d| (i, d))).collect();
+    let by_row = ByRow::new(discs.iter().map(|(_, d)| &d.ellipse));
+    let mut keep = vec![true; refined.len()];
+    for (k, (i, d)) in discs.iter().enumerate() {
+        let near = by_row.near(d.ellipse.center_px, 0.5 * d.ellipse.semi_minor_px);
+        let mut before = near.filter(|n| *n < k).map(|n| discs[n]);
+        keep[*i] = !before.any(|(j, other)| keep[j] && one_and_the_same(other, d));
+    }
+    keep
 }
 
 /// A coarse view in which a disc that is seen by itself at a finer level has run into something else.
 fn swallows(coarse: &Candidate, fine: &Candidate) -> bool {
+    if coarse.level <= fine.level || coarse.bright != fine.bright {
+        return false;
+    }
     let (big, small) = (mean_radius_px(&coarse.ellipse), mean_radius_px(&fine.ellipse));
-    coarse.level > fine.level
-        && coarse.bright == fine.bright
-        && !same(coarse, fine)
+    !same(coarse, fine)
         && small > 0.3 * big
         && small < big
         && fine.contrast > 0.5 * coarse.contrast
@@ -252,18 +299,22 @@ fn swallows(coarse: &Candidate, fine: &Candidate) -> bool {
 
 /// Keeps of every region the view at the finest level.
 fn drop_repeats(seen: &mut Seen) {
-    let mut kept: Vec<Candidate> = Vec::with_capacity(seen.candidates.len());
-    for c in &seen.candidates {
-        if !kept.iter().any(|k| k.level < c.level && same(k, c)) {
-            kept.push(*c);
-        }
+    // Candidates come level by level: those of finer levels are decided first.
+    let by_row = ByRow::new(seen.candidates.iter().map(|c| &c.ellipse));
+    let mut keep = vec![true; seen.candidates.len()];
+    for (i, c) in seen.candidates.iter().enumerate() {
+        let mut near = by_row.near(c.ellipse.center_px, repeat_px(by_row.largest_px));
+        let known =
+            c.level > 0 && near.any(|k| keep[k] && seen.candidates[k].level < c.level && same(&seen.candidates[k], c));
+        keep[i] = !known;
     }
+    let mut kept: Vec<Candidate> = seen.candidates.iter().zip(&keep).filter(|(_, k)| **k).map(|(c, _)| *c).collect();
     // Parts of a disc that overlaps another are not to be used, even where enough of the contour is free.
     let overlaps: Vec<Candidate> =
         seen.rejected.iter().filter(|r| r.1 == RejectionReason::Overlapping).map(|r| r.0).collect();
     kept.retain(|c| !overlaps.iter().any(|o| (o.level <= c.level && same(o, c)) || swallows(c, o)));
     let finer: Vec<Candidate> = kept.clone();
-    kept.retain(|c| !finer.iter().any(|f| swallows(c, f)));
+    kept.retain(|c| c.level == 0 || !finer.iter().any(|f| swallows(c, f)));
     seen.candidates = kept;
     let mut marks: Vec<(Candidate, MarkKind)> = Vec::new();
     for m in &seen.marks {
@@ -300,12 +351,14 @@ const HOLE: f64 = 0.5;
 
 /// What lies around each candidate: its own hole, its neighbours.
 fn surroundings(candidates: &[Candidate]) -> Vec<Surroundings> {
+    let by_row = ByRow::new(candidates.iter().map(|c| &c.ellipse));
     candidates
         .iter()
         .map(|c| {
             let e = &c.ellipse;
             let mut around = Surroundings { inner_px: 0.9 * e.semi_minor_px, neighbours: vec![] };
-            for other in candidates {
+            for k in by_row.near(e.center_px, e.semi_major_px + by_row.largest_px + SIGHT_PX) {
+                let other = &candidates[k];
                 let o = &other.ellipse;
                 let reach = e.semi_major_px + o.semi_major_px + SIGHT_PX;
                 let (du, dv) = (e.center_px.u_px - o.center_px.u_px, e.center_px.v_px - o.center_px.v_px);
@@ -347,10 +400,11 @@ fn mark_rings(discs: &mut Vec<Disc>, candidates: &[Candidate]) {
         let e = &d.ellipse;
         let bright = d.polarity == Polarity::Bright;
         let hole = candidates.iter().any(|c| {
+            if c.bright == bright || !within(c.ellipse.center_px, e.center_px, 0.1 * e.semi_minor_px + 0.5) {
+                return false;
+            }
             let ratio = c.ellipse.semi_minor_px / e.semi_minor_px;
-            c.bright != bright
-                && distance(c.ellipse.center_px, e.center_px) < 0.1 * e.semi_minor_px + 0.5
-                && c.rms_px < 0.25 + 0.06 * c.ellipse.semi_minor_px
+            c.rms_px < 0.25 + 0.06 * c.ellipse.semi_minor_px
                 && (0.1..0.8).contains(&ratio)
                 && c.contrast > 0.5 * d.contrast
         });
@@ -362,7 +416,7 @@ fn mark_rings(discs: &mut Vec<Disc>, candidates: &[Candidate]) {
     discs.retain(|d| {
         !rings.iter().any(|r| {
             r.polarity != d.polarity
-                && distance(r.ellipse.center_px, d.ellipse.center_px) < 0.5 * r.ellipse.semi_minor_px
+                && within(r.ellipse.center_px, d.ellipse.center_px, 0.5 * r.ellipse.semi_minor_px)
                 && d.ellipse.semi_major_px < 0.9 * r.ellipse.semi_minor_px
         })
     });
@@ -427,7 +481,7 @@ fn keep_telling_rejections(detection: &mut Detection) {
     detection.rejections.retain(|r| {
         !discs.iter().any(|d| {
             let radius = mean_radius_px(&d.ellipse);
-            distance(d.ellipse.center_px, r.center_px) < radius.max(r.radius_px.min(4.0 * radius))
+            within(d.ellipse.center_px, r.center_px, radius.max(r.radius_px.min(4.0 * radius)))
         })
     });
 }

@@ -3,6 +3,7 @@
 //! The difference `s - m` (s: binomial blur, sigma 1 px; m: mean of `s` over 9 x 9 px) changes sign at every edge, however uneven
 //! the light: its zero line is the first guess of a contour.
 
+use crate::detect::level::Level;
 use crate::error::{Invalid, Result};
 use crate::image::{GrayView, Samples};
 use crate::lanes::{self, Kernel, Lanes as Width};
@@ -106,6 +107,9 @@ pub(crate) fn noise(view: &GrayView) -> f32 {
     }
     // A few ten thousand pixels fix the median to a per cent.
     let step = ((width * height / 40_000) as f64).sqrt().floor().max(1.0) as usize;
+    if let Samples::U8(s) = view.samples() {
+        return noise_of_bytes(s, view, step);
+    }
     let mut seen = Vec::with_capacity(60_000);
     for v in (1..height - 1).step_by(step) {
         for u in (1..width - 1).step_by(step) {
@@ -120,10 +124,48 @@ pub(crate) fn noise(view: &GrayView) -> f32 {
     *median / (0.6745 * 6.0)
 }
 
+/// The same of bytes, whose differences are few enough to be counted.
+fn noise_of_bytes(grey: &[u8], view: &GrayView, step: usize) -> f32 {
+    let mut counts = vec![0usize; 8 * 255 + 1];
+    for v in (1..view.height() - 1).step_by(step) {
+        let [a, b, c] = [v - 1, v, v + 1].map(|v| &grey[v * view.stride()..][..view.width()]);
+        for u in (1..view.width() - 1).step_by(step) {
+            let sum = |r: &[u8]| i32::from(r[u - 1]) - 2 * i32::from(r[u]) + i32::from(r[u + 1]);
+            counts[(sum(a) - 2 * sum(b) + sum(c)).unsigned_abs() as usize] += 1;
+        }
+    }
+    let middle = counts.iter().sum::<usize>() / 2;
+    ranked(&counts, middle) as f32 / (0.6745 * 6.0)
+}
+
+/// The value that stands at a place of the sorted list, from how often each value occurs.
+fn ranked(counts: &[usize], place: usize) -> usize {
+    let mut sum = 0;
+    let found = counts.iter().position(|count| {
+        sum += count;
+        sum > place
+    });
+    found.unwrap_or(counts.len() - 1)
+}
+
 /// Span of the grey levels without the darkest and brightest thousandth.
 pub(crate) fn range(view: &GrayView) -> f32 {
     let (width, count) = (view.width(), view.width() * view.height());
     let step = (count / 100_000).max(1) | 1;
+    if let Samples::U8(s) = view.samples() {
+        let mut counts = vec![0; 256];
+        let (mut row, mut u) = (0, 0);
+        for _ in (0..count).step_by(step) {
+            counts[usize::from(s[row + u])] += 1;
+            u += step;
+            while u >= width {
+                (row, u) = (row + view.stride(), u - width);
+            }
+        }
+        let number: usize = counts.iter().sum();
+        let cut = number / 1000;
+        return (ranked(&counts, number - 1 - cut) - ranked(&counts, cut)) as f32;
+    }
     let mut seen: Vec<f32> = (0..count).step_by(step).map(|i| view.get(i % width, i / width)).collect();
     let cut = seen.len() / 1000;
     let last = seen.len() - 1;
@@ -134,7 +176,7 @@ pub(crate) fn range(view: &GrayView) -> f32 {
 
 /// An image blurred by the binomial (1 4 6 4 1)/16 in both directions, and the same minus its mean over the window around each pixel;
 /// borders are repeated. One pass: each row is finished while those that it needs are at hand.
-pub(crate) fn smooth_and_field(source: Source) -> (Plane, Plane) {
+fn smooth_and_field(source: Source) -> (Plane, Plane) {
     lanes::run(SmoothAndField(source))
 }
 
@@ -248,11 +290,58 @@ impl BoxMean {
     }
 }
 
+/// One level of the pyramid in floats.
+#[derive(Debug)]
+pub(crate) struct Floats {
+    smooth: Plane,
+    field: Plane,
+}
+
+impl Level for Floats {
+    fn width(&self) -> usize {
+        self.field.width
+    }
+    fn height(&self) -> usize {
+        self.field.height
+    }
+    #[inline]
+    fn smooth(&self, u: usize, v: usize) -> f32 {
+        self.smooth.at(u, v)
+    }
+    #[inline]
+    fn field(&self, u: usize, v: usize) -> f32 {
+        self.field.at(u, v)
+    }
+}
+
+impl Floats {
+    /// Makes a level; `starts` takes the places `v * width + u` where a line runs between `u` and `u + 1` and the grey level changes by more than
+    /// `gradient`, row by row.
+    pub(crate) fn new(source: Source, gradient: f32, starts: &mut Vec<u32>) -> Self {
+        starts.clear();
+        let (smooth, field) = smooth_and_field(source);
+        let mut steep = Vec::new();
+        for v in 0..field.height - 1 {
+            // Gradients are rare, zeros of the field are everywhere: the noise crosses zero all the time.
+            lanes::run(Steep { row: smooth.row(v), gradient, found: &mut steep });
+            let row = field.row(v);
+            let crossed = steep.iter().filter(|u| (row[**u] > 0.0) != (row[**u + 1] > 0.0));
+            starts.extend(crossed.map(|u| (v * field.width + u) as u32));
+        }
+        Self { smooth, field }
+    }
+
+    /// The smoothed image.
+    pub(crate) fn smoothed(&self) -> &Plane {
+        &self.smooth
+    }
+}
+
 /// Finds the places of a row where the grey level changes by more than `gradient` to the next.
-pub(crate) struct Steep<'a> {
-    pub(crate) row: &'a [f32],
-    pub(crate) gradient: f32,
-    pub(crate) found: &'a mut Vec<usize>,
+struct Steep<'a> {
+    row: &'a [f32],
+    gradient: f32,
+    found: &'a mut Vec<usize>,
 }
 
 impl Kernel for Steep<'_> {
@@ -288,6 +377,20 @@ fn repeat_ends(line: &mut [f32], pad: usize) {
 #[allow(clippy::expect_used)]
 mod tests {
     use super::*;
+
+    /// Counted bytes against the sorted list of the same values as floats.
+    #[test]
+    fn noise_and_range_of_bytes_are_those_of_floats() {
+        for (width, height, stride) in [(61, 47, 61), (301, 240, 310), (900, 700, 900)] {
+            let grey: Vec<u8> = (0..stride * height).map(|i| ((i * i / 7) % 83 + 40 * (i % 5)) as u8).collect();
+            let floats: Vec<f32> = grey.iter().map(|x| f32::from(*x)).collect();
+            let bytes = GrayView::new(Samples::U8(&grey), width, height, stride).expect("an image");
+            let floats = GrayView::new(Samples::F32(&floats), width, height, stride).expect("an image");
+            assert!(noise(&bytes) > 1.0 && range(&bytes) > 50.0);
+            assert_eq!(noise(&bytes), noise(&floats));
+            assert_eq!(range(&bytes), range(&floats));
+        }
+    }
 
     /// The pass over rows in rings against sums written out for each pixel.
     #[test]

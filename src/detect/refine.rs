@@ -15,7 +15,7 @@
 
 mod pixels;
 
-use crate::conic::{Ellipse, Frame, fit_geometric_from};
+use crate::conic::{Ellipse, Feet, fit_geometric_from};
 use crate::detect::band::{Band, Reach};
 use crate::detect::contour::Contour;
 use crate::detect::edge_model::{EdgeModel, Solution};
@@ -46,6 +46,7 @@ pub(crate) struct Scratch {
     exact: Exact,
     fine: Contour,
     quick: Quick,
+    feet: Feet,
 }
 
 /// A disc to refine.
@@ -107,7 +108,7 @@ pub(crate) fn refine(
                     (found, sector_edges(s))
                 }
             };
-            return accept(&found, edge, &moved, start, options);
+            return accept(&found, edge, &moved, start, options, &mut s.feet);
         }
         model = moved(&model, s)?;
     }
@@ -363,6 +364,7 @@ fn accept(
     model: &EdgeModel,
     start: &Start,
     options: &DetectOptions,
+    feet: &mut Feet,
 ) -> Result<Disc, RejectionReason> {
     let e = &found.ellipse;
     let fit_edges = |edge: &EdgePoints| {
@@ -374,10 +376,9 @@ fn accept(
     let noise_px2 = edge.sigma_px.iter().map(|s| s * s).sum::<f64>() / count;
     let (mut ellipse, mut covariance, chi2, rms_px) = match &found.covariance {
         Some(covariance) => {
-            let frame = Frame::new(e);
+            feet.find(e, &edge.u_px, &edge.v_px);
             let (mut chi2, mut squares) = (0.0, 0.0);
-            for ((u, v), sigma) in edge.u_px.iter().zip(&edge.v_px).zip(&edge.sigma_px) {
-                let d = frame.foot(*u, *v, None).distance;
+            for (d, sigma) in feet.distance.iter().zip(&edge.sigma_px) {
                 chi2 += d * d / (sigma * sigma);
                 squares += d * d;
             }
@@ -385,6 +386,7 @@ fn accept(
         }
         None => {
             let plain = fit_edges(&edge)?;
+            feet.find(&plain.ellipse, &edge.u_px, &edge.v_px);
             (plain.ellipse, plain.covariance, plain.chi2, plain.rms_px)
         }
     };
@@ -400,13 +402,17 @@ fn accept(
     }
     if chi2 > count - 5.0 {
         // Rough prints and speckle scatter all edge points alike, sharp or blurred: their variance adds to that of the noise.
-        let roughness = roughness_px2(&ellipse, &edge);
+        let roughness = roughness_px2(&ellipse, &edge, &feet.distance);
         if roughness > 0.0 {
-            let plain = fit_edges(&edge)?;
+            let plain = feet.covariance(&ellipse, &edge.sigma_px);
+            let plain = plain.ok_or_else(|| not_elliptical(f64::INFINITY, shape_px))?;
             edge.sigma_px.iter_mut().for_each(|s| *s = (*s * *s + roughness).sqrt());
-            let rough = fit_edges(&edge)?;
-            ellipse = rough.ellipse;
-            covariance += rough.covariance - plain.covariance;
+            let rough = match feet.refit(&ellipse, &edge.u_px, &edge.v_px, &edge.sigma_px) {
+                Some(rough) => rough,
+                None => fit_edges(&edge).map(|fit| (fit.ellipse, fit.covariance))?,
+            };
+            ellipse = rough.0;
+            covariance += rough.1 - plain;
         }
     }
     Ok(Disc {

@@ -3,7 +3,7 @@
 //! Marching squares: a crossing lies on a lattice edge between a positive and a non-positive pixel, placed by linear
 //! interpolation; from cell to cell the line is followed until it closes or leaves the image.
 
-use crate::detect::plane::Plane;
+use crate::detect::level::Level;
 
 /// One zero line; the buffers are reused from line to line.
 #[derive(Debug, Default, Clone)]
@@ -18,10 +18,11 @@ pub(crate) struct Line {
     pub(crate) encloses_positive: bool,
 }
 
-/// Follows zero lines of `field`; remembers which lattice edges it has used.
-pub(crate) struct Tracer<'a> {
-    field: &'a Plane,
-    visited: Vec<bool>,
+/// Follows zero lines of the field of a level; remembers which lattice edges it has used.
+pub(crate) struct Tracer<'a, L> {
+    level: &'a L,
+    /// One bit per lattice edge between a pixel and the next of its row.
+    visited: Vec<u64>,
 }
 
 /// Sides of a cell, clockwise from the top; the cell (u, v) has the pixel (u, v) as its top left corner.
@@ -30,16 +31,16 @@ const RIGHT: u8 = 1;
 const BOTTOM: u8 = 2;
 const LEFT: u8 = 3;
 
-impl<'a> Tracer<'a> {
-    pub(crate) fn new(field: &'a Plane) -> Self {
-        Self { field, visited: vec![false; field.data.len()] }
+impl<'a, L: Level> Tracer<'a, L> {
+    pub(crate) fn new(level: &'a L) -> Self {
+        Self { level, visited: vec![0; (level.width() * level.height()).div_ceil(64)] }
     }
 
-    /// Whether a line crosses between (u, v) and (u + 1, v) that was not followed yet.
+    /// Whether the crossing between (u, v) and (u + 1, v) was not followed yet.
     #[inline]
-    pub(crate) fn fresh_crossing(&self, u: usize, v: usize) -> bool {
-        let i = v * self.field.width + u;
-        (self.field.data[i] > 0.0) != (self.field.data[i + 1] > 0.0) && !self.visited[i]
+    pub(crate) fn fresh(&self, u: usize, v: usize) -> bool {
+        let i = v * self.level.width() + u;
+        (self.visited[i / 64] >> (i % 64)) & 1 == 0
     }
 
     /// Follows the line through the crossing between (u, v) and (u + 1, v) into `line`.
@@ -56,7 +57,7 @@ impl<'a> Tracer<'a> {
             }
             return;
         }
-        let rising = self.field.at(u + 1, v) > 0.0;
+        let rising = self.level.field(u + 1, v) > 0.0;
         line.encloses_positive = (doubled_area(line) < 0.0) == rising;
     }
 
@@ -65,7 +66,7 @@ impl<'a> Tracer<'a> {
         let (mut u, mut v) = start;
         let mut entry = entry;
         loop {
-            if u + 1 >= self.field.width || v + 1 >= self.field.height {
+            if u + 1 >= self.level.width() || v + 1 >= self.level.height() {
                 return false;
             }
             let exit = self.exit(u, v, entry);
@@ -87,8 +88,7 @@ impl<'a> Tracer<'a> {
 
     /// The side through which the line that came in by `entry` leaves.
     fn exit(&self, u: usize, v: usize, entry: u8) -> u8 {
-        let f = self.field;
-        let corner = [f.at(u, v), f.at(u + 1, v), f.at(u + 1, v + 1), f.at(u, v + 1)];
+        let corner = self.level.corners(u, v);
         let positive = corner.map(|x| x > 0.0);
         let crossed = |side: u8| positive[side as usize] != positive[(side as usize + 1) % 4];
         if (0..4).all(crossed) {
@@ -116,9 +116,10 @@ impl<'a> Tracer<'a> {
             _ => ((u, v), (u, v + 1)),
         };
         if a.1 == b.1 {
-            self.visited[a.1 * self.field.width + a.0] = true;
+            let i = a.1 * self.level.width() + a.0;
+            self.visited[i / 64] |= 1 << (i % 64);
         }
-        let (fa, fb) = (self.field.at(a.0, a.1), self.field.at(b.0, b.1));
+        let (fa, fb) = (self.level.field(a.0, a.1), self.level.field(b.0, b.1));
         let t = fa / (fa - fb);
         line.u.push(a.0 as f32 + t * (b.0 as f32 - a.0 as f32));
         line.v.push(a.1 as f32 + t * (b.1 as f32 - a.1 as f32));

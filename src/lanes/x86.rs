@@ -3,6 +3,7 @@
 //! A value of these types is only ever made inside a function compiled for its instructions, which [`super::run`] enters after having
 //! asked the processor: that is what makes each `unsafe` below sound.
 
+use super::x86_singles::{EightSingles, SixteenSingles};
 use super::{Greys, Kernel, Lanes};
 use std::arch::asm;
 use std::arch::x86_64::{
@@ -86,6 +87,7 @@ impl Lanes for Four {
     const N: usize = 4;
     type Mask = __m256d;
     type Greys = Single;
+    type Single = EightSingles;
     #[inline(always)]
     fn splat(x: f64) -> Self {
         // SAFETY: see the head of the file.
@@ -152,6 +154,7 @@ impl Lanes for Eight {
     const N: usize = 8;
     type Mask = __mmask8;
     type Greys = Single;
+    type Single = SixteenSingles;
     #[inline(always)]
     fn splat(x: f64) -> Self {
         // SAFETY: see the head of the file.

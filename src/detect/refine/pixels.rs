@@ -58,7 +58,7 @@ pub(super) fn clean_disc(
     let ellipse = from_regular(&(to_regular(&state.ellipse) + change))?;
     let edge = edges(&s.fine, &s.quick.shares, None, &change, s.quick.widen());
     let covariance = Some(covariance_from_regular(&to_regular(&ellipse), s.quick.covariance()));
-    Some(accept(&Found { ellipse, blur_px: state.blur_px, covariance }, edge, &model, start, options))
+    Some(accept(&Found { ellipse, blur_px: state.blur_px, covariance }, edge, &model, start, options, &mut s.feet))
 }
 
 /// Least distance of an ellipse from a contour beside it, px.
@@ -98,7 +98,7 @@ fn edges(
         let shift = share.shift_px() - (0..5).map(|i| contour.row[k][i] * change[i]).sum::<f64>();
         edge.u_px.push(contour.u[k] + shift * contour.normal_u[k]);
         edge.v_px.push(contour.v[k] + shift * contour.normal_v[k]);
-        edge.sigma_px.push(widen * share.information.powf(-0.5));
+        edge.sigma_px.push(widen / share.information.sqrt());
     }
     edge
 }

@@ -1,0 +1,32 @@
+//! One size of the image, as lines are followed and judged on it.
+
+/// Smoothed grey levels and the field whose zero lines are the first guess of contours.
+pub(crate) trait Level {
+    /// Width, px.
+    fn width(&self) -> usize;
+    /// Height, px.
+    fn height(&self) -> usize;
+    /// Smoothed grey level at a pixel, grey.
+    fn smooth(&self, u: usize, v: usize) -> f32;
+    /// Bilinear grey level, border repeated.
+    #[inline]
+    fn grey(&self, u_px: f64, v_px: f64) -> f64 {
+        let (width, height) = (self.width(), self.height());
+        let (u, v) = (u_px.clamp(0.0, width as f64 - 1.001), v_px.clamp(0.0, height as f64 - 1.001));
+        let (i, j) = (u as usize, v as usize);
+        let (fu, fv) = (u - i as f64, v - j as f64);
+        let [[a, b], [c, d]] = self.square(i, j);
+        (1.0 - fv) * ((1.0 - fu) * a + fu * b) + fv * ((1.0 - fu) * c + fu * d)
+    }
+    /// Smoothed grey levels at (u, v), (u + 1, v) and in the row below.
+    fn square(&self, u: usize, v: usize) -> [[f64; 2]; 2] {
+        [v, v + 1].map(|v| [u, u + 1].map(|u| f64::from(self.smooth(u, v))))
+    }
+    /// The field at (u, v), (u + 1, v), (u + 1, v + 1), (u, v + 1).
+    #[inline]
+    fn corners(&self, u: usize, v: usize) -> [f32; 4] {
+        [self.field(u, v), self.field(u + 1, v), self.field(u + 1, v + 1), self.field(u, v + 1)]
+    }
+    /// Its difference from the local mean, in a unit that is the same all over the image.
+    fn field(&self, u: usize, v: usize) -> f32;
+}

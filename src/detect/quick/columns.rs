@@ -1,0 +1,569 @@
+//! Columns of the pixels near the edge and their products, sixteen pixels at a time in single precision.
+//!
+//! The grey values come less what the model already says, so that single precision is precise enough: sums of what is left are as wrong
+//! as their last digit, seven digits below what is left. The formulas are those of [`crate::conic`]'s foot points and of
+//! [`crate::detect::profile`], which stay the plain path (`columns_are_those_of_the_plain_profile`).
+
+use super::{LIGHTS, M, N, PRODUCTS, place};
+use crate::conic::Frame;
+use crate::lanes::{Kernel, Lanes, SINGLES, Singles, sum_of_singles};
+
+/// Pixels whose columns are stored before their products are taken; a multiple of [`SINGLES`].
+pub(super) const BLOCK: usize = 128;
+/// Places in a group.
+const FIRST: [f32; SINGLES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
+/// Newton steps of a foot point at most.
+const STEPS: usize = 6;
+
+/// Pixels near the edge, in the frame of the axes. The lists only ever grow: what follows the pixels that count is of no meaning, and
+/// finite.
+#[derive(Debug, Default)]
+pub(super) struct Near {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    grey: Vec<f32>,
+    /// Pixels that count; they come first.
+    pub(super) count: usize,
+}
+
+impl Near {
+    pub(super) fn clear(&mut self) {
+        self.count = 0;
+    }
+
+    /// Room for `more` pixels, which count from now on: `x`, `y`, grey value.
+    #[inline(always)]
+    pub(super) fn take(&mut self, more: usize) -> [&mut [f32]; 3] {
+        let (old, new) = (self.count, self.count + more);
+        if self.grey.len() < new {
+            let room = (2 * new).div_ceil(SINGLES) * SINGLES;
+            for list in [&mut self.x, &mut self.y, &mut self.grey] {
+                list.resize(room, 0.0);
+            }
+        }
+        self.count = new;
+        [&mut self.x[old..new], &mut self.y[old..new], &mut self.grey[old..new]]
+    }
+
+    /// Fills up to a multiple of [`SINGLES`] with pixels on the contour at `(a, 0)`.
+    pub(super) fn fill_up(&mut self, a: f64) {
+        let (count, n) = (self.count, self.padded());
+        if n > count {
+            // The lists have a multiple of as many places.
+            self.x[count..n].fill(a as f32);
+            self.y[count..n].fill(0.0);
+            self.grey[count..n].fill(0.0);
+        }
+    }
+
+    /// The number of pixels, filled up.
+    fn padded(&self) -> usize {
+        self.count.div_ceil(SINGLES) * SINGLES
+    }
+}
+
+/// What the pixels are seen through.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Lens {
+    pub(super) blur_px: f64,
+    /// Noise variance inside and outside, grey^2.
+    pub(super) variance: [f64; 2],
+    /// Level and slopes of the light inside and outside, grey.
+    pub(super) light: [f64; LIGHTS],
+}
+
+/// The columns, block by block, each times the root of its weight; what is left of the grey value last.
+#[derive(Debug)]
+pub(super) struct Columns {
+    pub(super) values: Vec<[[f32; BLOCK]; M]>,
+    /// Derivative of the grey value by the distance from the edge, times the root of the weight.
+    pub(super) response: Vec<f32>,
+    /// Angle of the foot point on the diamond, see [`crate::detect::contour`].
+    pub(super) diamond: Vec<f32>,
+    /// What is left of the grey value, over the noise, once [`Left`] has run.
+    pub(super) left: Vec<f32>,
+    /// Sums of products of two columns.
+    pub(super) gram: [f64; PRODUCTS],
+}
+
+impl Default for Columns {
+    fn default() -> Self {
+        Self { values: vec![], response: vec![], diamond: vec![], left: vec![], gram: [0.0; PRODUCTS] }
+    }
+}
+
+/// Makes the columns and takes their products.
+pub(super) struct SumUp<'a> {
+    pub(super) near: &'a Near,
+    pub(super) frame: &'a Frame,
+    pub(super) lens: &'a Lens,
+    pub(super) out: &'a mut Columns,
+}
+
+impl Kernel for SumUp<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        self.of::<L::Single>();
+    }
+}
+
+impl SumUp<'_> {
+    #[inline(always)]
+    fn of<S: Singles>(self) {
+        let n = self.near.padded();
+        let blocks = n.div_ceil(BLOCK);
+        if self.out.values.len() < blocks {
+            self.out.values.resize(blocks, [[0.0; BLOCK]; M]);
+        }
+        if self.out.response.len() < n {
+            self.out.response.resize(n, 0.0);
+            self.out.diamond.resize(n, 0.0);
+        }
+        let count = S::splat(self.near.count as f32);
+        let seen = Seen::<S>::new(self.frame, self.lens);
+        let mut sums = [[0.0; SINGLES]; PRODUCTS];
+        for block in 0..blocks {
+            let from = block * BLOCK;
+            let m = (n - from).min(BLOCK);
+            let values = &mut self.out.values[block];
+            let mut i = 0;
+            while i < m {
+                let at = from + i;
+                let (x, y) = (S::load(&self.near.x[at..]), S::load(&self.near.y[at..]));
+                let grey = S::load(&self.near.grey[at..]);
+                // Single precision counts up to 16 million pixels.
+                let index = S::splat(at as f32) + S::load(&FIRST);
+                let shown = S::select(index.below(count), S::splat(1.0), S::splat(0.0));
+                let (columns, response, diamond) = seen.pixel(x, y, grey, shown);
+                for k in 0..M {
+                    columns[k].store(&mut values[k][i..]);
+                }
+                response.store(&mut self.out.response[at..]);
+                diamond.store(&mut self.out.diamond[at..]);
+                i += S::N;
+            }
+            products::<S>(values, m, &mut sums);
+        }
+        for k in 0..PRODUCTS {
+            self.out.gram[k] = sum_of_singles(&sums[k]);
+        }
+    }
+}
+
+/// What the columns times the unknowns `found` leave of the first `count` grey values.
+pub(super) struct Left<'a> {
+    pub(super) columns: &'a mut Columns,
+    pub(super) found: &'a [f64; N],
+    pub(super) count: usize,
+}
+
+impl Kernel for Left<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Columns { values, left, .. } = self.columns;
+        let n = self.count.div_ceil(SINGLES) * SINGLES;
+        if left.len() < n {
+            left.resize(n, 0.0);
+        }
+        let mut at = 0;
+        while at < n {
+            let (block, i) = (&values[at / BLOCK], at % BLOCK);
+            let mut sum = L::Single::load(&block[N][i..]);
+            for k in 0..N {
+                sum = sum - L::Single::splat(self.found[k] as f32) * L::Single::load(&block[k][i..]);
+            }
+            sum.store(&mut left[at..]);
+            at += L::Single::N;
+        }
+    }
+}
+
+/// Adds the products of the first `m` pixels of a block, tile by tile: numbers once loaded serve a whole tile.
+#[inline(always)]
+fn products<S: Singles>(values: &[[f32; BLOCK]; M], m: usize, sums: &mut [[f32; SINGLES]; PRODUCTS]) {
+    tile::<S, 3, 4>(values, m, 0, 0, sums);
+    tile::<S, 3, 4>(values, m, 3, 0, sums);
+    tile::<S, 3, 4>(values, m, 3, 4, sums);
+    tile::<S, 3, 4>(values, m, 6, 0, sums);
+    tile::<S, 3, 4>(values, m, 6, 4, sums);
+    tile::<S, 3, 4>(values, m, 6, 8, sums);
+    tile::<S, 3, 4>(values, m, 9, 0, sums);
+    tile::<S, 3, 4>(values, m, 9, 4, sums);
+    tile::<S, 3, 4>(values, m, 9, 8, sums);
+    tile::<S, 1, 7>(values, m, 12, 0, sums);
+    tile::<S, 1, 6>(values, m, 12, 7, sums);
+}
+
+/// Products of `A` columns from `first` on with `B` columns from `second` on.
+#[inline(always)]
+fn tile<S: Singles, const A: usize, const B: usize>(
+    values: &[[f32; BLOCK]; M],
+    m: usize,
+    first: usize,
+    second: usize,
+    sums: &mut [[f32; SINGLES]; PRODUCTS],
+) {
+    let m = m.min(BLOCK);
+    let mut part = 0;
+    while part < SINGLES {
+        let mut sum = [[S::splat(0.0); B]; A];
+        let mut at = part;
+        while at < m {
+            let mut b = [S::splat(0.0); B];
+            for l in 0..B {
+                b[l] = S::load(&values[second + l][at..]);
+            }
+            for k in 0..A {
+                let a = S::load(&values[first + k][at..]);
+                for l in 0..B {
+                    sum[k][l] = sum[k][l] + a * b[l];
+                }
+            }
+            at += SINGLES;
+        }
+        for k in 0..A {
+            for l in 0..B {
+                if second + l <= first + k {
+                    let place = &mut sums[place(first + k, second + l)][part..];
+                    (S::load(place) + sum[k][l]).store(place);
+                }
+            }
+        }
+        part += S::N;
+    }
+}
+
+/// The ellipse, its blur and its light, in every lane.
+struct Seen<S> {
+    a: S,
+    b: S,
+    inverse_a: S,
+    inverse_b: S,
+    ab: S,
+    e2: S,
+    cos: S,
+    sin: S,
+    cos2: S,
+    sin2: S,
+    blur: S,
+    inverse_blur: S,
+    variance: [S; 2],
+    light: [S; LIGHTS],
+}
+
+/// A foot point.
+struct Foot<S> {
+    cos: S,
+    sin: S,
+    distance: S,
+    /// One over `((b cos)^2 + (a sin)^2)^(1/2)`.
+    inverse: S,
+}
+
+/// The profile of the edge at a pixel.
+struct Edge<S> {
+    inside: S,
+    slope: S,
+    by_blur: S,
+}
+
+impl<S: Singles> Seen<S> {
+    #[inline(always)]
+    fn new(frame: &Frame, lens: &Lens) -> Self {
+        let one = |x: f64| S::splat(x as f32);
+        let mut light = [S::splat(0.0); LIGHTS];
+        for k in 0..LIGHTS {
+            light[k] = one(lens.light[k]);
+        }
+        Self {
+            a: one(frame.a),
+            b: one(frame.b),
+            inverse_a: one(1.0 / frame.a),
+            inverse_b: one(1.0 / frame.b),
+            ab: one(frame.a * frame.b),
+            e2: one(frame.a * frame.a - frame.b * frame.b),
+            cos: one(frame.cos),
+            sin: one(frame.sin),
+            cos2: one(frame.cos2),
+            sin2: one(frame.sin2),
+            blur: one(lens.blur_px),
+            inverse_blur: one(1.0 / lens.blur_px),
+            variance: [one(lens.variance[0]), one(lens.variance[1])],
+            light,
+        }
+    }
+
+    /// Columns, response and angle on the diamond of a pixel.
+    #[inline(always)]
+    fn pixel(&self, x: S, y: S, grey: S, shown: S) -> ([S; M], S, S) {
+        let one = S::splat(1.0);
+        let foot = self.foot(x, y);
+        let edge = self.edge(&foot);
+        let (c, s, inverse) = (foot.cos, foot.sin, foot.inverse);
+        let (nx, ny) = (self.b * c * inverse, self.a * s * inverse);
+        let (p, slope) = (edge.inside, edge.slope);
+        let q = one - p;
+        let root = shown / (self.variance[0] * p + self.variance[1] * q).sqrt();
+        let (px, py) = (x * self.inverse_a, y * self.inverse_b);
+        let moved = self.blur * self.blur * slope;
+        let (bx, by) = (px * p + moved * nx * self.inverse_a, py * p + moved * ny * self.inverse_b);
+        let (ox, oy) = (px - bx, py - by);
+        let light = &self.light;
+        let step = (light[0] - light[3]) + (light[1] - light[4]) * c + (light[2] - light[5]) * s;
+        let h = root * step * slope;
+        let (da, db) = (-(nx * c), -(ny * s));
+        let (along, across) = (da - db, -((self.a + self.b) * c * s * inverse));
+        let model = (light[0] * p + light[1] * bx + light[2] * by) + (light[3] * q + light[4] * ox + light[5] * oy);
+        let columns = [
+            root * p,
+            root * bx,
+            root * by,
+            root * q,
+            root * ox,
+            root * oy,
+            root * step * edge.by_blur,
+            -(h * (self.cos * nx - self.sin * ny)),
+            -(h * (self.sin * nx + self.cos * ny)),
+            h * (da + db),
+            h * (self.cos2 * along - self.sin2 * across),
+            h * (self.sin2 * along + self.cos2 * across),
+            root * (grey - model),
+        ];
+        (columns, h, diamond(c, s))
+    }
+
+    /// Newton steps on the eccentric angle held as a unit vector; each lane ends by itself, so that its bits do not hang on the others.
+    #[inline(always)]
+    fn foot(&self, x: S, y: S) -> Foot<S> {
+        let (zero, one, half) = (S::splat(0.0), S::splat(1.0), S::splat(0.5));
+        let (a, b, e2) = (self.a, self.b, self.e2);
+        let (p, q) = (x * b, y * a);
+        let scale = one / (p * p + q * q).sqrt().at_least(S::splat(1e-30));
+        let (mut c, mut s) = (p * scale, q * scale);
+        let (ax, by) = (x * a, y * b);
+        let mut left = one;
+        for _ in 0..STEPS {
+            let f = e2 * c * s - ax * s + by * c;
+            let df = e2 * (c * c - s * s) - ax * c - by * s;
+            let t = S::select(df.below(zero), -(f / df), zero).at_least(-half).at_most(half) * left;
+            // 1 / (1 + t^2)^(1/2) to the last digit for small turns; after large ones the vector is set to length one at the end.
+            let t2 = t * t;
+            let inverse = one - half * t2 * (one - S::splat(0.75) * t2);
+            let turned = (c - t * s) * inverse;
+            s = (s + t * c) * inverse;
+            c = turned;
+            let still = t.size().below(S::splat(1e-3));
+            left = S::select(still, zero, left);
+            if S::all(still) {
+                break;
+            }
+        }
+        let length = one / (c * c + s * s).sqrt();
+        (c, s) = (c * length, s * length);
+        let (bc, sa) = (b * c, a * s);
+        let inverse = one / (bc * bc + sa * sa).sqrt();
+        let distance = ((x - a * c) * bc + (y - b * s) * sa) * inverse;
+        Foot { cos: c, sin: s, distance, inverse }
+    }
+
+    /// The profile, its derivatives by distance and blur.
+    #[inline(always)]
+    fn edge(&self, foot: &Foot<S>) -> Edge<S> {
+        let number = |x: f32| S::splat(x);
+        let (one, half) = (number(1.0), number(0.5));
+        let (blur, i1) = (self.blur, foot.inverse);
+        let i2 = i1 * i1;
+        let i4 = i2 * i2;
+        let s2 = blur * blur;
+        let kappa = self.ab * i1 * i2;
+        let turned = self.e2 * foot.sin * foot.cos;
+        // kappa'^2 = (3 ab e2 s c / N^6)^2, over kappa = ab / N^3.
+        let turn2_over_kappa = number(9.0) * self.ab * (turned * turned) * i4 * i4 * i1;
+        let c4 = number(0.125) * self.ab * i4 * i1 + number(5.0 / 72.0) * turn2_over_kappa;
+        let eps = kappa * blur;
+        let mean = half * eps + number(3.0) * c4 * s2 * blur;
+        let bends = (number(12.0) * c4 + number(5.0 / 12.0) * turn2_over_kappa) * kappa * s2 * s2;
+        let variance = one + half * eps * eps + bends;
+        let r = one / variance.sqrt();
+        let d = foot.distance * self.inverse_blur;
+        let y = (d + mean) * r;
+        let (tail, f) = normal_tail(y);
+        let y2 = y * y;
+        let bent = eps * r;
+        let third = bent * bent * bent * number(1.0 / 6.0);
+        let fourth = number(0.125) * (bent * bent) * (bent * bent);
+        let sixth = half * third * third;
+        let (he2, he3) = (y2 - one, y * (y2 - number(3.0)));
+        let he4 = y2 * (y2 - number(6.0)) + number(3.0);
+        let he5 = y * (y2 * (y2 - number(10.0)) + number(15.0));
+        let he6 = y2 * (y2 * (y2 - number(15.0)) + number(45.0)) - number(15.0);
+        let inside = tail + f * (fourth * he3 - third * he2 + sixth * he5);
+        let shape = one - third * he3 + fourth * he4 + sixth * he6;
+        let slope = -(f * shape * r * self.inverse_blur);
+        let variance_by_blur = (eps * eps + number(4.0) * bends) * self.inverse_blur;
+        let mean_by_blur = half * kappa + number(9.0) * c4 * s2;
+        let widening = half * variance_by_blur * r * r;
+        let y_by_blur = (mean_by_blur - d * self.inverse_blur) * r - y * widening;
+        let bends = number(4.0) * fourth * he3 - number(3.0) * third * he2 + number(6.0) * sixth * he5;
+        let by_blur = f * ((self.inverse_blur - widening) * bends - shape * y_by_blur);
+        Edge { inside, slope, by_blur }
+    }
+}
+
+/// `(Phi(-z), phi(z))` of the normal distribution, as [`crate::detect::sectors::normal_tails`].
+#[inline(always)]
+fn normal_tail<S: Singles>(z: S) -> (S, S) {
+    let number = |x: f32| S::splat(x);
+    let x = (z.size() * number(std::f32::consts::FRAC_1_SQRT_2)).at_most(number(6.0));
+    let gauss = exp_of_negative(-(x * x));
+    let t = number(1.0) / (number(1.0) + number(0.327_591_1) * x);
+    let poly = t
+        * (number(0.254_829_6)
+            + t * (number(-0.284_496_74)
+                + t * (number(1.421_413_7) + t * (number(-1.453_152) + t * number(1.061_405_4)))));
+    let half = number(0.5) * poly * gauss;
+    let tail = S::select(number(0.0).below(z), half, number(1.0) - half);
+    (tail, number(0.398_942_3) * gauss)
+}
+
+/// `exp(x)` for `-40 <= x <= 0`: `2^n` times the power series on `|r| <= ln 2 / 2`.
+#[inline(always)]
+fn exp_of_negative<S: Singles>(x: S) -> S {
+    let number = |x: f32| S::splat(x);
+    // Adding 1.5 * 2^23 rounds to the nearest whole number.
+    let round = number(12_582_912.0);
+    let n = (x * number(std::f32::consts::LOG2_E) + round) - round;
+    let r = (x - n * number(0.693_359_4)) - n * number(-2.121_944_4e-4);
+    let series = number(1.0)
+        + r * (number(1.0)
+            + r * (number(0.5)
+                + r * (number(1.0 / 6.0)
+                    + r * (number(1.0 / 24.0) + r * (number(1.0 / 120.0) + r * number(1.0 / 720.0))))));
+    series * n.power_of_two()
+}
+
+/// Angle on the diamond, 0 to 4, as [`crate::detect::contour::diamond`].
+#[inline(always)]
+fn diamond<S: Singles>(c: S, s: S) -> S {
+    let zero = S::splat(0.0);
+    let x = s / (c.size() + s.size());
+    let right = S::select(s.below(zero), S::splat(4.0) + x, x);
+    S::select(c.below(zero), S::splat(2.0) - x, right)
+}
+
+const _: () = assert!(N + 1 == M && M == 13, "the tiles cover thirteen columns");
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::conic::Ellipse;
+    use crate::detect::contour;
+    use crate::detect::profile::Profile;
+    use crate::frames::Pixel;
+    use crate::lanes::run_all;
+
+    fn near(e: &Ellipse, reach: f64) -> Near {
+        let frame = Frame::new(e);
+        let mut near = Near::default();
+        for (i, j) in (-40..=40).flat_map(|i| (-40..=40).map(move |j| (i, j))) {
+            let (x, y) = (f64::from(i) + 0.3, f64::from(j) - 0.1);
+            let q = (x / frame.a).hypot(y / frame.b);
+            if (q - 1.0).abs() * frame.b < reach {
+                let [u, v, grey] = near.take(1);
+                (u[0], v[0]) = (x as f32, y as f32);
+                grey[0] = (100.0 * (1.0 - q) + f64::from((i * 7 + j * 3) % 5)) as f32;
+            }
+        }
+        near.fill_up(frame.a);
+        near
+    }
+
+    const CASES: [(f64, f64, f64); 4] = [(13.0, 11.0, 1.0), (30.0, 12.0, 1.3), (36.0, 35.9, 0.5), (5.0, 4.0, 0.7)];
+
+    fn case((a, b, blur_px): (f64, f64, f64)) -> (Ellipse, Lens) {
+        let e = Ellipse { center_px: Pixel::new(0.0, 0.0), semi_major_px: a, semi_minor_px: b, angle_rad: 0.4 };
+        (e, Lens { blur_px, variance: [2.0, 3.0], light: [80.0, 4.0, -3.0, 10.0, 1.0, 2.0] })
+    }
+
+    #[derive(Clone)]
+    struct Summed<'a>(&'a Near, &'a Ellipse, Lens);
+    impl Kernel for Summed<'_> {
+        type Output = Columns;
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> Columns {
+            let mut out = Columns::default();
+            let frame = Frame::new(self.1);
+            SumUp { near: self.0, frame: &frame, lens: &self.2, out: &mut out }.run::<L>();
+            out
+        }
+    }
+
+    #[test]
+    fn columns_are_those_of_the_plain_profile() {
+        for of in CASES {
+            let (e, lens) = case(of);
+            let near = near(&e, 3.5 * of.2);
+            let columns = run_all(&Summed(&near, &e, lens)).remove(0);
+            let frame = Frame::new(&e);
+            let profile = Profile { blur_px: of.2, a: frame.a, b: frame.b };
+            let mut gram = [0.0; PRODUCTS];
+            assert!(near.count > 50);
+            for i in 0..near.count {
+                let (x, y) = (f64::from(near.x[i]), f64::from(near.y[i]));
+                let feet = frame.feet(&[x], &[y]);
+                let (c, s) = (feet.cos[0], feet.sin[0]);
+                let lanes = profile.at(&feet.distance, &feet.cos, &feet.sin);
+                let on = frame.on_contour(c, s);
+                let (p, slope) = (lanes.inside[0], lanes.slope[0]);
+                let root = 1.0 / (lens.variance[0] * p + lens.variance[1] * (1.0 - p)).sqrt();
+                let s2 = of.2 * of.2;
+                let (bx, by) = (x / frame.a * p + s2 * slope * on.climb[0], y / frame.b * p + s2 * slope * on.climb[1]);
+                let base = [p, bx, by, 1.0 - p, x / frame.a - bx, y / frame.b - by];
+                let l = lens.light;
+                let step = (l[0] - l[3]) + (l[1] - l[4]) * c + (l[2] - l[5]) * s;
+                let model: f64 = base.iter().zip(&l).map(|(b, l)| b * l).sum();
+                let mut plain = [0.0; M];
+                for k in 0..LIGHTS {
+                    plain[k] = root * base[k];
+                }
+                plain[LIGHTS] = root * step * lanes.by_blur[0];
+                for k in 0..5 {
+                    plain[LIGHTS + 1 + k] = root * step * slope * on.row[k];
+                }
+                plain[N] = root * (f64::from(near.grey[i]) - model);
+                for k in 0..M {
+                    let value = f64::from(columns.values[i / BLOCK][k][i % BLOCK]);
+                    assert!((value - plain[k]).abs() < 1e-3, "{of:?} pixel {i}, {k}: {value} {}", plain[k]);
+                }
+                assert!((f64::from(columns.response[i]) - root * step * slope).abs() < 1e-3);
+                assert!((f64::from(columns.diamond[i]) - contour::diamond(c, s)).abs() < 1e-5);
+                for a in 0..M {
+                    for b in 0..=a {
+                        gram[place(a, b)] += plain[a] * plain[b];
+                    }
+                }
+            }
+            for (a, b) in (0..M).flat_map(|a| (0..=a).map(move |b| (a, b))) {
+                let size = (gram[place(a, a)] * gram[place(b, b)]).sqrt();
+                let (found, plain) = (columns.gram[place(a, b)], gram[place(a, b)]);
+                assert!((found - plain).abs() < 2e-6 * size, "{of:?} {a} {b}: {found} {plain} of {size}");
+            }
+        }
+    }
+
+    #[test]
+    fn any_width_gives_the_same_bits() {
+        for of in CASES {
+            let (e, lens) = case(of);
+            let near = near(&e, 3.5 * of.2);
+            let all = run_all(&Summed(&near, &e, lens));
+            for one in &all {
+                assert_eq!(one.gram.map(f64::to_bits), all[0].gram.map(f64::to_bits));
+                assert_eq!(one.diamond[..near.count], all[0].diamond[..near.count]);
+                assert_eq!(one.response[..near.count], all[0].response[..near.count]);
+            }
+        }
+    }
+}

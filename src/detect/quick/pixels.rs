@@ -1,0 +1,338 @@
+//! The pixels of one disc: those near its edge one by one, those beside it as sums over rows.
+
+use super::columns::Near;
+use crate::conic::Frame;
+use crate::image::{GrayView, Samples};
+use crate::lanes::{Kernel, Lanes};
+use nalgebra::{Matrix3, Vector3};
+
+/// A stretch of one row on one side of the edge; places relative to the reference pixel.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Run {
+    pub(super) v: f64,
+    /// Number of pixels, sum of their columns, sum of their grey values.
+    pub(super) n: f64,
+    pub(super) u: f64,
+    pub(super) g: f64,
+}
+
+/// Sums over all stretches of one side.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Sums {
+    n: f64,
+    u: f64,
+    v: f64,
+    uu: f64,
+    uv: f64,
+    vv: f64,
+    g: f64,
+    gu: f64,
+    gv: f64,
+    gg: f64,
+    /// Squared differences of neighbours, and how many: light that varies smoothly leaves them alone.
+    dd: f64,
+    pairs: f64,
+}
+
+impl Sums {
+    /// Sums of products of `(1, u, v)`.
+    pub(super) fn matrix(&self) -> Matrix3<f64> {
+        Matrix3::new(self.n, self.u, self.v, self.u, self.uu, self.uv, self.v, self.uv, self.vv)
+    }
+
+    /// The same with the grey value, and its squares.
+    pub(super) fn right(&self) -> (Vector3<f64>, f64) {
+        (Vector3::new(self.g, self.gu, self.gv), self.gg)
+    }
+
+    /// Mean grey value; none where there is no pixel.
+    pub(super) fn mean(&self) -> Option<f64> {
+        (self.n > 0.0).then(|| self.g / self.n)
+    }
+
+    /// Noise variance about a plane, not below `floor`: `Ok(None)` where there are too few pixels, an error where rows differ more than
+    /// neighbours do.
+    pub(super) fn noise(&self, floor: f64) -> Result<Option<f64>, ()> {
+        if self.n < 16.0 {
+            return Ok(None);
+        }
+        let (right, squares) = self.right();
+        let x = self.matrix().cholesky().ok_or(())?.solve(&right);
+        let about_plane = (squares - right.dot(&x)).max(0.0) / (self.n - 3.0);
+        let pairs = self.pairs.max(1.0);
+        let of_neighbours = 0.5 * self.dd / pairs;
+        if about_plane > of_neighbours.max(floor) * (1.25 + 5.0 * (2.0 / pairs).sqrt()) {
+            return Err(());
+        }
+        Ok(Some(about_plane))
+    }
+}
+
+/// The pixels of one disc, buffers reused from disc to disc.
+#[derive(Debug, Default)]
+pub(super) struct Pixels {
+    pub(super) near: Near,
+    pub(super) runs: [Vec<Run>; 2],
+    pub(super) sums: [Sums; 2],
+    /// The reference pixel, and its grey value, which is subtracted from all.
+    pub(super) reference: (f64, f64),
+    ground: f64,
+}
+
+/// How far from the ellipse which pixels are taken, px; every `thin`-th row only.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Rings {
+    pub(super) near: f64,
+    pub(super) inner: f64,
+    pub(super) outer: f64,
+    pub(super) thin: usize,
+}
+
+/// Takes the pixels within `near` of the ellipse one by one, those within `inner` and `outer` of it by rows; false near the border.
+pub(super) struct Collect<'a> {
+    pub(super) view: &'a GrayView<'a>,
+    pub(super) frame: &'a Frame,
+    pub(super) rings: Rings,
+    pub(super) out: &'a mut Pixels,
+}
+
+/// Where rows cut an ellipse around the centre: `shear dv -+ (reach^2 - (fall dv)^2)^(1/2)`.
+#[derive(Debug, Clone, Copy, Default)]
+struct Cut {
+    shear: f64,
+    reach2: f64,
+    fall2: f64,
+}
+
+impl Cut {
+    fn new(frame: &Frame, a: f64, b: f64) -> Self {
+        if !(a > 0.0 && b > 0.0) {
+            return Self { shear: 0.0, reach2: -1.0, fall2: 0.0 };
+        }
+        let (ia, ib) = (1.0 / (a * a), 1.0 / (b * b));
+        let m00 = frame.cos * frame.cos * ia + frame.sin * frame.sin * ib;
+        let m01 = frame.cos * frame.sin * (ia - ib);
+        Self { shear: -m01 / m00, reach2: 1.0 / m00, fall2: ia * ib / (m00 * m00) }
+    }
+
+    /// First column and the one behind the last.
+    #[inline(always)]
+    fn span(&self, u0: f64, dv: f64) -> (usize, usize) {
+        let square = self.reach2 - self.fall2 * dv * dv;
+        if !(square >= 0.0) {
+            return (0, 0);
+        }
+        let (middle, half) = (u0 + self.shear * dv, square.sqrt());
+        // Columns are not negative; the conversion cuts what follows the point.
+        let (low, high) = (middle - half, middle + half);
+        let first = low as usize;
+        (first + usize::from((first as f64) < low), high as usize + 1)
+    }
+}
+
+impl Kernel for Collect<'_> {
+    type Output = bool;
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> bool {
+        let (frame, rings) = (self.frame, self.rings);
+        // The parallel curve of an ellipse lies inside the ellipse with both axes grown by this much.
+        let bulge = (frame.a + frame.b) / (2.0 * (frame.a * frame.b).sqrt());
+        let near = rings.near * bulge;
+        let outer = rings.outer.max(near);
+        let (a, b) = (frame.a + outer, frame.b + outer);
+        let half_height = ((a * frame.sin) * (a * frame.sin) + (b * frame.cos) * (b * frame.cos)).sqrt();
+        let half_width = ((a * frame.cos) * (a * frame.cos) + (b * frame.sin) * (b * frame.sin)).sqrt();
+        let (u_last, v_last) = (self.view.width() as f64 - 1.0, self.view.height() as f64 - 1.0);
+        let (top, bottom) = (frame.v0 - half_height, frame.v0 + half_height);
+        if top <= 0.0 || bottom >= v_last || frame.u0 - half_width <= 0.0 || frame.u0 + half_width >= u_last {
+            return false;
+        }
+        let out = self.out;
+        out.near.clear();
+        out.runs[0].clear();
+        out.runs[1].clear();
+        out.sums = [Sums::default(); 2];
+        out.reference = ((frame.u0 as usize) as f64, (frame.v0 as usize) as f64);
+        out.ground = f64::from(self.view.get(frame.u0 as usize, frame.v0 as usize));
+        // Outside, outside and inside of the near band, and the hole.
+        let far = Cut::new(frame, a, b);
+        let band = Cut::new(frame, frame.a + near, frame.b + near);
+        let core = Cut::new(frame, frame.a - near, frame.b - near);
+        let hole = Cut::new(frame, frame.a - rings.inner, frame.b - rings.inner);
+        for v in (top.ceil() as usize..=bottom.floor() as usize).step_by(rings.thin) {
+            let dv = v as f64 - frame.v0;
+            let (far, band) = (far.span(frame.u0, dv), band.span(frame.u0, dv));
+            let (core, hole) = (core.span(frame.u0, dv), hole.span(frame.u0, dv));
+            for (from, to) in without(far, band) {
+                out.run(self.view, 1, v, from, to);
+            }
+            for (from, to) in without(band, core) {
+                out.take(self.view, frame, v, from, to);
+            }
+            for (from, to) in without(core, hole) {
+                out.run(self.view, 0, v, from, to);
+            }
+        }
+        out.near.fill_up(frame.a);
+        true
+    }
+}
+
+/// Columns of `whole` that are not in `hole`.
+#[inline(always)]
+fn without(whole: (usize, usize), hole: (usize, usize)) -> [(usize, usize); 2] {
+    if hole.0 < hole.1 { [(whole.0, hole.0), (hole.1, whole.1)] } else { [whole, (0, 0)] }
+}
+
+impl Pixels {
+    /// Sums up a stretch of one side.
+    #[inline(always)]
+    fn run(&mut self, view: &GrayView, side: usize, v: usize, from: usize, to: usize) {
+        if from >= to {
+            return;
+        }
+        let at = v * view.stride();
+        let of = match view.samples() {
+            Samples::U8(s) => whole_sums_of(&s[at + from..at + to], self.ground),
+            Samples::U16(s) => whole_sums_of(&s[at + from..at + to], self.ground),
+            Samples::F32(s) => sums_of(&s[at + from..at + to], self.ground),
+        };
+        let [g, gi, gg, dd] = of;
+        let n = (to - from) as f64;
+        let (first, v) = (from as f64 - self.reference.0, v as f64 - self.reference.1);
+        // Sums of i and i^2 from the first column on.
+        let (s1, s2) = (0.5 * n * (n - 1.0), n * (n - 1.0) * (2.0 * n - 1.0) / 6.0);
+        let u = s1 + n * first;
+        let sums = &mut self.sums[side];
+        sums.n += n;
+        sums.u += u;
+        sums.v += n * v;
+        sums.uu += s2 + 2.0 * first * s1 + n * first * first;
+        sums.uv += u * v;
+        sums.vv += n * v * v;
+        sums.g += g;
+        sums.gu += gi + first * g;
+        sums.gv += g * v;
+        sums.gg += gg;
+        sums.dd += dd;
+        sums.pairs += n - 1.0;
+        self.runs[side].push(Run { v, n, u, g });
+    }
+
+    /// Takes the pixels of a stretch one by one.
+    #[inline(always)]
+    fn take(&mut self, view: &GrayView, frame: &Frame, v: usize, from: usize, to: usize) {
+        if from >= to {
+            return;
+        }
+        let at = v * view.stride();
+        let (du, dv) = (from as f64 - frame.u0, v as f64 - frame.v0);
+        let (x, y) = (frame.cos * du + frame.sin * dv, frame.cos * dv - frame.sin * du);
+        let ground = self.ground;
+        let [xs, ys, greys] = self.near.take(to - from);
+        for i in 0..xs.len() {
+            xs[i] = (x + frame.cos * i as f64) as f32;
+            ys[i] = (y - frame.sin * i as f64) as f32;
+        }
+        match view.samples() {
+            Samples::U8(s) => copy_less(&s[at + from..at + to], ground, greys),
+            Samples::U16(s) => copy_less(&s[at + from..at + to], ground, greys),
+            Samples::F32(s) => copy_less(&s[at + from..at + to], ground, greys),
+        }
+    }
+}
+
+#[inline(always)]
+fn copy_less<T: Copy + Into<f64>>(from: &[T], ground: f64, to: &mut [f32]) {
+    for (x, y) in from.iter().zip(to) {
+        *y = ((*x).into() - ground) as f32;
+    }
+}
+
+/// Sums of the grey value, of it times the place, of its squares, and of the squared differences of neighbours.
+#[inline(always)]
+fn sums_of(grey: &[f32], ground: f64) -> [f64; 4] {
+    let (mut g, mut gi, mut gg, mut dd) = (0.0, 0.0, 0.0, 0.0);
+    let mut before = f64::from(grey[0]) - ground;
+    for i in 0..grey.len() {
+        let x = f64::from(grey[i]) - ground;
+        g += x;
+        gi += x * i as f64;
+        gg += x * x;
+        let step = x - before;
+        dd += step * step;
+        before = x;
+    }
+    [g, gi, gg, dd]
+}
+
+/// The same of whole numbers, whose sums do not wait for each other.
+#[inline(always)]
+fn whole_sums_of<T: Copy + Into<i64>>(grey: &[T], ground: f64) -> [f64; 4] {
+    let ground = ground as i64;
+    let (mut g, mut gi, mut gg, mut dd) = (0, 0, 0, 0);
+    let mut before = grey[0].into() - ground;
+    for i in 0..grey.len() {
+        let x = grey[i].into() - ground;
+        g += x;
+        gi += x * i as i64;
+        gg += x * x;
+        let step = x - before;
+        dd += step * step;
+        before = x;
+    }
+    [g as f64, gi as f64, gg as f64, dd as f64]
+}
+
+#[cfg(test)]
+#[allow(clippy::expect_used)]
+mod tests {
+    use super::*;
+    use crate::conic::Ellipse;
+    use crate::frames::Pixel;
+    use crate::lanes;
+
+    /// Sums over rows against sums over single pixels, and each pixel within reach once.
+    #[test]
+    fn rows_hold_every_pixel_once() {
+        let (width, height) = (90, 80);
+        let grey: Vec<u16> = (0..width * height).map(|i| ((i * i) % 251) as u16).collect();
+        let view = GrayView::new(Samples::U16(&grey), width, height, width).expect("an image");
+        let e = Ellipse { center_px: Pixel::new(44.3, 38.8), semi_major_px: 21.0, semi_minor_px: 14.0, angle_rad: 0.6 };
+        let frame = Frame::new(&e);
+        let mut out = Pixels::default();
+        let rings = Rings { near: 3.0, inner: 8.0, outer: 7.0, thin: 1 };
+        assert!(lanes::run(Collect { view: &view, frame: &frame, rings, out: &mut out }));
+        let inside = |d: f64, u: f64, v: f64| {
+            let (du, dv) = (u - frame.u0, v - frame.v0);
+            let (x, y) = (frame.cos * du + frame.sin * dv, frame.cos * dv - frame.sin * du);
+            (x / (frame.a + d)).powi(2) + (y / (frame.b + d)).powi(2) <= 1.0
+        };
+        let near = 3.0 * (frame.a + frame.b) / (2.0 * (frame.a * frame.b).sqrt());
+        let (mut count, mut plain) = (0, [Sums::default(); 2]);
+        for (u, v) in (0..height).flat_map(|v| (0..width).map(move |u| (u, v))) {
+            let (x, y) = (u as f64, v as f64);
+            let in_band = inside(near, x, y) && !inside(-near, x, y);
+            count += usize::from(in_band);
+            let side = if inside(7.0, x, y) && !inside(near, x, y) {
+                1
+            } else if inside(-near, x, y) && !inside(-8.0, x, y) {
+                0
+            } else {
+                continue;
+            };
+            let (x, y) = (x - out.reference.0, y - out.reference.1);
+            let g = f64::from(view.get(u, v)) - out.ground;
+            let s = &mut plain[side];
+            (s.n, s.u, s.v, s.uu, s.uv, s.vv) = (s.n + 1.0, s.u + x, s.v + y, s.uu + x * x, s.uv + x * y, s.vv + y * y);
+            (s.g, s.gu, s.gv, s.gg) = (s.g + g, s.gu + g * x, s.gv + g * y, s.gg + g * g);
+        }
+        assert_eq!(out.near.count, count);
+        for side in 0..2 {
+            assert!(plain[side].n > 100.0);
+            assert_eq!(out.sums[side].matrix(), plain[side].matrix());
+            assert_eq!(out.sums[side].right(), plain[side].right());
+            assert_eq!(out.runs[side].iter().map(|r| r.n).sum::<f64>(), plain[side].n);
+        }
+    }
+}
