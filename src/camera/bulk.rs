@@ -84,7 +84,7 @@ impl<L: Lanes> BulkCamera<L> {
         // Comparisons with NaN are false, 1 / Z of an infinite Z is zero; the last one refuses what overflows.
         let before = L::and(zero.below(iz), lens);
         let both = u + v;
-        let bounded = L::and(zero.below(h), (both - both).below(one));
+        let bounded = L::and(zero.below(h), (both * zero).below(one));
         let valid = L::and(before, bounded);
         let none = L::splat(f64::NAN);
         [L::select(valid, u, none), L::select(valid, v, none)]

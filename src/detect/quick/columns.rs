@@ -538,7 +538,9 @@ mod tests {
                     assert!((value - plain[k]).abs() < 1e-3, "{of:?} pixel {i}, {k}: {value} {}", plain[k]);
                 }
                 assert!((f64::from(columns.response[i]) - root * step * slope).abs() < 1e-3);
-                assert!((f64::from(columns.diamond[i]) - contour::diamond(c, s)).abs() < 1e-5);
+                // Deep inside a sharp bend the foot point is where rounding puts it; a sector is wider than 0.02.
+                let angle = [f64::from(columns.diamond[i]), contour::diamond(c, s)];
+                assert!((angle[0] - angle[1]).abs() < 1e-3, "{of:?} pixel {i} at {x}, {y}: {angle:?}");
                 for a in 0..M {
                     for b in 0..=a {
                         gram[place(a, b)] += plain[a] * plain[b];
