@@ -533,14 +533,16 @@ mod tests {
                     plain[LIGHTS + 1 + k] = root * step * slope * on.row[k];
                 }
                 plain[N] = root * (f64::from(near.grey[i]) - model);
+                // Towards the centre of curvature the foot point turns faster and faster with the pixel, and with its rounding.
+                let radius = (frame.a * s).hypot(frame.b * c).powi(3) / (frame.a * frame.b);
+                let allowed = 1e-3 / (1.0 + feet.distance[0] / radius).min(1.0);
                 for k in 0..M {
                     let value = f64::from(columns.values[i / BLOCK][k][i % BLOCK]);
-                    assert!((value - plain[k]).abs() < 1e-3, "{of:?} pixel {i}, {k}: {value} {}", plain[k]);
+                    assert!((value - plain[k]).abs() < allowed, "{of:?} pixel {i}, {k}: {value} {}", plain[k]);
                 }
-                assert!((f64::from(columns.response[i]) - root * step * slope).abs() < 1e-3);
-                // Deep inside a sharp bend the foot point is where rounding puts it; a sector is wider than 0.02.
+                assert!((f64::from(columns.response[i]) - root * step * slope).abs() < allowed);
                 let angle = [f64::from(columns.diamond[i]), contour::diamond(c, s)];
-                assert!((angle[0] - angle[1]).abs() < 1e-3, "{of:?} pixel {i} at {x}, {y}: {angle:?}");
+                assert!((angle[0] - angle[1]).abs() < 0.1 * allowed, "{of:?} pixel {i}: {angle:?}");
                 for a in 0..M {
                     for b in 0..=a {
                         gram[place(a, b)] += plain[a] * plain[b];
