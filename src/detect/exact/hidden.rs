@@ -25,7 +25,7 @@ const MOST_RINGS: usize = 16;
 /// Largest share of the pixels that may be hidden.
 const MOST_HIDDEN: f64 = 0.4;
 /// Pixels of a neighbourhood that must be there for its mean to count.
-const ENOUGH: usize = 5;
+const ENOUGH: f64 = 5.0;
 /// Rounds of hiding and solving.
 const ROUNDS: usize = 3;
 
@@ -174,22 +174,20 @@ impl Exact {
                 trusted.at[p] = kept[band.sector[i] as usize];
             }
         }
-        let mean = |p: usize| {
-            let (sum, n) = left.around(p, 1).map(|q| left.at[q]).filter(|r| !r.is_nan()).fold((0.0, 0), |(s, n), r| (s + r, n + 1));
-            if n < ENOUGH { 0.0 } else { sum / f64::from(n as u32).sqrt() }
-        };
         let seen: Vec<usize> = (0..left.at.len()).filter(|p| !left.at[*p].is_nan()).collect();
-        let sizes = |f: &dyn Fn(usize) -> f64| seen.iter().filter(|p| trusted.at[**p]).map(|p| f(*p).abs()).collect();
-        let single = usual(sizes(&|p| left.at[p]));
-        let together = usual(sizes(&mean));
+        let usual_of = |f: &dyn Fn(usize) -> f64| usual(seen.iter().filter(|p| trusted.at[**p]).map(|p| f(*p).abs()).collect());
+        let single = usual_of(&|p| left.at[p]);
         let mut odd = left.like(false);
-        for p in &seen {
-            if left.at[*p].abs() > ODD * single {
-                odd.at[*p] = true;
-            } else if mean(*p).abs() > ODD * together {
-                odd.at[*p] = true;
-            }
-        }
+        seen.iter().for_each(|p| odd.at[*p] = left.at[*p].abs() > ODD * single);
+        // Pixels that are odd by themselves must not make their neighbours so.
+        let alone = odd.clone();
+        let mean = |p: usize| {
+            let near = left.around(p, 1).filter(|q| !alone.at[*q]).map(|q| left.at[q]).filter(|r| !r.is_nan());
+            let (sum, n) = near.fold((0.0, 0.0), |(sum, n), r| (sum + r, n + 1.0));
+            if n < ENOUGH { 0.0 } else { sum / f64::sqrt(n) }
+        };
+        let together = usual_of(&mean);
+        seen.iter().for_each(|p| odd.at[*p] |= mean(*p).abs() > ODD * together);
         let mut hidden = odd.clone();
         for spot in spots(&odd) {
             grow(&left, &spot, single, &mut hidden);

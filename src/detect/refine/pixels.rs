@@ -139,7 +139,7 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let floor = quantisation(view).max((1e-4 * model.step).powi(2));
     s.exact.uncovered();
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-    if !nodes {
+    if !nodes && !s.exact.smoke_left() {
         let mut tried = state.clone();
         match s.exact.uncover(view, &mut tried, &mut s.fine, &kept, start, floor) {
             Some(found) if !s.exact.smoke_left() => (state, kept) = (tried, found),
