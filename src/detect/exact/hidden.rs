@@ -22,8 +22,10 @@ const ODD: f64 = 4.5;
 const FELT: f64 = 0.4;
 /// Widest skirt, px.
 const MOST_RINGS: usize = 16;
-/// Largest share of the pixels that may be hidden.
+/// Largest share of the pixels of either side that may be hidden.
 const MOST_HIDDEN: f64 = 0.4;
+/// Largest share that glare is believed to hide where it may as well be smoke.
+const LITTLE: f64 = 0.15;
 /// Pixels of a neighbourhood that must be there for its mean to count.
 const ENOUGH: f64 = 5.0;
 /// Rounds of hiding and solving.
@@ -68,19 +70,23 @@ impl<T: Copy> Grid<T> {
 
 /// The hidden pixels around one disc.
 #[derive(Debug, Default, Clone, PartialEq)]
-pub(super) struct Hidden(Grid<bool>);
+pub(super) struct Hidden {
+    at: Grid<bool>,
+    /// Share of the pixels on the side of the edge that has more of them.
+    share: f64,
+}
 
 impl Hidden {
     pub(super) fn clear(&mut self) {
-        self.0 = Grid::default();
+        *self = Self::default();
     }
 
     pub(super) fn none(&self) -> bool {
-        self.0.at.is_empty()
+        self.share == 0.0
     }
 
     pub(super) fn hides(&self, (u, v): (i64, i64)) -> bool {
-        self.0.place(u, v).is_some_and(|p| self.0.at[p])
+        self.at.place(u, v).is_some_and(|p| self.at.at[p])
     }
 }
 
@@ -100,8 +106,8 @@ fn usual(mut sizes: Vec<f64>) -> f64 {
 
 impl Exact {
     /// Takes back the sectors that were dropped, but for the pixels that something hides: `kept` says which sectors counted in the fit
-    /// whose result stands in the scratch. Returns the sectors that count now; none, with the state as it was, where nothing
-    /// is hidden or too much.
+    /// whose result stands in the scratch. Returns the sectors that count now; none, with the state as it was, where too much
+    /// is hidden.
     pub(crate) fn uncover(
         &mut self,
         view: &GrayView,
@@ -125,7 +131,7 @@ impl Exact {
             let settled = round > 0 && hidden == before;
             self.hidden = hidden;
             if round == 0 && self.hidden.none() && kept.iter().all(|k| *k) {
-                return None;
+                return Some(kept);
             }
             if settled {
                 // The residuals in the scratch are those of all pixels: once more without the hidden.
@@ -153,6 +159,11 @@ impl Exact {
         let kept = self.settle(view, state, contour, keep, start, floor)?;
         let agree = self.agreeing(&kept);
         if agree == kept { Some(kept) } else { self.settle(view, state, contour, &agree, start, floor) }
+    }
+
+    /// Whether some pixels are hidden, but few on either side: rather glare than smoke.
+    pub(crate) fn hides_little(&self) -> bool {
+        (f64::MIN_POSITIVE..LITTLE).contains(&self.hidden.share)
     }
 
     /// The pixels that something hides, from the residuals of all in the scratch; none where they are too many. `kept` are the
@@ -192,11 +203,15 @@ impl Exact {
         for spot in spots(&odd) {
             grow(&left, &spot, single, &mut hidden);
         }
-        let count = hidden.at.iter().filter(|h| **h).count();
-        if count as f64 > MOST_HIDDEN * seen.len() as f64 {
-            return None;
+        let mut share = [[0.0; 2]; 2];
+        for (i, (u, v)) in places.iter().enumerate() {
+            let side = &mut share[usize::from(band.distance[i] > 0.0)];
+            side[0] += f64::from(u8::from(left.place(*u, *v).is_some_and(|p| hidden.at[p])));
+            side[1] += 1.0;
         }
-        Some(if count == 0 { Hidden::default() } else { Hidden(hidden) })
+        let share = share.map(|[n, of]| n / f64::max(of, 1.0));
+        let share = share[0].max(share[1]);
+        (share < MOST_HIDDEN).then_some(Hidden { at: hidden, share })
     }
 }
 

@@ -139,17 +139,23 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let floor = quantisation(view).max((1e-4 * model.step).powi(2));
     s.exact.uncovered();
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-    if !nodes && !s.exact.smoke_left() {
+    let smoky = nodes || s.exact.smoke_left();
+    let clear = start.smoke && {
         let mut tried = state.clone();
         match s.exact.uncover(view, &mut tried, &mut s.fine, &kept, start, floor) {
-            Some(found) if !s.exact.smoke_left() => (state, kept) = (tried, found),
+            // The skirts of glare look like smoke, but of little of the disc.
+            Some(found) if !s.exact.smoke_left() && (!smoky || s.exact.misfit() < 1.2 && s.exact.hides_little()) => {
+                (state, kept) = (tried, found);
+                true
+            }
             _ => {
                 s.exact.uncovered();
                 kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
+                false
             }
         }
-    }
-    if start.smoke && (nodes || s.exact.smoke_left()) {
+    };
+    if smoky && start.smoke && !clear {
         if large {
             return Some(Exactly::Smoke);
         }
