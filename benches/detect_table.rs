@@ -1,6 +1,7 @@
 //! Accuracy of detection over a table of conditions: scatter over the Cramer-Rao bound, bias, truth of the sigmas. Seeded.
 //!
-//! `cargo bench --bench detect_table` prints the table; `SPIVCAL_TABLE=wide` adds the discs of 100 and 400 px (minutes).
+//! `cargo bench --bench detect_table` prints the table; `SPIVCAL_TABLE=wide` adds the discs of 100 and 400 px (minutes). Words after
+//! `--` choose rows by light and minor semi-axis, `scenes=30` their scenes: `cargo bench --bench detect_table -- glare 4 scenes=12`.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 #[path = "../tests/detect_table/mod.rs"]
@@ -11,7 +12,14 @@ mod render;
 use detect_table::{Condition, Light};
 
 fn main() {
+    let words: Vec<String> = std::env::args().skip(1).filter(|x| !x.starts_with("--")).collect();
+    let wished = |name: &str| words.iter().find_map(|w| w.strip_prefix(name).map(|x| x.parse().unwrap()));
+    let (scenes_wished, shots_wished) = (wished("scenes="), wished("shots="));
+    let lights = ["even", "slanted", "smoke", "glare"];
+    let any_light = !words.iter().any(|w| lights.contains(&&w[..]));
+    let sizes: Vec<f64> = words.iter().filter_map(|w| w.parse().ok()).collect();
     let wide = std::env::var("SPIVCAL_TABLE").is_ok_and(|x| x == "wide");
+    let wide = wide || sizes.iter().any(|x| *x > 50.0);
     let radii: &[f64] = if wide { &[4.0, 8.0, 15.0, 40.0, 100.0, 400.0] } else { &[4.0, 8.0, 15.0, 40.0] };
     println!(
         "scatter about the truth over the Cramer-Rao bound (u v a b), bias in px, mean squared z of the sigmas given"
@@ -27,6 +35,11 @@ fn main() {
                 continue;
             }
             seed += 1;
+            let name = lights[light as usize];
+            let chosen = any_light || words.iter().any(|w| w == name);
+            if !chosen || !sizes.is_empty() && !sizes.contains(&semi_minor_px) {
+                continue;
+            }
             let c = Condition { semi_minor_px, ratio, blur_px, light, bits, noise: 0.015, bright };
             let (scenes, shots) = match (light, semi_minor_px > 50.0) {
                 // What smoke does to a scene it does to all its images.
@@ -34,13 +47,8 @@ fn main() {
                 (_, false) => (20, 8),
                 (_, true) => (4, 8),
             };
+            let (scenes, shots) = (scenes_wished.unwrap_or(scenes), shots_wished.unwrap_or(shots));
             let row = c.run(scenes, shots, seed);
-            let name = match light {
-                Light::Even => "even",
-                Light::Slanted => "slanted",
-                Light::Smoke => "smoke",
-                Light::Glare => "glare",
-            };
             let [r0, r1, r2, r3] = row.ratio;
             let [b0, b1, b2, b3] = row.bias_px;
             println!(

@@ -85,7 +85,12 @@ fn scatter_reaches_the_bound_and_sigmas_are_true() {
 /// A few rows of `cargo bench --bench detect_table`.
 #[test]
 fn the_table_of_conditions_in_short() {
-    let rows = [(Light::Slanted, 12.0, 8, false), (Light::Glare, 15.0, 8, false), (Light::Even, 4.0, 16, true)];
+    let rows = [
+        (Light::Slanted, 12.0, 8, false),
+        (Light::Glare, 15.0, 8, false),
+        (Light::Even, 4.0, 16, true),
+        (Light::Glare, 40.0, 8, false),
+    ];
     for (k, (light, semi_minor_px, bits, bright)) in rows.into_iter().enumerate() {
         let c = Condition { semi_minor_px, ratio: 1.2, blur_px: 0.8, light, bits, noise: 0.015, bright };
         let (scenes, shots) = (8, 10);

@@ -22,6 +22,7 @@
 //! | J^T W J | `gram` | n x n | | products of all columns, the grey values last |
 
 mod field;
+mod hidden;
 mod left;
 pub(crate) use field::Field;
 pub(crate) use left::Share;
@@ -38,6 +39,7 @@ use crate::detect::surface::{At, on_contour};
 use crate::image::GrayView;
 use crate::lanes::{self, Kernel, Lanes as Width};
 use field::{PRIOR_PIXELS, Verdict};
+use hidden::Hidden;
 use left::Within;
 use nalgebra::{SMatrix, SVector};
 
@@ -99,6 +101,9 @@ pub(crate) struct Exact {
     /// Heights of the waves and coefficients of the sides as last solved; empty before.
     light: Vec<f64>,
     pub(crate) shares: Vec<Share>,
+    /// Residual of each pixel over the noise.
+    left: Vec<f64>,
+    hidden: Hidden,
     /// Sums of residuals far from the edge: squares and number of either side.
     away: [[f64; 2]; 2],
     within: Within,
@@ -128,6 +133,14 @@ impl Exact {
 
     fn look(&mut self, view: &GrayView, state: &State, contour: &Contour, keep: &[bool], reach: Reach) -> bool {
         self.band.collect(view, &state.ellipse, contour, reach);
+        if !self.hidden.none() {
+            let frame = Frame::new(&state.ellipse);
+            for i in 0..self.band.len() {
+                if self.hidden.hides(hidden::pixel(&frame, self.band.x[i], self.band.y[i])) {
+                    self.band.distance[i] = f64::NAN;
+                }
+            }
+        }
         self.count = self.band.compact(keep);
         let ground = self.band.grey.first().copied().unwrap_or(0.0);
         self.band.grey.iter_mut().for_each(|g| *g -= ground);
@@ -341,6 +354,19 @@ impl Exact {
         Some(self.chi2 + log_det + log_prior)
     }
 
+    /// How far from the edge the fit looks.
+    fn reach(state: &State, start: &Start) -> Reach {
+        let (wanted, b) = (reach_px(state.blur_px), state.ellipse.semi_minor_px);
+        let inner = wanted.min(start.inner_px).min(0.85 * b);
+        let whole = state.field.is_some() || state.exact_rim() && start.inner_px > 0.89 * b;
+        Reach { inner_px: if whole { 2.0 * state.ellipse.semi_major_px } else { inner }, outer_px: wanted }
+    }
+
+    /// Forgets the pixels that were hidden on the disc before.
+    pub(crate) fn uncovered(&mut self) {
+        self.hidden.clear();
+    }
+
     /// Fits with noise and light as the image asks: the poorest polynomials that explain it, or a field where `state` asks for one.
     /// Returns the sectors that counted, of the contour as it was cut last.
     pub(crate) fn settle(
@@ -352,12 +378,7 @@ impl Exact {
         start: &Start,
         floor: f64,
     ) -> Option<Vec<bool>> {
-        let reach = |state: &State| {
-            let (wanted, b) = (reach_px(state.blur_px), state.ellipse.semi_minor_px);
-            let inner = wanted.min(start.inner_px).min(0.85 * b);
-            let whole = state.field.is_some() || state.exact_rim() && start.inner_px > 0.89 * b;
-            Reach { inner_px: if whole { 2.0 * state.ellipse.semi_major_px } else { inner }, outer_px: wanted }
-        };
+        let reach = |state: &State| Self::reach(state, start);
         let cut = |contour: &mut Contour, e: &Ellipse| contour.cut(e, start.neighbours);
         self.verdict = None;
         let mut kept = self.fit(view, state, contour, keep, &reach, &cut)?;

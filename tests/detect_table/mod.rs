@@ -208,8 +208,12 @@ impl Condition {
         let mut random = Random(seed);
         let mut bound = [0.0; 4];
         let light = self.light_columns();
-        // The smoke modulates the step, so the bound is another in each scene: the mean over some.
-        let bounds = if self.light == Light::Smoke { scenes.min(12) } else { 1 };
+        // The smoke modulates the step, a spot hides another stretch of the contour: the bound is another in each scene.
+        let bounds = match self.light {
+            Light::Smoke => scenes.min(12),
+            Light::Glare => scenes.min(20),
+            _ => 1,
+        };
         for scene in 0..scenes {
             let spot = self.spot((scene as f64 * 0.618).fract() - 0.5, (scene as f64 * 0.414).fract() - 0.5);
             let waves = self.waves(seed * 1000 + scene as u64);

@@ -54,6 +54,7 @@ impl Exact {
         self.away = [[0.0; 2]; 2];
         self.neighbours = [0.0; 2];
         self.within = Within::default();
+        self.left.clear();
         self.prepare(state, &frame);
         let mut before: [Option<(usize, f64)>; 2] = [None; 2];
         for start in (0..self.count).step_by(LANES) {
@@ -63,6 +64,7 @@ impl Exact {
                 let column = &self.columns[l..];
                 let model: f64 = self.found.iter().enumerate().map(|(j, x)| x * column[j * CHUNK]).sum();
                 let left = column[(lights + FIXED) * CHUNK] - model;
+                self.left.push(left);
                 let (q, h) = (self.inside[p], self.response[p]);
                 let share = &mut self.shares[self.band.sector[p] as usize];
                 share.push(h, left);
@@ -89,6 +91,23 @@ impl Exact {
                 before = [before[1], here];
             }
         }
+    }
+
+    /// Of the sectors that counted, those that say the same as the rest.
+    pub(super) fn agreeing(&self, kept: &[bool]) -> Vec<bool> {
+        let median = |f: &dyn Fn(&Share) -> f64| {
+            let mut all: Vec<f64> =
+                self.shares.iter().zip(kept).filter(|(x, k)| **k && x.information > 0.0).map(|(x, _)| f(x)).collect();
+            let middle = all.len() / 2;
+            if all.is_empty() { 0.0 } else { *all.select_nth_unstable_by(middle, f64::total_cmp).1 }
+        };
+        let scatter = (1.4826 * median(&|x| x.shift_px().abs() * x.information.sqrt())).max(1.0);
+        let misfit = median(&|x| x.squares / x.pixels.max(1.0)).max(1.0);
+        let agrees = |x: &Share| {
+            let off = if x.information > 0.0 { x.shift_px().abs() * x.information.sqrt() } else { 0.0 };
+            off < 4.5 * scatter && x.squares < x.pixels * misfit * (2.0 + 5.0 * (2.0 / x.pixels.max(1.0)).sqrt())
+        };
+        self.shares.iter().zip(kept).map(|(x, k)| *k && (x.pixels == 0.0 || agrees(x))).collect()
     }
 
     /// Whether two pixels of the band touch along a row.

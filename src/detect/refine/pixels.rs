@@ -11,6 +11,8 @@ use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::GrayView;
 use nalgebra::SVector;
 
+/// Least information of an edge point, of the largest.
+const LEAST_SHARE: f64 = 0.05;
 /// By how much the noise that a field of smoke leaves may surpass, as a variance, that which neighbouring pixels showed.
 const LOUDER: f64 = 1.5;
 
@@ -94,7 +96,10 @@ fn edges(
     widen: f64,
 ) -> EdgePoints {
     let mut edge = EdgePoints::default();
-    for (k, share) in shares.iter().enumerate().filter(|(k, x)| kept.is_none_or(|l| l[*k]) && x.information > 0.0) {
+    let counts = |k: usize| kept.is_none_or(|l| l[k]) && shares[k].information > 0.0;
+    let most = (0..shares.len()).filter(|k| counts(*k)).map(|k| shares[k].information).fold(0.0, f64::max);
+    // Of a sector that is all but hidden the pixels count, but they give no place.
+    for (k, share) in shares.iter().enumerate().filter(|(k, x)| counts(*k) && x.information > LEAST_SHARE * most) {
         let shift = share.shift_px() - (0..5).map(|i| contour.row[k][i] * change[i]).sum::<f64>();
         edge.u_px.push(contour.u[k] + shift * contour.normal_u[k]);
         edge.v_px.push(contour.v[k] + shift * contour.normal_v[k]);
@@ -132,8 +137,25 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     };
     let before = state.clone();
     let floor = quantisation(view).max((1e-4 * model.step).powi(2));
+    s.exact.uncovered();
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-    if start.smoke && (nodes || s.exact.smoke_left()) {
+    let smoky = nodes || s.exact.smoke_left();
+    let clear = start.smoke && {
+        let mut tried = state.clone();
+        match s.exact.uncover(view, &mut tried, &mut s.fine, &kept, start, floor) {
+            // The skirts of glare look like smoke, but of little of the disc.
+            Some(found) if !s.exact.smoke_left() && (!smoky || s.exact.misfit() < 1.2 && s.exact.hides_little()) => {
+                (state, kept) = (tried, found);
+                true
+            }
+            _ => {
+                s.exact.uncovered();
+                kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
+                false
+            }
+        }
+    };
+    if smoky && start.smoke && !clear {
         if large {
             return Some(Exactly::Smoke);
         }

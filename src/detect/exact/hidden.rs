@@ -1,0 +1,273 @@
+//! Pixels that something hides (glare, dirt, a shadow, another object), one by one, so that the rest of their sectors still counts.
+//!
+//! A pixel is *odd* where its residual, alone or averaged with its eight neighbours, is `ODD` times what is usual. Glare has
+//! skirts that no single pixel betrays, yet together they drag the edge along. So odd pixels that lie together grow by rings: a
+//! ring is hidden where its mean residual, or what is to be expected of it were the excess to go on falling from ring to ring as it
+//! did before, exceeds `FELT` of the noise. Skirts fall at least exponentially, so the expectation is on the safe side.
+//!
+//! | symbol | identifier | unit | meaning |
+//! |---|---|---|---|
+//! | r | `left` | noise | residual of a pixel |
+//! | - | `Hidden` | | the hidden pixels of the image |
+
+use super::{Exact, State};
+use crate::conic::Frame;
+use crate::detect::contour::Contour;
+use crate::detect::refine::Start;
+use crate::image::GrayView;
+
+/// Residual of an odd pixel, in units of the usual one.
+const ODD: f64 = 4.5;
+/// Mean residual of a ring that is hidden, in units of the noise.
+const FELT: f64 = 0.4;
+/// Widest skirt, px.
+const MOST_RINGS: usize = 16;
+/// Largest share of the pixels of either side that may be hidden.
+const MOST_HIDDEN: f64 = 0.4;
+/// Largest share that glare is believed to hide where it may as well be smoke.
+const LITTLE: f64 = 0.15;
+/// Pixels of a neighbourhood that must be there for its mean to count.
+const ENOUGH: f64 = 5.0;
+/// Rounds of hiding and solving.
+const ROUNDS: usize = 3;
+
+/// Numbers at the pixels around one disc.
+#[derive(Debug, Default, Clone, PartialEq)]
+struct Grid<T> {
+    u0: i64,
+    v0: i64,
+    width: i64,
+    height: i64,
+    at: Vec<T>,
+}
+
+impl<T: Copy> Grid<T> {
+    fn place(&self, u: i64, v: i64) -> Option<usize> {
+        let (i, j) = (u - self.u0, v - self.v0);
+        (i >= 0 && j >= 0 && i < self.width && j < self.height).then(|| (j * self.width + i) as usize)
+    }
+
+    fn like<S: Copy>(&self, value: S) -> Grid<S> {
+        Grid { u0: self.u0, v0: self.v0, width: self.width, height: self.height, at: vec![value; self.at.len()] }
+    }
+
+    /// Places within `reach` of place `p`, itself included.
+    fn around(&self, p: usize, reach: i64) -> impl Iterator<Item = usize> + '_ {
+        let (i, j) = (p as i64 % self.width, p as i64 / self.width);
+        let rows = (j - reach).max(0)..=(j + reach).min(self.height - 1);
+        rows.flat_map(move |b| {
+            let columns = (i - reach).max(0)..=(i + reach).min(self.width - 1);
+            columns.map(move |a| (b * self.width + a) as usize)
+        })
+    }
+
+    fn gap(&self, p: usize, q: usize) -> f64 {
+        let (p, q) = (p as i64, q as i64);
+        let (i, j) = (p % self.width - q % self.width, p / self.width - q / self.width);
+        (i as f64).hypot(j as f64)
+    }
+}
+
+/// The hidden pixels around one disc.
+#[derive(Debug, Default, Clone, PartialEq)]
+pub(super) struct Hidden {
+    at: Grid<bool>,
+    /// Share of the pixels on the side of the edge that has more of them.
+    share: f64,
+}
+
+impl Hidden {
+    pub(super) fn clear(&mut self) {
+        *self = Self::default();
+    }
+
+    pub(super) fn none(&self) -> bool {
+        self.share == 0.0
+    }
+
+    pub(super) fn hides(&self, (u, v): (i64, i64)) -> bool {
+        self.at.place(u, v).is_some_and(|p| self.at.at[p])
+    }
+}
+
+/// The pixel at a place in the frame of the axes.
+pub(super) fn pixel(frame: &Frame, x: f64, y: f64) -> (i64, i64) {
+    let (u, v) = (frame.u0 + frame.cos * x - frame.sin * y, frame.v0 + frame.sin * x + frame.cos * y);
+    (u.round() as i64, v.round() as i64)
+}
+
+fn usual(mut sizes: Vec<f64>) -> f64 {
+    if sizes.is_empty() {
+        return 1.0;
+    }
+    let middle = sizes.len() / 2;
+    (1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1).max(1.0)
+}
+
+impl Exact {
+    /// Takes back the sectors that were dropped, but for the pixels that something hides: `kept` says which sectors counted in the fit
+    /// whose result stands in the scratch. Returns the sectors that count now; none, with the state as it was, where too much
+    /// is hidden.
+    pub(crate) fn uncover(
+        &mut self,
+        view: &GrayView,
+        state: &mut State,
+        contour: &mut Contour,
+        kept: &[bool],
+        start: &Start,
+        floor: f64,
+    ) -> Option<Vec<bool>> {
+        let mut kept = kept.to_vec();
+        let mut tried = state.clone();
+        let mut counted = None;
+        for round in 0..ROUNDS {
+            let before = std::mem::take(&mut self.hidden);
+            let all = vec![true; contour.len()];
+            if !self.look(view, &tried, contour, &all, Self::reach(&tried, start)) {
+                return None;
+            }
+            self.shares(&tried, contour.len());
+            let hidden = self.odd_pixels(&tried, &kept)?;
+            let settled = round > 0 && hidden == before;
+            self.hidden = hidden;
+            if round == 0 && self.hidden.none() && kept.iter().all(|k| *k) {
+                return Some(kept);
+            }
+            if settled {
+                // The residuals in the scratch are those of all pixels: once more without the hidden.
+                kept = self.fit_uncovered(view, &mut tried, contour, &kept, start, floor)?;
+                counted = Some(kept);
+                break;
+            }
+            kept = self.fit_uncovered(view, &mut tried, contour, &all, start, floor)?;
+            counted = Some(kept.clone());
+        }
+        *state = tried;
+        counted
+    }
+
+    /// Solves without the hidden pixels, and once more without the sectors that disagree all the same.
+    fn fit_uncovered(
+        &mut self,
+        view: &GrayView,
+        state: &mut State,
+        contour: &mut Contour,
+        keep: &[bool],
+        start: &Start,
+        floor: f64,
+    ) -> Option<Vec<bool>> {
+        let kept = self.settle(view, state, contour, keep, start, floor)?;
+        let agree = self.agreeing(&kept);
+        if agree == kept { Some(kept) } else { self.settle(view, state, contour, &agree, start, floor) }
+    }
+
+    /// Whether some pixels are hidden, but few on either side: rather glare than smoke.
+    pub(crate) fn hides_little(&self) -> bool {
+        (f64::MIN_POSITIVE..LITTLE).contains(&self.hidden.share)
+    }
+
+    /// The pixels that something hides, from the residuals of all in the scratch; none where they are too many. `kept` are the
+    /// sectors that say what is usual.
+    fn odd_pixels(&self, state: &State, kept: &[bool]) -> Option<Hidden> {
+        let frame = Frame::new(&state.ellipse);
+        let band = &self.band;
+        let places: Vec<(i64, i64)> = (0..self.count).map(|i| pixel(&frame, band.x[i], band.y[i])).collect();
+        let (first, last) = places.iter().fold(((i64::MAX, i64::MAX), (i64::MIN, i64::MIN)), |(a, b), p| {
+            ((a.0.min(p.0), a.1.min(p.1)), (b.0.max(p.0), b.1.max(p.1)))
+        });
+        let (width, height) = (last.0 - first.0 + 1, last.1 - first.1 + 1);
+        let at = vec![f64::NAN; (width * height) as usize];
+        let mut left = Grid { u0: first.0, v0: first.1, width, height, at };
+        let mut trusted = left.like(false);
+        for (i, (u, v)) in places.iter().enumerate() {
+            if let Some(p) = left.place(*u, *v) {
+                left.at[p] = self.left[i];
+                trusted.at[p] = kept[band.sector[i] as usize];
+            }
+        }
+        let seen: Vec<usize> = (0..left.at.len()).filter(|p| !left.at[*p].is_nan()).collect();
+        let usual_of = |f: &dyn Fn(usize) -> f64| usual(seen.iter().filter(|p| trusted.at[**p]).map(|p| f(*p).abs()).collect());
+        let single = usual_of(&|p| left.at[p]);
+        let mut odd = left.like(false);
+        seen.iter().for_each(|p| odd.at[*p] = left.at[*p].abs() > ODD * single);
+        // Pixels that are odd by themselves must not make their neighbours so.
+        let alone = odd.clone();
+        let mean = |p: usize| {
+            let near = left.around(p, 1).filter(|q| !alone.at[*q]).map(|q| left.at[q]).filter(|r| !r.is_nan());
+            let (sum, n) = near.fold((0.0, 0.0), |(sum, n), r| (sum + r, n + 1.0));
+            if n < ENOUGH { 0.0 } else { sum / f64::sqrt(n) }
+        };
+        let together = usual_of(&mean);
+        seen.iter().for_each(|p| odd.at[*p] |= mean(*p).abs() > ODD * together);
+        let mut hidden = odd.clone();
+        for spot in spots(&odd) {
+            grow(&left, &spot, single, &mut hidden);
+        }
+        let mut share = [[0.0; 2]; 2];
+        for (i, (u, v)) in places.iter().enumerate() {
+            let side = &mut share[usize::from(band.distance[i] > 0.0)];
+            side[0] += f64::from(u8::from(left.place(*u, *v).is_some_and(|p| hidden.at[p])));
+            side[1] += 1.0;
+        }
+        let share = share.map(|[n, of]| n / f64::max(of, 1.0));
+        let share = share[0].max(share[1]);
+        (share < MOST_HIDDEN).then_some(Hidden { at: hidden, share })
+    }
+}
+
+/// Odd pixels that lie together: at most two pixels apart.
+fn spots(odd: &Grid<bool>) -> Vec<Vec<usize>> {
+    let mut free = odd.clone();
+    let mut all = vec![];
+    for p in 0..free.at.len() {
+        if !free.at[p] {
+            continue;
+        }
+        free.at[p] = false;
+        let mut spot = vec![p];
+        let mut next = 0;
+        while next < spot.len() {
+            let near: Vec<usize> = free.around(spot[next], 2).filter(|q| free.at[*q]).collect();
+            near.iter().for_each(|q| free.at[*q] = false);
+            spot.extend(near);
+            next += 1;
+        }
+        all.push(spot);
+    }
+    all
+}
+
+/// Hides the rings around a spot in which it is still felt.
+fn grow(left: &Grid<f64>, spot: &[usize], noise: f64, hidden: &mut Grid<bool>) {
+    let mut within = left.like(u8::MAX);
+    spot.iter().for_each(|p| within.at[*p] = 0);
+    let sign = spot.iter().map(|p| left.at[*p]).sum::<f64>().signum();
+    // Distance of each pixel from the spot in whole pixels, outwards from its rim.
+    let mut rings: Vec<Vec<usize>> = vec![vec![]; MOST_RINGS + 1];
+    for p in spot {
+        if left.around(*p, 1).all(|q| within.at[q] == 0) {
+            continue;
+        }
+        rings[0].push(*p);
+        for q in left.around(*p, MOST_RINGS as i64) {
+            let ring = left.gap(*p, q) as usize;
+            if !left.at[q].is_nan() && ring <= MOST_RINGS && (ring as u8) < within.at[q] {
+                within.at[q] = ring as u8;
+            }
+        }
+    }
+    for p in (0..within.at.len()).filter(|p| (1..u8::MAX).contains(&within.at[*p])) {
+        rings[usize::from(within.at[p])].push(p);
+    }
+    let excess = |ring: &[usize]| sign * ring.iter().map(|p| left.at[*p]).sum::<f64>() / (noise * ring.len().max(1) as f64);
+    let (mut before, mut last) = (f64::INFINITY, excess(&rings[0]));
+    for (i, ring) in rings.iter().enumerate().skip(1).filter(|r| !r.1.is_empty()) {
+        let now = excess(ring);
+        let expected = last * (last / before).clamp(0.0, 1.0);
+        if i > 1 && now.max(expected) < FELT {
+            break;
+        }
+        ring.iter().for_each(|p| hidden.at[*p] = true);
+        (before, last) = (last, now.max(0.0));
+    }
+}
