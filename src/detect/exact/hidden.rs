@@ -186,7 +186,8 @@ impl Exact {
             }
         }
         let seen: Vec<usize> = (0..left.at.len()).filter(|p| !left.at[*p].is_nan()).collect();
-        let usual_of = |f: &dyn Fn(usize) -> f64| usual(seen.iter().filter(|p| trusted.at[**p]).map(|p| f(*p).abs()).collect());
+        let usual_of =
+            |f: &dyn Fn(usize) -> f64| usual(seen.iter().filter(|p| trusted.at[**p]).map(|p| f(*p).abs()).collect());
         let single = usual_of(&|p| left.at[p]);
         let mut odd = left.like(false);
         seen.iter().for_each(|p| odd.at[*p] = left.at[*p].abs() > ODD * single);
@@ -259,7 +260,8 @@ fn grow(left: &Grid<f64>, spot: &[usize], noise: f64, hidden: &mut Grid<bool>) {
     for p in (0..within.at.len()).filter(|p| (1..u8::MAX).contains(&within.at[*p])) {
         rings[usize::from(within.at[p])].push(p);
     }
-    let excess = |ring: &[usize]| sign * ring.iter().map(|p| left.at[*p]).sum::<f64>() / (noise * ring.len().max(1) as f64);
+    let excess =
+        |ring: &[usize]| sign * ring.iter().map(|p| left.at[*p]).sum::<f64>() / (noise * ring.len().max(1) as f64);
     let (mut before, mut last) = (f64::INFINITY, excess(&rings[0]));
     for (i, ring) in rings.iter().enumerate().skip(1).filter(|r| !r.1.is_empty()) {
         let now = excess(ring);
