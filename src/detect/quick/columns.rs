@@ -348,12 +348,14 @@ impl<S: Singles> Seen<S> {
             let f = e2 * c * s - ax * s + by * c;
             let df = e2 * (c * c - s * s) - ax * c - by * s;
             let t = S::select(df.below(zero), -(f / df), zero).at_least(-half).at_most(half) * left;
-            // 1 / (1 + t^2)^(1/2) to the last digit for small turns; after large ones the vector is set to length one at the end.
+            // 1 / (1 + t^2)^(1/2) to the last digit for small turns; what it leaves of large ones goes by a step of Newton's for the length.
             let t2 = t * t;
             let inverse = one - half * t2 * (one - S::splat(0.75) * t2);
             let turned = (c - t * s) * inverse;
             s = (s + t * c) * inverse;
             c = turned;
+            let length = one + left * (half - half * (c * c + s * s));
+            (c, s) = (c * length, s * length);
             let still = t.size().below(S::splat(1e-3));
             left = S::select(still, zero, left);
             if S::all(still) {
@@ -533,16 +535,13 @@ mod tests {
                     plain[LIGHTS + 1 + k] = root * step * slope * on.row[k];
                 }
                 plain[N] = root * (f64::from(near.grey[i]) - model);
-                // Towards the centre of curvature the foot point turns faster and faster with the pixel, and with its rounding.
-                let radius = (frame.a * s).hypot(frame.b * c).powi(3) / (frame.a * frame.b);
-                let allowed = 1e-3 / (1.0 + feet.distance[0] / radius).min(1.0);
                 for k in 0..M {
                     let value = f64::from(columns.values[i / BLOCK][k][i % BLOCK]);
-                    assert!((value - plain[k]).abs() < allowed, "{of:?} pixel {i}, {k}: {value} {}", plain[k]);
+                    assert!((value - plain[k]).abs() < 1e-3, "{of:?} pixel {i}, {k}: {value} {}", plain[k]);
                 }
-                assert!((f64::from(columns.response[i]) - root * step * slope).abs() < allowed);
+                assert!((f64::from(columns.response[i]) - root * step * slope).abs() < 1e-3);
                 let angle = [f64::from(columns.diamond[i]), contour::diamond(c, s)];
-                assert!((angle[0] - angle[1]).abs() < 0.1 * allowed, "{of:?} pixel {i}: {angle:?}");
+                assert!((angle[0] - angle[1]).abs() < 1e-5, "{of:?} pixel {i}: {angle:?}");
                 for a in 0..M {
                     for b in 0..=a {
                         gram[place(a, b)] += plain[a] * plain[b];
@@ -552,7 +551,7 @@ mod tests {
             for (a, b) in (0..M).flat_map(|a| (0..=a).map(move |b| (a, b))) {
                 let size = (gram[place(a, a)] * gram[place(b, b)]).sqrt();
                 let (found, plain) = (columns.gram[place(a, b)], gram[place(a, b)]);
-                assert!((found - plain).abs() < 2e-6 * size, "{of:?} {a} {b}: {found} {plain} of {size}");
+                assert!((found - plain).abs() < 5e-6 * size, "{of:?} {a} {b}: {found} {plain} of {size}");
             }
         }
     }
