@@ -67,6 +67,9 @@ pub(crate) struct Side {
 /// What is known of light at nodes before seeing the edge.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct NodePrior {
+    /// Of the levels about the surface: what it leaves varies less than the light.
+    about_gradient: f64,
+    /// Of the light as a whole. Levels on the contour tell a surface, and all about its slopes only where light is one.
     pub(crate) gradient: f64,
     pub(crate) bend: f64,
     /// Surface about which the light varies, grey.
@@ -112,7 +115,7 @@ impl NodePrior {
         let bend_step = self.third(nodes) * along * across * across / 5.0_f64.sqrt();
         let slope = chained(LOOSE * self.gradient * across, slope_step);
         let bend = chained(LOOSE * self.bend * across * across, bend_step);
-        AtNode { own: [0.0, slope[0], bend[0]], tie: [(self.gradient * along).powi(-2), slope[1], bend[1]] }
+        AtNode { own: [0.0, slope[0], bend[0]], tie: [(self.about_gradient * along).powi(-2), slope[1], bend[1]] }
     }
 }
 
@@ -269,7 +272,7 @@ fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: us
     let mut verdict = Verdict {
         side: Side::plain(0, step),
         smoke: false,
-        prior: NodePrior { gradient: floor, bend: floor, about: SVector::zeros() },
+        prior: NodePrior { about_gradient: floor, gradient: floor, bend: floor, about: SVector::zeros() },
     };
     let fits = Fits::new(contour, sectors, side);
     let degrees: Vec<_> = [1, 3, 5].iter().map_while(|n| fits.left_by(&ORDER[..*n])).collect();
@@ -303,8 +306,12 @@ fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: us
         .left_by(&leaning)
         .is_some_and(|(left, _)| fits.left_by(&ORDER).is_some_and(|(without, _)| (without - left) / variance > LEANS));
     verdict.smoke = leans || varies(&about, variance);
-    verdict.prior = node_prior(contour, &about, variance, floor);
-    verdict.prior.about = degrees[2].1.fixed_rows::<{ Side::MOST }>(0).into_owned();
+    let raw = stretches(contour, sectors, side, nodes, &SVector::zeros());
+    let derivatives = |of: &[Away]| rough_derivatives(contour, of, variance).map(|x| x.max(floor));
+    let [gradient, bend] = derivatives(&raw);
+    let about_gradient = derivatives(&about)[0];
+    let surface = degrees[2].1.fixed_rows::<{ Side::MOST }>(0).into_owned();
+    verdict.prior = NodePrior { about_gradient, gradient, bend, about: surface };
     verdict
 }
 
@@ -321,21 +328,20 @@ fn varies(about: &[Away], variance: f64) -> bool {
     freedom >= 6.0 && (between > freedom + SURE * (2.0 * freedom).sqrt() || alike > SURE * (n * near as f64).sqrt())
 }
 
-/// How much stretches differ, beyond their noise: the largest of what neighbours, and stretches 2, 4, 8, ... apart, tell. Noise hides slow
-/// changes from neighbours, distance hides fast ones.
-fn node_prior(contour: &Contour, raw: &[Away], variance: f64, floor: f64) -> NodePrior {
-    let mut prior = NodePrior { gradient: floor, bend: floor, about: SVector::zeros() };
+/// Root mean squares of first and second derivatives along the contour in units of the semi-axes, grey: the largest of what neighbouring
+/// stretches, and those 2, 4, 8, ... apart, tell. Noise hides slow changes from neighbours, distance hides fast ones.
+fn rough_derivatives(contour: &Contour, raw: &[Away], variance: f64) -> [f64; 2] {
+    let mut largest = [0.0_f64; 2];
     let mut apart = 1;
     while apart <= (raw.len() / 12).max(1) {
-        let [gradient, bend] = differences(contour, raw, variance, apart);
-        prior.gradient = prior.gradient.max(gradient);
-        prior.bend = prior.bend.max(bend);
+        let found = differences(contour, raw, variance, apart);
+        (0..2).for_each(|i| largest[i] = largest[i].max(found[i]));
         apart *= 2;
     }
-    prior
+    largest
 }
 
-/// Root mean squares of first and second derivatives, from differences of stretches so far apart, in units of the semi-axes, grey.
+/// The same from differences of stretches so far apart, beyond their noise.
 fn differences(contour: &Contour, raw: &[Away], variance: f64, apart: usize) -> [f64; 2] {
     let nodes = raw.len();
     let spacing = contour.perimeter_px * apart as f64 / nodes as f64;
