@@ -134,11 +134,16 @@ impl Side {
 const ORDER: [usize; Side::MOST] = [0, 2, 3, 4, 5, 1];
 
 /// Sums of squares that polynomials leave on the pixels away from the edge.
-struct Fits {
-    matrix: SMatrix<f64, 6, 6>,
-    right: SVector<f64, 6>,
-    squares: f64,
+#[derive(Debug)]
+pub(crate) struct Fits {
+    /// Products of the polynomials, of them with the grey values, and of these.
+    pub(crate) matrix: SMatrix<f64, 6, 6>,
+    pub(crate) right: SVector<f64, 6>,
+    pub(crate) squares: f64,
 }
+
+/// What polynomials of degree 0, 1 and 2 without a radial slope leave, and their coefficients.
+pub(crate) type Degrees = [(f64, SVector<f64, 6>); 3];
 
 impl Fits {
     fn new(contour: &Contour, sectors: &Sectors, side: usize) -> Self {
@@ -164,8 +169,33 @@ impl Fits {
         fits
     }
 
+    /// What each degree leaves; none where the pixels do not fix them.
+    pub(crate) fn degrees(&self) -> Option<Degrees> {
+        Some([self.left_by(&ORDER[..1])?, self.left_by(&ORDER[..3])?, self.left_by(&ORDER[..5])?])
+    }
+
+    /// The poorest polynomial that `seen` pixels with noise of this variance do not contradict.
+    pub(crate) fn side(&self, degrees: &Degrees, variance: f64, seen: f64, step: f64) -> Side {
+        let mut side = Side::plain(0, step);
+        let fall = |a: usize, b: usize| (degrees[a].0 - degrees[b].0) / variance;
+        side.degree = if fall(1, 2) > WORTH && seen > 24.0 { 2 } else { usize::from(fall(0, 1) > WORTH) };
+        if side.degree == 2 {
+            // Light that bends along the contour bends across it as well.
+            let c = &degrees[2].1;
+            side.radial = (0.5 * (c[4] * c[4] + c[5] * c[5])).sqrt();
+        }
+        let mut with_radial: Vec<usize> = ORDER[..1 + 2 * side.degree].to_vec();
+        with_radial.push(1);
+        if let Some((left, _)) = self.left_by(&with_radial) {
+            if (degrees[side.degree].0 - left) / variance > 16.0 {
+                side.radial = side.radial.max(0.5 * RADIAL * step);
+            }
+        }
+        side
+    }
+
     /// Sum of squares left by the coefficients listed, and these.
-    fn left_by(&self, which: &[usize]) -> Option<(f64, SVector<f64, 6>)> {
+    pub(crate) fn left_by(&self, which: &[usize]) -> Option<(f64, SVector<f64, 6>)> {
         let n = which.len();
         let reduced = SMatrix::<f64, 6, 6>::from_fn(|i, j| match (i < n, j < n) {
             (true, true) => self.matrix[(which[i], which[j])],
@@ -220,13 +250,12 @@ fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: us
         prior: NodePrior { gradient: floor, bend: floor, about: SVector::zeros() },
     };
     let fits = Fits::new(contour, sectors, side);
-    let degrees: Vec<_> = [1, 3, 5].iter().map_while(|n| fits.left_by(&ORDER[..*n])).collect();
     let seen: f64 = (0..contour.len()).filter(|k| sectors.keep[*k]).map(|k| sectors.away[side][k].n).sum();
-    if degrees.len() < 3 || seen < 12.0 {
+    let Some(degrees) = fits.degrees().filter(|_| seen >= 12.0) else {
         // Too few pixels to ask. On a small disc a gradient of the light and a shift of the centre look alike; a large one can bear it.
         verdict.side.degree = usize::from(contour.perimeter_px > 40.0);
         return verdict;
-    }
+    };
     // Scatter within short stretches only: what varies between them is what is asked for.
     let about = stretches(contour, sectors, side, nodes, &degrees[2].1);
     let told: Vec<&Away> = about.iter().filter(|x| x.n >= 2.0).collect();
@@ -234,21 +263,7 @@ fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: us
     let scatter: f64 = told.iter().map(|x| x.yy - x.y * x.y / x.n).sum();
     let least = (1e-6 * step).powi(2).max(1e-300);
     let variance = if freedom >= 6.0 { scatter / freedom } else { degrees[2].0 / (seen - 5.0) }.max(least);
-    let fall = |a: usize, b: usize| (degrees[a].0 - degrees[b].0) / variance;
-    verdict.side.degree = if fall(1, 2) > WORTH && seen > 24.0 { 2 } else { usize::from(fall(0, 1) > WORTH) };
-    let degree = verdict.side.degree;
-    if degree == 2 {
-        // Light that bends along the contour bends across it as well.
-        let c = &degrees[2].1;
-        verdict.side.radial = (0.5 * (c[4] * c[4] + c[5] * c[5])).sqrt();
-    }
-    let mut with_radial: Vec<usize> = ORDER[..1 + 2 * degree].to_vec();
-    with_radial.push(1);
-    if let Some((left, _)) = fits.left_by(&with_radial) {
-        if (degrees[degree].0 - left) / variance > 16.0 {
-            verdict.side.radial = verdict.side.radial.max(0.5 * RADIAL * step);
-        }
-    }
+    verdict.side = fits.side(&degrees, variance, seen, step);
     let between: f64 = told.iter().map(|x| x.y * x.y / x.n).sum::<f64>() / variance;
     let freedom = told.len() as f64 - 5.0;
     verdict.smoke = freedom >= 6.0 && between > freedom + 3.5 * (2.0 * freedom).sqrt();
