@@ -15,7 +15,7 @@ fn main() {
     let words: Vec<String> = std::env::args().skip(1).filter(|x| !x.starts_with("--")).collect();
     let wished = |name: &str| words.iter().find_map(|w| w.strip_prefix(name).map(|x| x.parse().unwrap()));
     let (scenes_wished, shots_wished) = (wished("scenes="), wished("shots="));
-    let lights = ["even", "slanted", "bent", "smoke", "glare"];
+    let lights = ["even", "slanted", "smoke", "bent", "glare"];
     let any_light = !words.iter().any(|w| lights.contains(&&w[..]));
     let sizes: Vec<f64> = words.iter().filter_map(|w| w.parse().ok()).collect();
     let wide = std::env::var("SPIVCAL_TABLE").is_ok_and(|x| x == "wide");
