@@ -2,7 +2,7 @@
 
 use crate::problems::timed;
 use crate::scenes;
-use spivcal::bundle::{AdjustOptions, Termination, adjust};
+use spivcal::bundle::{AdjustOptions, Termination, adjust, shared_covariance};
 use spivcal::detect::{DetectOptions, find_discs};
 use spivcal::image::{GrayView, Samples};
 use std::hint::black_box;
@@ -21,13 +21,22 @@ pub fn run(name: &str) -> ExitCode {
         "detect_two_discs" => return detect(scenes::two_discs(), 2),
         _ => {}
     }
-    let Some(case) = name.strip_prefix("adjust_").and_then(timed) else {
+    let (covariance, case) = match name.split_once('_') {
+        Some(("adjust", case)) => (false, timed(case)),
+        Some(("covariance", case)) => (true, timed(case)),
+        _ => (false, None),
+    };
+    let Some(case) = case else {
         eprintln!("no call {name}");
         return ExitCode::from(2);
     };
     let options = AdjustOptions { rounds: 0, ..AdjustOptions::default() };
-    let out = measured(|| adjust(&case.model, case.start, &options, &mut |_| true));
+    let solve = || adjust(&case.model, case.start.clone(), &options, &mut |_| true);
+    let out = if covariance { solve() } else { measured(solve) };
     assert_eq!(out.termination, Termination::Converged, "{name}");
+    if covariance {
+        assert!(measured(|| shared_covariance(&out)).is_some(), "{name}");
+    }
     ExitCode::SUCCESS
 }
 

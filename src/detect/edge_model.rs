@@ -31,8 +31,8 @@
 use crate::conic::{Ellipse, from_regular, to_regular};
 use crate::detect::contour::Contour;
 use crate::detect::light::{Light, NodePrior, Side};
-use crate::detect::sectors::Sectors;
-use nalgebra::{Matrix4, SMatrix, SVector, Vector4};
+use crate::detect::sectors::{LOCAL, Sectors};
+use nalgebra::{SMatrix, SVector};
 
 /// Standard deviation of the prior of the blur, px.
 pub(crate) const PRIOR_BLUR_PX: f64 = 0.3;
@@ -42,8 +42,8 @@ const LEAST_BLUR_PX: f64 = 0.15;
 const FIXED: usize = 6;
 /// Most unknowns of a surface: two sides.
 const MOST: usize = 2 * Side::MOST + FIXED;
-/// Unknowns of the light at one node: level and slope on either side.
-const NODE: usize = 4;
+/// Unknowns of the light at one node: level, slope and bend on either side.
+const NODE: usize = LOCAL - 2;
 /// Blur and geometry and the node where the chain closes.
 const BORDER: usize = FIXED + NODE;
 
@@ -57,7 +57,7 @@ pub(crate) struct EdgeModel {
     pub(crate) light: Light,
     /// Noise variance inside and outside, grey^2.
     pub(crate) variance: [f64; 2],
-    /// Second derivative of the light that the model does not follow, see [`Light::bends`].
+    /// Third derivative of the light, which the model does not follow, see [`Light::bends`].
     pub(crate) bends: [f64; 2],
     /// Inside minus outside, typical, grey.
     pub(crate) step: f64,
@@ -74,6 +74,8 @@ pub(crate) struct Solution {
     /// Light of either side on each sector of the contour, and its slope along the normal.
     pub(crate) level: [Vec<f64>; 2],
     pub(crate) slope: [Vec<f64>; 2],
+    /// Second derivative along the normal.
+    pub(crate) bend: [Vec<f64>; 2],
     /// Step of each sector, grey.
     pub(crate) step: Vec<f64>,
     /// Factor by which not knowing blur and light widens the sigmas of the geometry (at least 1).
@@ -121,8 +123,8 @@ impl EdgeModel {
     /// Normal matrix and right side of blur and geometry alone, from the local sums of a sector.
     fn fixed_part(
         row: &[f64; 5],
-        normal: &SMatrix<f64, 6, 6>,
-        right: &SVector<f64, 6>,
+        normal: &SMatrix<f64, LOCAL, LOCAL>,
+        right: &SVector<f64, LOCAL>,
     ) -> (SMatrix<f64, FIXED, FIXED>, SVector<f64, FIXED>) {
         let matrix = SMatrix::from_fn(|a, b| match (a, b) {
             (0, 0) => normal[(1, 1)],
@@ -194,6 +196,8 @@ impl EdgeModel {
             let (level, slope) = (&mut found.level[side], &mut found.slope[side]);
             level.clear();
             slope.clear();
+            found.bend[side].clear();
+            found.bend[side].resize(contour.len(), 0.0);
             for k in 0..contour.len() {
                 let (value, climb) = Side::basis(contour, k);
                 level.push(c.iter().zip(&value).map(|(c, v)| c * v).sum());
@@ -218,11 +222,12 @@ impl EdgeModel {
         for k in (0..count).filter(|k| sectors.keep[*k]) {
             let (normal, mut right) = sectors.local(k, found.step[k]);
             let [inner, outer] = [0, 1].map(|side| priors[side].surface(contour, k));
-            right -= normal * SVector::from([0.0, 0.0, inner.0, outer.0, inner.1, outer.1]);
+            let about = [0.0, 0.0, inner[0], outer[0], inner[1], outer[1], inner[2], outer[2]];
+            right -= normal * SVector::from(about);
             let (fixed, fixed_right) = Self::fixed_part(&contour.row[k], &normal, &right);
             found.dense.add_last(BORDER, &fixed, &fixed_right);
-            let light: Matrix4<f64> = normal.fixed_view::<4, 4>(2, 2).into_owned();
-            let light_right: Vector4<f64> = right.fixed_rows::<4>(2).into_owned();
+            let light: AtNode = normal.fixed_view::<NODE, NODE>(2, 2).into_owned();
+            let light_right: SVector<f64, NODE> = right.fixed_rows::<NODE>(2).into_owned();
             let cross = SMatrix::<f64, NODE, FIXED>::from_fn(|a, b| match b {
                 0 => normal[(2 + a, 1)],
                 j => -contour.row[k][j - 1] * normal[(2 + a, 0)],
@@ -238,14 +243,17 @@ impl EdgeModel {
         }
         for i in 0..nodes {
             let j = if i + 1 == nodes { 0 } else { i + 1 };
-            let mut weights = Vector4::zeros();
+            let mut weights = SVector::<f64, NODE>::zeros();
             for (side, p) in priors.iter().enumerate() {
                 let p = p.at(contour, i, nodes);
-                chain.own[i][(2 + side, 2 + side)] += p.slope.powi(-2);
-                weights[side] = p.level_step.powi(-2);
-                weights[2 + side] = p.slope_step.powi(-2);
+                let [_, slope, bend] = [0, 1, 2].map(|order| 2 * order + side);
+                chain.own[i][(slope, slope)] += p.slope.powi(-2);
+                chain.own[i][(bend, bend)] += p.bend.powi(-2);
+                for (order, step) in p.steps.into_iter().enumerate() {
+                    weights[2 * order + side] = step.powi(-2);
+                }
             }
-            let tie = Matrix4::from_diagonal(&weights);
+            let tie = AtNode::from_diagonal(&weights);
             chain.own[i] += tie;
             chain.own[j] += tie;
             chain.couple(i, j, &-tie);
@@ -260,14 +268,15 @@ impl EdgeModel {
         found.take_fixed(NODE);
         found.chain.substitute(&found.dense.right);
         for side in 0..2 {
-            found.level[side].clear();
-            found.slope[side].clear();
-            for k in 0..count {
-                let (i, j, f) = place_between(k, count, nodes);
-                let x = found.chain.right[i] * (1.0 - f) + found.chain.right[j] * f;
-                let (level, slope) = priors[side].surface(contour, k);
-                found.level[side].push(x[side] + level);
-                found.slope[side].push(x[2 + side] + slope);
+            let lists = [&mut found.level[side], &mut found.slope[side], &mut found.bend[side]];
+            for (order, list) in lists.into_iter().enumerate() {
+                list.clear();
+                for k in 0..count {
+                    let (i, j, f) = place_between(k, count, nodes);
+                    let at = 2 * order + side;
+                    let x = found.chain.right[i][at] * (1.0 - f) + found.chain.right[j][at] * f;
+                    list.push(x + priors[side].surface(contour, k)[order]);
+                }
             }
         }
         true
@@ -281,9 +290,14 @@ impl Solution {
     }
 
     /// The local numbers of a sector as solved.
-    pub(crate) fn local(&self, k: usize) -> SVector<f64, 6> {
-        let [inner, outer] = [0, 1].map(|s| (self.level[s][k], self.slope[s][k]));
-        SVector::from([self.shift[k], self.blur_change_px, inner.0, outer.0, inner.1, outer.1])
+    pub(crate) fn local(&self, k: usize) -> SVector<f64, LOCAL> {
+        let (level, slope, bend) = (&self.level, &self.slope, &self.bend);
+        let light = [level, slope, bend].map(|x| [x[0][k], x[1][k]]);
+        SVector::from_fn(|a, _| match a {
+            0 => self.shift[k],
+            1 => self.blur_change_px,
+            _ => light[a / 2 - 1][a % 2],
+        })
     }
 }
 
@@ -379,31 +393,34 @@ impl Dense {
     }
 }
 
+/// Products of the unknowns at a node.
+type AtNode = SMatrix<f64, NODE, NODE>;
+
 /// Light at nodes around the contour: a closed chain of blocks, cut at node 0, which joins the border.
 #[derive(Debug, Default)]
 struct Chain {
-    own: Vec<Matrix4<f64>>,
+    own: Vec<AtNode>,
     /// Coupling of a node with the next.
-    next: Vec<Matrix4<f64>>,
+    next: Vec<AtNode>,
     /// Coupling of a node with node 0, blur and geometry.
     border: Vec<SMatrix<f64, NODE, BORDER>>,
-    right: Vec<Vector4<f64>>,
+    right: Vec<SVector<f64, NODE>>,
 }
 
 impl Chain {
     fn clear(&mut self, nodes: usize) {
         self.own.clear();
-        self.own.resize(nodes, Matrix4::zeros());
+        self.own.resize(nodes, AtNode::zeros());
         self.next.clear();
-        self.next.resize(nodes, Matrix4::zeros());
+        self.next.resize(nodes, AtNode::zeros());
         self.border.clear();
         self.border.resize(nodes, SMatrix::zeros());
         self.right.clear();
-        self.right.resize(nodes, Vector4::zeros());
+        self.right.resize(nodes, SVector::zeros());
     }
 
     /// Adds a symmetric coupling of a node with the next.
-    fn couple(&mut self, i: usize, j: usize, block: &Matrix4<f64>) {
+    fn couple(&mut self, i: usize, j: usize, block: &AtNode) {
         if i == 0 || j == 0 {
             let mut border = self.border[i.max(j)].fixed_view_mut::<NODE, NODE>(0, 0);
             border += block;

@@ -11,7 +11,7 @@
 //! `c_1` moves no level on the contour, only the radial slope; it is all but held at zero unless the pixels away from the edge
 //! show it (a free radial slope costs half of what the image tells about the axes).
 //!
-//! Smoke follows no polynomial: there what it adds to the best one, levels and slopes, stands at *nodes* around the contour, tied to
+//! Smoke follows no polynomial: there what it adds to the best one, levels, slopes and bends, stands at *nodes* around the contour, tied to
 //! their neighbours as loosely as the pixels away from the edge show them to differ.
 //!
 //! | symbol | identifier | unit | meaning |
@@ -71,20 +71,25 @@ pub(crate) struct NodePrior {
 
 /// The same at one node, standard deviations.
 pub(crate) struct AtNode {
-    /// Of the difference of the levels of two neighbouring nodes, grey.
-    pub(crate) level_step: f64,
     /// Of a slope, grey/px.
     pub(crate) slope: f64,
-    /// Of the difference of the slopes of two neighbouring nodes, grey/px.
-    pub(crate) slope_step: f64,
+    /// Of a bend, grey/px^2.
+    pub(crate) bend: f64,
+    /// Of the differences of levels, slopes and bends of two neighbouring nodes.
+    pub(crate) steps: [f64; 3],
 }
 
 impl NodePrior {
-    /// Level and slope of the surface on a sector.
-    pub(crate) fn surface(&self, contour: &Contour, k: usize) -> (f64, f64) {
+    /// Level, slope and bend of the surface on a sector.
+    pub(crate) fn surface(&self, contour: &Contour, k: usize) -> [f64; 3] {
         let (value, climb) = Side::basis(contour, k);
-        let sum = |x: &[f64; Side::MOST]| self.about.iter().zip(x).map(|(c, x)| c * x).sum();
-        (sum(&value), sum(&climb))
+        [value, climb, Side::bend(contour, k)].map(|x| self.about.iter().zip(&x).map(|(c, x)| c * x).sum())
+    }
+
+    /// Standard deviation of the third derivative in units of the semi-axes, grey, of waves of one length that run in all directions:
+    /// `(10/9)^(1/2) bend^2 / gradient`. What is measured as shorter than two nodes is noise.
+    fn third(&self, nodes: usize) -> f64 {
+        self.bend * (10.0_f64 / 9.0).sqrt() * (self.bend / self.gradient).min(0.5 * nodes as f64)
     }
 
     /// At node `i` of `nodes`.
@@ -92,10 +97,14 @@ impl NodePrior {
         let k = i * contour.len() / nodes;
         let (along, across) = (contour.turn[k] * contour.perimeter_px / nodes as f64, contour.steepness(k));
         AtNode {
-            level_step: self.gradient * along,
             slope: LOOSE * self.gradient * across,
-            // A mixed second derivative has a third of the variance of a pure one.
-            slope_step: self.bend * along * across / 3.0_f64.sqrt(),
+            bend: LOOSE * self.bend * across * across,
+            // A mixed second derivative has a third of the variance of a pure one, a mixed third one a fifth.
+            steps: [
+                self.gradient * along,
+                self.bend * along * across / 3.0_f64.sqrt(),
+                self.third(nodes) * along * across * across / 5.0_f64.sqrt(),
+            ],
         }
     }
 }
@@ -127,6 +136,12 @@ impl Side {
         let value = [1.0, 0.0, c, s, c * c - s * s, 2.0 * c * s];
         let climb = [0.0, 2.0 * (c * gx + s * gy), gx, gy, 2.0 * (c * gx - s * gy), 2.0 * (s * gx + c * gy)];
         (value, climb)
+    }
+
+    /// Their second derivatives along the normal, 1/px^2.
+    fn bend(contour: &Contour, k: usize) -> [f64; Self::MOST] {
+        let [gx, gy] = contour.climb[k];
+        [0.0, 2.0 * (gx * gx + gy * gy), 0.0, 0.0, 2.0 * (gx * gx - gy * gy), 4.0 * gx * gy]
     }
 }
 
@@ -236,10 +251,26 @@ fn stretches(contour: &Contour, sectors: &Sectors, side: usize, count: usize, ab
         let (value, climb) = Side::basis(contour, k);
         let level: f64 = (0..Side::MOST).map(|i| about[i] * value[i]).sum();
         let slope: f64 = (0..Side::MOST).map(|i| about[i] * climb[i]).sum();
-        let rest = Away { y: x.y - level * x.n - slope * x.d, yy: x.about(level, slope), ..x };
+        let (y, yy) = x.about(level, slope, 0.0);
+        let rest = Away { y, yy, yd: x.yd - level * x.d - slope * x.dd, ..x };
         all[k * count / contour.len()].add(&rest);
     }
     all
+}
+
+/// Variance about a line along the normal within single sectors: what varies between them, or rises in all of them, is light, which must not
+/// count as noise; none where too few pixels tell.
+fn within_sectors(contour: &Contour, sectors: &Sectors, side: usize, about: &SVector<f64, 6>) -> Option<f64> {
+    let (mut scatter, mut freedom) = (0.0, 0.0);
+    for x in stretches(contour, sectors, side, contour.len(), about) {
+        let depth = x.dd - x.d * x.d / x.n;
+        if x.n >= 3.0 && depth > 1e-6 * x.dd {
+            let along = x.yd - x.y * x.d / x.n;
+            scatter += (x.yy - x.y * x.y / x.n - along * along / depth).max(0.0);
+            freedom += x.n - 2.0;
+        }
+    }
+    (freedom >= 6.0).then(|| scatter / freedom)
 }
 
 fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: usize) -> Verdict {
@@ -256,13 +287,11 @@ fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: us
         verdict.side.degree = usize::from(contour.perimeter_px > 40.0);
         return verdict;
     };
-    // Scatter within short stretches only: what varies between them is what is asked for.
     let about = stretches(contour, sectors, side, nodes, &degrees[2].1);
     let told: Vec<&Away> = about.iter().filter(|x| x.n >= 2.0).collect();
-    let freedom: f64 = told.iter().map(|x| x.n - 1.0).sum();
-    let scatter: f64 = told.iter().map(|x| x.yy - x.y * x.y / x.n).sum();
     let least = (1e-6 * step).powi(2).max(1e-300);
-    let variance = if freedom >= 6.0 { scatter / freedom } else { degrees[2].0 / (seen - 5.0) }.max(least);
+    let whole = degrees[2].0 / (seen - 5.0);
+    let variance = within_sectors(contour, sectors, side, &degrees[2].1).unwrap_or(whole).max(least);
     verdict.side = fits.side(&degrees, variance, seen, step);
     let between: f64 = told.iter().map(|x| x.y * x.y / x.n).sum::<f64>() / variance;
     let freedom = told.len() as f64 - 5.0;
@@ -296,11 +325,11 @@ fn node_prior(contour: &Contour, raw: &[Away], variance: f64, floor: f64) -> Nod
 }
 
 impl Light {
-    /// How strongly the light bends on either side where the model does not follow it, grey in units of the semi-axes.
+    /// Third derivative of the light on either side, which no model follows, grey in units of the semi-axes; zero for a surface.
     pub(crate) fn bends(&self) -> [f64; 2] {
         match self {
             Light::Surface(_) => [0.0; 2],
-            Light::Nodes(_, priors) => priors.map(|p| p.bend),
+            Light::Nodes(n, priors) => priors.map(|p| p.third(*n)),
         }
     }
 }
@@ -316,15 +345,11 @@ pub(crate) fn noise(
     [0, 1].map(|side| {
         let each = |k: usize| {
             let x = &sectors.away[side][k];
-            let (level, slope) = (found.level[side][k], found.slope[side][k]);
-            let squares = x.about(level, slope);
+            let (sum, squares) = x.about(found.level[side][k], found.slope[side][k], found.bend[side][k]);
             match light {
                 Light::Surface(_) => (squares, x.n),
                 // The nodes follow the noise a little; what scatters within a sector is the noise itself.
-                Light::Nodes(..) if x.n > 1.0 => {
-                    let sum = x.y - level * x.n - slope * x.d;
-                    ((squares - sum * sum / x.n).max(0.0), x.n - 1.0)
-                }
+                Light::Nodes(..) if x.n > 1.0 => ((squares - sum * sum / x.n).max(0.0), x.n - 1.0),
                 Light::Nodes(..) => (0.0, 0.0),
             }
         };

@@ -1,23 +1,31 @@
 //! What the pixels of each sector of the contour say, summed up once: everything after works on sectors, not on pixels.
 //!
-//! In a sector the model of [`crate::detect::edge_model`] is linear in six local numbers,
+//! In a sector the model of [`crate::detect::edge_model`] is linear in eight local numbers,
 //!
 //! ```text
-//! g(d) = shift E e + ds E f + L_in P + L_out Q + S_in (P d - s^2 e) + S_out (Q d + s^2 e),     Q = 1 - P,  E = L_in - L_out
+//! g(d) = shift E e + ds E f + L_in P + L_out Q + S_in (P d - s^2 e) + S_out (Q d + s^2 e)
+//!        + B_in d (P d - s^2 e) / 2 + B_out d (Q d + s^2 e) / 2,     Q = 1 - P,  E = L_in - L_out
 //! z = d / s + kappa s / 2,   P = Phi(-z),   e = phi(z) / s,   f = -phi(z) (kappa / 2 - d / s^2)
 //! ```
 //!
-//! (a light that rises along the normal is blurred with the disc: `(x 1[x < 0]) * G_s = P d - s^2 e` for a straight edge),
+//! (a light that rises along the normal is blurred with the disc: `(x 1[x < 0]) * G_s = P d - s^2 e` for a straight edge; one that bends,
+//! and that the blur alone would leave as `d^2 / 2`: `((x^2 - s^2) / 2 1[x < 0]) * G_s = d (P d - s^2 e) / 2`),
 //!
-//! so the weighted sums of products of the columns `(e, f, P, Q, P d - s^2 e, Q d + s^2 e, g)` are all that the image has to say about
-//! them (the step `E` is put in later). Sums of the pixels away from the edge, on either side, are kept beside them: they judge noise and light.
+//! so the weighted sums of products of the columns `(e, f, P, Q, P d - s^2 e, Q d + s^2 e, g, bent in, bent out)` are all that the image has to
+//! say about them (the step `E` is put in later). The last two are only summed up where light varies that much. Sums of the pixels away from the edge, on either side, are kept beside them: they judge noise and light.
 
 use crate::detect::band::{Band, LANES};
 use crate::detect::contour::Contour;
 use nalgebra::{SMatrix, SVector};
 
-/// Columns of the sums: six local numbers and the grey level.
-const COLUMNS: usize = 7;
+/// Local numbers of a sector: shift, change of the blur, and level, slope and bend of the light inside and outside.
+pub(crate) const LOCAL: usize = 8;
+/// Columns of the sums: the local numbers, and the grey level between them.
+const COLUMNS: usize = LOCAL + 1;
+/// Place of the grey level among the columns; those of light that bends come last.
+const GREY: usize = 6;
+/// Columns of the local numbers.
+const COLUMN: [usize; LOCAL] = [0, 1, 2, 3, 4, 5, 7, 8];
 /// Products of two columns, lower triangle.
 const PRODUCTS: usize = COLUMNS * (COLUMNS + 1) / 2;
 /// Beyond this many blurs the edge is not felt.
@@ -25,7 +33,7 @@ const FAR: f64 = 4.5;
 /// Beyond this many blurs a pixel shows the light of its side; what is left of the edge is taken off.
 const AWAY: f64 = 2.3;
 
-/// Pixels that share the error of light that bends.
+/// Pixels that share the error of light that the model does not follow.
 const SHARING: f64 = 10.0;
 
 /// Sums over the pixels of one side away from the edge.
@@ -34,8 +42,11 @@ pub(crate) struct Away {
     pub(crate) n: f64,
     pub(crate) d: f64,
     pub(crate) dd: f64,
+    pub(crate) ddd: f64,
+    pub(crate) dddd: f64,
     pub(crate) y: f64,
     pub(crate) yd: f64,
+    pub(crate) ydd: f64,
     pub(crate) yy: f64,
 }
 
@@ -44,9 +55,13 @@ impl Away {
     fn push(&mut self, d: f64, y: f64) {
         self.n += 1.0;
         self.d += d;
-        self.dd += d * d;
+        let dd = d * d;
+        self.dd += dd;
+        self.ddd += dd * d;
+        self.dddd += dd * dd;
         self.y += y;
         self.yd += y * d;
+        self.ydd += y * dd;
         self.yy += y * y;
     }
 
@@ -54,16 +69,23 @@ impl Away {
         self.n += o.n;
         self.d += o.d;
         self.dd += o.dd;
+        self.ddd += o.ddd;
+        self.dddd += o.dddd;
         self.y += o.y;
         self.yd += o.yd;
+        self.ydd += o.ydd;
         self.yy += o.yy;
     }
 
-    /// Sum of squares about `level + slope d`.
-    pub(crate) fn about(&self, level: f64, slope: f64) -> f64 {
-        let cross = level * self.y + slope * self.yd;
-        let square = level * level * self.n + 2.0 * level * slope * self.d + slope * slope * self.dd;
-        (self.yy - 2.0 * cross + square).max(0.0)
+    /// Sum of `y - level - slope d - bend d^2 / 2`, and of its squares.
+    pub(crate) fn about(&self, level: f64, slope: f64, bend: f64) -> (f64, f64) {
+        let half = 0.5 * bend;
+        let sum = self.y - level * self.n - slope * self.d - half * self.dd;
+        let along = self.yd - level * self.d - slope * self.dd - half * self.ddd;
+        let bent = self.ydd - level * self.dd - slope * self.ddd - half * self.dddd;
+        // Residual times residual: what the light takes off y, and what it takes off the rest.
+        let squares = self.yy - level * (self.y + sum) - slope * (self.yd + along) - half * (self.ydd + bent);
+        (sum, squares.max(0.0))
     }
 }
 
@@ -84,7 +106,8 @@ pub(crate) struct Lens {
     pub(crate) blur_px: f64,
     /// Noise variance inside and outside, grey^2.
     pub(crate) variance: [f64; 2],
-    /// Second derivatives of the light that the model does not follow, inside and outside, grey in units of the semi-axes.
+    /// Third derivatives of the light, which the model does not follow, inside and outside, grey in units of the semi-axes; zero for light
+    /// that hardly bends at all.
     pub(crate) bends: [f64; 2],
     /// Inside minus outside, roughly, grey.
     pub(crate) step: f64,
@@ -113,10 +136,10 @@ impl Sectors {
     /// Sums up the pixels of a band.
     pub(crate) fn sum_up(&mut self, band: &Band, contour: &Contour, lens: &Lens) {
         self.clear(contour.len());
-        // Light that bends away from its tangent by `bend d^2 / 2`; neighbouring pixels share that error.
+        // Light that turns away from its parabola by `bend d^3 / 6`; neighbouring pixels share that error.
         let bent = |k: usize, d: f64| {
-            let bend = 0.5 * lens.bends[usize::from(d > 0.0)] * contour.steepness(k).powi(2) * d * d;
-            SHARING * bend * bend
+            let left = lens.bends[usize::from(d > 0.0)] * (contour.steepness(k) * d).powi(3) / 6.0;
+            SHARING * left * left
         };
         let smooth = lens.bends == [0.0; 2];
         let inverse = 1.0 / lens.blur_px;
@@ -141,6 +164,7 @@ impl Sectors {
                     self.away[0][k].push(d, y + lens.step * (1.0 - inside[i]));
                 }
                 let bent = if smooth { 0.0 } else { bent(k, d) };
+                let columns = if smooth { GREY + 1 } else { COLUMNS };
                 if z[i] > FAR {
                     self.push_far(k, 1, 1.0 / (lens.variance[1] + bent), d, y);
                 } else if z[i] < -FAR {
@@ -151,17 +175,20 @@ impl Sectors {
                     let e = density[i] * inverse;
                     let f = density[i] * (d * inverse * inverse - 0.5 * kappa[i]);
                     let mixed = lens.blur_px * density[i];
-                    self.push_near(k, weight, [e, f, p, q, p * d - mixed, q * d + mixed, y]);
+                    let [levels, slopes, bends] = light(d, p, mixed);
+                    let column = [e, f, levels[0], levels[1], slopes[0], slopes[1], y, bends[0], bends[1]];
+                    self.push_near(k, weight, columns, column);
                 }
             }
         }
     }
 
+    /// A pixel at the edge, by so many of its columns.
     #[inline]
-    fn push_near(&mut self, k: usize, weight: f64, column: [f64; COLUMNS]) {
+    fn push_near(&mut self, k: usize, weight: f64, columns: usize, column: [f64; COLUMNS]) {
         let sums = &mut self.products[k];
         let mut at = 0;
-        for a in 0..COLUMNS {
+        for a in 0..columns {
             let w = weight * column[a];
             for b in 0..=a {
                 sums[at + b] += w * column[b];
@@ -174,26 +201,32 @@ impl Sectors {
     #[inline]
     fn push_far(&mut self, k: usize, side: usize, weight: f64, d: f64, y: f64) {
         let sums = &mut self.products[k];
-        let (level, slope) = (2 + side, 4 + side);
+        let (level, slope, bend) = (2 + side, 4 + side, GREY + 1 + side);
+        let (wd, wy, half) = (weight * d, weight * y, 0.5 * d * d);
         sums[place(level, level)] += weight;
-        sums[place(slope, level)] += weight * d;
-        sums[place(slope, slope)] += weight * d * d;
-        sums[place(6, level)] += weight * y;
-        sums[place(6, slope)] += weight * y * d;
-        sums[place(6, 6)] += weight * y * y;
+        sums[place(slope, level)] += wd;
+        sums[place(slope, slope)] += wd * d;
+        sums[place(GREY, level)] += wy;
+        sums[place(GREY, slope)] += wy * d;
+        sums[place(GREY, GREY)] += wy * y;
+        sums[place(bend, level)] += weight * half;
+        sums[place(bend, slope)] += wd * half;
+        sums[place(bend, GREY)] += wy * half;
+        sums[place(bend, bend)] += weight * half * half;
     }
 
     /// Normal matrix and right side of the local numbers of sector `k` with the step of the light there.
-    pub(crate) fn local(&self, k: usize, step: f64) -> (SMatrix<f64, 6, 6>, SVector<f64, 6>) {
+    pub(crate) fn local(&self, k: usize, step: f64) -> (SMatrix<f64, LOCAL, LOCAL>, SVector<f64, LOCAL>) {
         let sums = &self.products[k];
         let scale = |a: usize| if a < 2 { step } else { 1.0 };
-        let normal = SMatrix::from_fn(|a, b| sums[place(a.max(b), a.min(b))] * scale(a) * scale(b));
-        (normal, SVector::from_fn(|a, _| sums[place(6, a)] * scale(a)))
+        let product = |a: usize, b: usize| sums[place(a.max(b), a.min(b))];
+        let normal = SMatrix::from_fn(|a, b| product(COLUMN[a], COLUMN[b]) * scale(a) * scale(b));
+        (normal, SVector::from_fn(|a, _| product(GREY, COLUMN[a]) * scale(a)))
     }
 
     /// Weighted sum of the squared grey levels of sector `k`.
     pub(crate) fn squares(&self, k: usize) -> f64 {
-        self.products[k][place(6, 6)]
+        self.products[k][place(GREY, GREY)]
     }
 
     /// What sector `k` says about the shift of its edge, 1/px^2.
@@ -205,10 +238,18 @@ impl Sectors {
     pub(crate) fn own_step(&self, k: usize) -> Option<f64> {
         let s = &self.products[k];
         let (pp, qp, qq) = (s[place(2, 2)], s[place(3, 2)], s[place(3, 3)]);
-        let (yp, yq) = (s[place(6, 2)], s[place(6, 3)]);
+        let (yp, yq) = (s[place(GREY, 2)], s[place(GREY, 3)]);
         let det = pp * qq - qp * qp;
         (det > 1e-9 * (pp + qq) * (pp + qq)).then(|| ((qq * yp - qp * yq) - (pp * yq - qp * yp)) / det)
     }
+}
+
+/// Columns of level, slope and bend of the light inside and outside, of a pixel at distance `d` with the profile `p`; `mixed` is `s^2 e`.
+#[inline(always)]
+fn light(d: f64, p: f64, mixed: f64) -> [[f64; 2]; 3] {
+    let q = 1.0 - p;
+    let slope = [p * d - mixed, q * d + mixed];
+    [[p, q], slope, slope.map(|x| 0.5 * d * x)]
 }
 
 /// Place of a product in the lower triangle, `a >= b`.
@@ -278,6 +319,31 @@ mod tests {
             let phi = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
             assert!((density[3] - phi).abs() < 1e-10, "density at {z}: {} against {phi}", density[3]);
             assert!((tail[5] - simpson(z)).abs() < 2e-7, "tail at {z}: {} against {}", tail[5], simpson(z));
+        }
+    }
+
+    /// Against the blur of a light that is 1, x or (x^2 - s^2) / 2 on one side of a straight edge and nothing on the other.
+    #[test]
+    fn light_on_either_side_is_blurred_with_the_disc() {
+        let s = 0.9;
+        for d in [-2.5, -0.7, 0.0, 0.4, 1.9] {
+            let z: f64 = d / s;
+            let (mut tail, mut density) = ([0.0; 1], [0.0; 1]);
+            normal_tails(&[z], &mut tail, &mut density);
+            let columns = light(d, tail[0], s * density[0]);
+            let lights: [fn(f64, f64) -> f64; 3] = [|_, _| 1.0, |x, _| x, |x, s| 0.5 * (x * x - s * s)];
+            for (column, light) in columns.into_iter().zip(lights) {
+                for (side, column) in column.into_iter().enumerate() {
+                    let (n, h) = (20_000, 10.0 / 20_000.0);
+                    let sign = if side == 0 { -1.0 } else { 1.0 };
+                    let sum: f64 = (0..n)
+                        .map(|i| sign * (f64::from(i) + 0.5) * h)
+                        .map(|x| light(x, s) * (-0.5 * ((d - x) / s).powi(2)).exp())
+                        .sum();
+                    let blurred = sum * h / (s * std::f64::consts::TAU.sqrt());
+                    assert!((column - blurred).abs() < 1e-6, "{d} {side}: {column} {blurred}");
+                }
+            }
         }
     }
 }
