@@ -76,7 +76,7 @@ fn plain_pixel(near: &Near, i: usize, e: &Ellipse, lens: &Lens, off: f64) -> ([f
     let order = [0, 2, 3, 1, 4, 5];
     let light = |k: usize| {
         let m = order[k % 3 + 3 * (k / 6)];
-        if k / 3 % 2 == 0 { blurred[m] } else { bare[m] - blurred[m] }
+        if (k / 3).is_multiple_of(2) { blurred[m] } else { bare[m] - blurred[m] }
     };
     let l = lens.light;
     let edge = on_contour(c, s);
