@@ -246,11 +246,10 @@ impl EdgeModel {
             let mut weights = SVector::<f64, NODE>::zeros();
             for (side, p) in priors.iter().enumerate() {
                 let p = p.at(contour, i, nodes);
-                let [_, slope, bend] = [0, 1, 2].map(|order| 2 * order + side);
-                chain.own[i][(slope, slope)] += p.slope.powi(-2);
-                chain.own[i][(bend, bend)] += p.bend.powi(-2);
-                for (order, step) in p.steps.into_iter().enumerate() {
-                    weights[2 * order + side] = step.powi(-2);
+                for order in 0..3 {
+                    let at = 2 * order + side;
+                    chain.own[i][(at, at)] += p.own[order];
+                    weights[at] = p.tie[order];
                 }
             }
             let tie = AtNode::from_diagonal(&weights);

@@ -37,6 +37,10 @@ const MOST_NODES: usize = 400;
 const RADIAL: f64 = 0.15;
 /// A slope held too tightly drags the edge along with it, one held too loosely costs little: the prior is this much wider than measured.
 const LOOSE: f64 = 4.0;
+/// How much it must fall for slopes across the contour that no surface has: chance does that once in 20 000 discs.
+const LEANS: f64 = 20.0;
+/// Standard deviations by which light must vary to be called smoke.
+const SURE: f64 = 3.5;
 /// How much `chi^2` must fall for two more coefficients: their mean, 3.5 standard deviations, and 4 for having looked.
 const WORTH: f64 = 13.0;
 
@@ -69,14 +73,21 @@ pub(crate) struct NodePrior {
     about: SVector<f64, 6>,
 }
 
-/// The same at one node, standard deviations.
+/// The same at one node, as weights of level, slope and bend.
 pub(crate) struct AtNode {
-    /// Of a slope, grey/px.
-    pub(crate) slope: f64,
-    /// Of a bend, grey/px^2.
-    pub(crate) bend: f64,
-    /// Of the differences of levels, slopes and bends of two neighbouring nodes.
-    pub(crate) steps: [f64; 3],
+    /// Of the value itself.
+    pub(crate) own: [f64; 3],
+    /// Of its difference from that at the next node.
+    pub(crate) tie: [f64; 3],
+}
+
+/// Weights of the values and of the differences of neighbours in a chain of which every value has the standard deviation `sigma` and every
+/// difference `step`: with the correlation `r = 1 - step^2 / (2 sigma^2)` of neighbours (first-order autoregression)
+/// `(1 - r) / (1 + r) / sigma^2` and `r / (1 - r^2) / sigma^2`. Values that were held one by one would fix their mean as if each knew of it.
+fn chained(sigma: f64, step: f64) -> [f64; 2] {
+    let r = (1.0 - 0.5 * (step / sigma).powi(2)).clamp(0.0, 1.0 - 1e-12);
+    let weight = sigma.powi(-2) / (1.0 + r);
+    [(1.0 - r) * weight, r / (1.0 - r) * weight]
 }
 
 impl NodePrior {
@@ -96,16 +107,12 @@ impl NodePrior {
     pub(crate) fn at(&self, contour: &Contour, i: usize, nodes: usize) -> AtNode {
         let k = i * contour.len() / nodes;
         let (along, across) = (contour.turn[k] * contour.perimeter_px / nodes as f64, contour.steepness(k));
-        AtNode {
-            slope: LOOSE * self.gradient * across,
-            bend: LOOSE * self.bend * across * across,
-            // A mixed second derivative has a third of the variance of a pure one, a mixed third one a fifth.
-            steps: [
-                self.gradient * along,
-                self.bend * along * across / 3.0_f64.sqrt(),
-                self.third(nodes) * along * across * across / 5.0_f64.sqrt(),
-            ],
-        }
+        // A mixed second derivative has a third of the variance of a pure one, a mixed third one a fifth.
+        let slope_step = self.bend * along * across / 3.0_f64.sqrt();
+        let bend_step = self.third(nodes) * along * across * across / 5.0_f64.sqrt();
+        let slope = chained(LOOSE * self.gradient * across, slope_step);
+        let bend = chained(LOOSE * self.bend * across * across, bend_step);
+        AtNode { own: [0.0, slope[0], bend[0]], tie: [(self.gradient * along).powi(-2), slope[1], bend[1]] }
     }
 }
 
@@ -148,19 +155,24 @@ impl Side {
 /// Places of the coefficients as they come in with the degree, the radial slope last.
 const ORDER: [usize; Side::MOST] = [0, 2, 3, 4, 5, 1];
 
+/// Columns of [`Fits`]: those of a surface, and `rho X`, `rho Y`, which change no level on the contour but the slopes across it.
+const FITTED: usize = Side::MOST + 2;
+/// The last two.
+const LEANING: [usize; 2] = [Side::MOST, Side::MOST + 1];
+
 /// Sums of squares that polynomials leave on the pixels away from the edge.
 #[derive(Debug)]
-pub(crate) struct Fits {
+pub(crate) struct Fits<const N: usize> {
     /// Products of the polynomials, of them with the grey values, and of these.
-    pub(crate) matrix: SMatrix<f64, 6, 6>,
-    pub(crate) right: SVector<f64, 6>,
+    pub(crate) matrix: SMatrix<f64, N, N>,
+    pub(crate) right: SVector<f64, N>,
     pub(crate) squares: f64,
 }
 
 /// What polynomials of degree 0, 1 and 2 without a radial slope leave, and their coefficients.
-pub(crate) type Degrees = [(f64, SVector<f64, 6>); 3];
+pub(crate) type Degrees<const N: usize> = [(f64, SVector<f64, N>); 3];
 
-impl Fits {
+impl Fits<FITTED> {
     fn new(contour: &Contour, sectors: &Sectors, side: usize) -> Self {
         let mut fits = Self { matrix: SMatrix::zeros(), right: SVector::zeros(), squares: 0.0 };
         for k in (0..contour.len()).filter(|k| sectors.keep[*k]) {
@@ -168,8 +180,12 @@ impl Fits {
             if x.n == 0.0 {
                 continue;
             }
-            let (value, climb) = Side::basis(contour, k);
-            for i in 0..Side::MOST {
+            let (surface, slope) = Side::basis(contour, k);
+            let (mut value, mut climb) = ([0.0; FITTED], [0.0; FITTED]);
+            value[..Side::MOST].copy_from_slice(&surface);
+            climb[..Side::MOST].copy_from_slice(&slope);
+            (climb[LEANING[0]], climb[LEANING[1]]) = (slope[1] * contour.cos[k], slope[1] * contour.sin[k]);
+            for i in 0..FITTED {
                 for j in 0..=i {
                     fits.matrix[(i, j)] += value[i] * value[j] * x.n
                         + (value[i] * climb[j] + climb[i] * value[j]) * x.d
@@ -179,18 +195,19 @@ impl Fits {
             }
             fits.squares += x.yy;
         }
-        let lower = fits.matrix;
-        fits.matrix = SMatrix::from_fn(|i, j| lower[(i.max(j), i.min(j))]);
+        fits.matrix.fill_upper_triangle_with_lower_triangle();
         fits
     }
+}
 
+impl<const N: usize> Fits<N> {
     /// What each degree leaves; none where the pixels do not fix them.
-    pub(crate) fn degrees(&self) -> Option<Degrees> {
+    pub(crate) fn degrees(&self) -> Option<Degrees<N>> {
         Some([self.left_by(&ORDER[..1])?, self.left_by(&ORDER[..3])?, self.left_by(&ORDER[..5])?])
     }
 
     /// The poorest polynomial that `seen` pixels with noise of this variance do not contradict.
-    pub(crate) fn side(&self, degrees: &Degrees, variance: f64, seen: f64, step: f64) -> Side {
+    pub(crate) fn side(&self, degrees: &Degrees<N>, variance: f64, seen: f64, step: f64) -> Side {
         let mut side = Side::plain(0, step);
         let fall = |a: usize, b: usize| (degrees[a].0 - degrees[b].0) / variance;
         side.degree = if fall(1, 2) > WORTH && seen > 24.0 { 2 } else { usize::from(fall(0, 1) > WORTH) };
@@ -210,13 +227,13 @@ impl Fits {
     }
 
     /// Sum of squares left by the coefficients listed, and these.
-    pub(crate) fn left_by(&self, which: &[usize]) -> Option<(f64, SVector<f64, 6>)> {
+    pub(crate) fn left_by(&self, which: &[usize]) -> Option<(f64, SVector<f64, N>)> {
         let n = which.len();
-        let reduced = SMatrix::<f64, 6, 6>::from_fn(|i, j| match (i < n, j < n) {
+        let reduced = SMatrix::<f64, N, N>::from_fn(|i, j| match (i < n, j < n) {
             (true, true) => self.matrix[(which[i], which[j])],
             _ => f64::from(u8::from(i == j)),
         });
-        let right = SVector::<f64, 6>::from_fn(|i, _| if i < n { self.right[which[i]] } else { 0.0 });
+        let right = SVector::<f64, N>::from_fn(|i, _| if i < n { self.right[which[i]] } else { 0.0 });
         let x = reduced.cholesky()?.solve(&right);
         let mut all = SVector::zeros();
         which.iter().enumerate().for_each(|(i, w)| all[*w] = x[i]);
@@ -244,7 +261,13 @@ pub(crate) fn choose(contour: &Contour, sectors: &Sectors, step: f64, smoke: boo
 }
 
 /// Sums in equal stretches of the contour, about a polynomial or about zero.
-fn stretches(contour: &Contour, sectors: &Sectors, side: usize, count: usize, about: &SVector<f64, 6>) -> Vec<Away> {
+fn stretches(
+    contour: &Contour,
+    sectors: &Sectors,
+    side: usize,
+    count: usize,
+    about: &SVector<f64, FITTED>,
+) -> Vec<Away> {
     let mut all = vec![Away::default(); count];
     for k in (0..contour.len()).filter(|k| sectors.keep[*k]) {
         let x = sectors.away[side][k];
@@ -260,7 +283,7 @@ fn stretches(contour: &Contour, sectors: &Sectors, side: usize, count: usize, ab
 
 /// Variance about a line along the normal within single sectors: what varies between them, or rises in all of them, is light, which must not
 /// count as noise; none where too few pixels tell.
-fn within_sectors(contour: &Contour, sectors: &Sectors, side: usize, about: &SVector<f64, 6>) -> Option<f64> {
+fn within_sectors(contour: &Contour, sectors: &Sectors, side: usize, about: &SVector<f64, FITTED>) -> Option<f64> {
     let (mut scatter, mut freedom) = (0.0, 0.0);
     for x in stretches(contour, sectors, side, contour.len(), about) {
         let depth = x.dd - x.d * x.d / x.n;
@@ -288,31 +311,59 @@ fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: us
         return verdict;
     };
     let about = stretches(contour, sectors, side, nodes, &degrees[2].1);
-    let told: Vec<&Away> = about.iter().filter(|x| x.n >= 2.0).collect();
     let least = (1e-6 * step).powi(2).max(1e-300);
     let whole = degrees[2].0 / (seen - 5.0);
     let variance = within_sectors(contour, sectors, side, &degrees[2].1).unwrap_or(whole).max(least);
     verdict.side = fits.side(&degrees, variance, seen, step);
-    let between: f64 = told.iter().map(|x| x.y * x.y / x.n).sum::<f64>() / variance;
-    let freedom = told.len() as f64 - 5.0;
-    verdict.smoke = freedom >= 6.0 && between > freedom + 3.5 * (2.0 * freedom).sqrt();
+    let leaning: Vec<usize> = ORDER.iter().chain(&LEANING).copied().collect();
+    let leans = fits
+        .left_by(&leaning)
+        .is_some_and(|(left, _)| fits.left_by(&ORDER).is_some_and(|(without, _)| (without - left) / variance > LEANS));
+    verdict.smoke = leans || varies(&about, variance);
     verdict.prior = node_prior(contour, &about, variance, floor);
-    verdict.prior.about = degrees[2].1;
+    verdict.prior.about = degrees[2].1.fixed_rows::<{ Side::MOST }>(0).into_owned();
     verdict
 }
 
-/// How much neighbouring stretches differ, beyond their noise.
+/// Whether the means of stretches about a surface differ by more than their noise: any two, or those near each other the same way,
+/// which tells of light that varies slowly.
+fn varies(about: &[Away], variance: f64) -> bool {
+    let told = |x: &Away| x.n >= 2.0;
+    let r: Vec<f64> = about.iter().map(|x| if told(x) { x.y / (x.n * variance).sqrt() } else { 0.0 }).collect();
+    let n = about.iter().filter(|x| told(x)).count() as f64;
+    let freedom = n - 5.0;
+    let between: f64 = r.iter().map(|r| r * r).sum();
+    let near = (r.len() / 14).max(1);
+    let alike: f64 = (1..=near).map(|m| r.iter().zip(r.iter().cycle().skip(m)).map(|(a, b)| a * b).sum::<f64>()).sum();
+    freedom >= 6.0 && (between > freedom + SURE * (2.0 * freedom).sqrt() || alike > SURE * (n * near as f64).sqrt())
+}
+
+/// How much stretches differ, beyond their noise: the largest of what neighbours, and stretches 2, 4, 8, ... apart, tell. Noise hides slow
+/// changes from neighbours, distance hides fast ones.
 fn node_prior(contour: &Contour, raw: &[Away], variance: f64, floor: f64) -> NodePrior {
+    let mut prior = NodePrior { gradient: floor, bend: floor, about: SVector::zeros() };
+    let mut apart = 1;
+    while apart <= (raw.len() / 12).max(1) {
+        let [gradient, bend] = differences(contour, raw, variance, apart);
+        prior.gradient = prior.gradient.max(gradient);
+        prior.bend = prior.bend.max(bend);
+        apart *= 2;
+    }
+    prior
+}
+
+/// Root mean squares of first and second derivatives, from differences of stretches so far apart, in units of the semi-axes, grey.
+fn differences(contour: &Contour, raw: &[Away], variance: f64, apart: usize) -> [f64; 2] {
     let nodes = raw.len();
-    let spacing = contour.perimeter_px / nodes as f64;
+    let spacing = contour.perimeter_px * apart as f64 / nodes as f64;
     let (mut first, mut firsts, mut second, mut seconds) = (0.0, 0.0, 0.0, 0.0);
     for i in 0..nodes {
-        let (a, b, c) = (&raw[i], &raw[(i + 1) % nodes], &raw[(i + 2) % nodes]);
+        let [a, b, c] = [0, apart, 2 * apart].map(|m| &raw[(i + m) % nodes]);
         if a.n < 2.0 || b.n < 2.0 {
             continue;
         }
         let (ma, mb) = (a.y / a.n, b.y / b.n);
-        let along = (spacing * contour.turn[(i + 1) % nodes * contour.len() / nodes]).powi(2);
+        let along = (spacing * contour.turn[(i + apart) % nodes * contour.len() / nodes]).powi(2);
         first += (ma - mb).powi(2) - variance * (1.0 / a.n + 1.0 / b.n);
         firsts += along;
         if c.n >= 2.0 {
@@ -320,8 +371,8 @@ fn node_prior(contour: &Contour, raw: &[Away], variance: f64, floor: f64) -> Nod
             seconds += along * along;
         }
     }
-    let root = |sum: f64, weight: f64| if weight > 0.0 { (sum / weight).max(floor * floor).sqrt() } else { floor };
-    NodePrior { gradient: root(first, firsts), bend: root(second, seconds), about: SVector::zeros() }
+    [(first, firsts), (second, seconds)]
+        .map(|(sum, weight)| if weight > 0.0 { (sum / weight).max(0.0).sqrt() } else { 0.0 })
 }
 
 impl Light {

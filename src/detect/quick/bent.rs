@@ -38,7 +38,7 @@ struct Moments {
 /// What the pixels of one side say about its light.
 #[derive(Debug)]
 pub(super) struct Bent {
-    pub(super) fits: Fits,
+    pub(super) fits: Fits<6>,
     /// Polynomials from monomials.
     turn: SMatrix<f64, 6, 6>,
     pub(super) side: Side,
@@ -171,7 +171,7 @@ impl Moments {
         (0..6).for_each(|k| self.right[k] += right[k]);
     }
 
-    fn fits(&self, turn: &SMatrix<f64, 6, 6>, sums: &Sums) -> Fits {
+    fn fits(&self, turn: &SMatrix<f64, 6, 6>, sums: &Sums) -> Fits<6> {
         let product = |k: usize, l: usize| {
             let (a, b) = (MONOMIALS[k], MONOMIALS[l]);
             self.products[a.0 + b.0][a.1 + b.1]
