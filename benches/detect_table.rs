@@ -15,7 +15,7 @@ fn main() {
     let words: Vec<String> = std::env::args().skip(1).filter(|x| !x.starts_with("--")).collect();
     let wished = |name: &str| words.iter().find_map(|w| w.strip_prefix(name).map(|x| x.parse().unwrap()));
     let (scenes_wished, shots_wished) = (wished("scenes="), wished("shots="));
-    let lights = ["even", "slanted", "smoke", "glare"];
+    let lights = ["even", "slanted", "smoke", "bent", "glare"];
     let any_light = !words.iter().any(|w| lights.contains(&&w[..]));
     let sizes: Vec<f64> = words.iter().filter_map(|w| w.parse().ok()).collect();
     let wide = std::env::var("SPIVCAL_TABLE").is_ok_and(|x| x == "wide");
@@ -31,10 +31,14 @@ fn main() {
     let mut seed = 1;
     for &semi_minor_px in radii {
         for (ratio, blur_px, light, bits, bright) in conditions() {
-            if blur_px > 0.45 * semi_minor_px {
+            // On small discs such light is even or slanted.
+            if blur_px > 0.45 * semi_minor_px || light == Light::Bent && semi_minor_px < 40.0 {
                 continue;
             }
-            seed += 1;
+            // Rows keep their seeds.
+            let bent = light == Light::Bent;
+            seed += u64::from(!bent);
+            let seed = if bent { 1000 + semi_minor_px as u64 } else { seed };
             let name = lights[light as usize];
             let chosen = any_light || words.iter().any(|w| w == name);
             if !chosen || !sizes.is_empty() && !sizes.contains(&semi_minor_px) {
@@ -62,7 +66,7 @@ fn main() {
 }
 
 /// a/b, blur, light, bits, bright.
-fn conditions() -> [(f64, f64, Light, u32, bool); 9] {
+fn conditions() -> [(f64, f64, Light, u32, bool); 10] {
     [
         (1.2, 0.8, Light::Even, 8, false),
         (1.2, 0.8, Light::Even, 16, true),
@@ -71,6 +75,7 @@ fn conditions() -> [(f64, f64, Light, u32, bool); 9] {
         (1.2, 3.0, Light::Even, 16, true),
         (2.5, 0.8, Light::Even, 8, false),
         (1.2, 0.8, Light::Slanted, 8, false),
+        (1.2, 0.8, Light::Bent, 8, false),
         (1.2, 0.8, Light::Smoke, 16, true),
         (1.2, 0.8, Light::Glare, 8, false),
     ]

@@ -6,9 +6,10 @@
 
 use crate::conic::{Ellipse, Frame};
 use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd};
+use crate::detect::contour::NEIGHBOUR;
 use crate::detect::level::Level;
 use crate::detect::plane::{self, Floats, Source, check_finite};
-use crate::detect::refine::{Scratch, Start, refine};
+use crate::detect::refine::{Scratch, Start, reach_px, refine};
 use crate::detect::rows::ByRow;
 use crate::detect::trace::{Line, Tracer};
 use crate::detect::whole::{self, Rows, Whole};
@@ -346,6 +347,12 @@ struct Surroundings {
 
 /// How far the bands around the candidates look at most, px.
 const SIGHT_PX: f64 = 40.0;
+
+/// Up to what gap another edge is felt, were the blur more than twice what it seems to be, px.
+fn sight_px(blur_px: f64) -> f64 {
+    (reach_px(2.0 * blur_px + 1.0) / NEIGHBOUR).min(SIGHT_PX)
+}
+
 /// Contrast over that of the disc from which a region of the other polarity inside is a hole; less is smoke.
 const HOLE: f64 = 0.5;
 
@@ -357,10 +364,11 @@ fn surroundings(candidates: &[Candidate]) -> Vec<Surroundings> {
         .map(|c| {
             let e = &c.ellipse;
             let mut around = Surroundings { inner_px: 0.9 * e.semi_minor_px, neighbours: vec![] };
-            for k in by_row.near(e.center_px, e.semi_major_px + by_row.largest_px + SIGHT_PX) {
+            let sight = sight_px(c.blur_px);
+            for k in by_row.near(e.center_px, e.semi_major_px + by_row.largest_px + sight) {
                 let other = &candidates[k];
                 let o = &other.ellipse;
-                let reach = e.semi_major_px + o.semi_major_px + SIGHT_PX;
+                let reach = e.semi_major_px + o.semi_major_px + sight;
                 let (du, dv) = (e.center_px.u_px - o.center_px.u_px, e.center_px.v_px - o.center_px.v_px);
                 if du * du + dv * dv > reach * reach || std::ptr::eq(c, other) || other.contrast <= 0.3 * c.contrast {
                     continue;
@@ -373,8 +381,8 @@ fn surroundings(candidates: &[Candidate]) -> Vec<Surroundings> {
                     }
                 } else if apart > e.semi_minor_px {
                     // A spot of the other polarity upon the contour (glare) spoils a few sectors, which show it themselves.
-                    let gap = least_gap_px(e, o);
-                    if gap < SIGHT_PX && (gap > 2.0 || other.bright == c.bright) {
+                    let clear = apart - e.semi_major_px - o.semi_major_px > 2.0;
+                    if clear || other.bright == c.bright || least_gap_px(e, o) > 2.0 {
                         around.neighbours.push(*o);
                     }
                 }

@@ -164,13 +164,18 @@ const FITTED: usize = Side::MOST + 2;
 const LEANING: [usize; 2] = [Side::MOST, Side::MOST + 1];
 
 /// Sums of squares that polynomials leave on the pixels away from the edge.
-struct Fits {
-    matrix: SMatrix<f64, FITTED, FITTED>,
-    right: SVector<f64, FITTED>,
-    squares: f64,
+#[derive(Debug)]
+pub(crate) struct Fits<const N: usize> {
+    /// Products of the polynomials, of them with the grey values, and of these.
+    pub(crate) matrix: SMatrix<f64, N, N>,
+    pub(crate) right: SVector<f64, N>,
+    pub(crate) squares: f64,
 }
 
-impl Fits {
+/// What polynomials of degree 0, 1 and 2 without a radial slope leave, and their coefficients.
+pub(crate) type Degrees<const N: usize> = [(f64, SVector<f64, N>); 3];
+
+impl Fits<FITTED> {
     fn new(contour: &Contour, sectors: &Sectors, side: usize) -> Self {
         let mut fits = Self { matrix: SMatrix::zeros(), right: SVector::zeros(), squares: 0.0 };
         for k in (0..contour.len()).filter(|k| sectors.keep[*k]) {
@@ -196,15 +201,42 @@ impl Fits {
         fits.matrix.fill_upper_triangle_with_lower_triangle();
         fits
     }
+}
+
+impl<const N: usize> Fits<N> {
+    /// What each degree leaves; none where the pixels do not fix them.
+    pub(crate) fn degrees(&self) -> Option<Degrees<N>> {
+        Some([self.left_by(&ORDER[..1])?, self.left_by(&ORDER[..3])?, self.left_by(&ORDER[..5])?])
+    }
+
+    /// The poorest polynomial that `seen` pixels with noise of this variance do not contradict.
+    pub(crate) fn side(&self, degrees: &Degrees<N>, variance: f64, seen: f64, step: f64) -> Side {
+        let mut side = Side::plain(0, step);
+        let fall = |a: usize, b: usize| (degrees[a].0 - degrees[b].0) / variance;
+        side.degree = if fall(1, 2) > WORTH && seen > 24.0 { 2 } else { usize::from(fall(0, 1) > WORTH) };
+        if side.degree == 2 {
+            // Light that bends along the contour bends across it as well.
+            let c = &degrees[2].1;
+            side.radial = (0.5 * (c[4] * c[4] + c[5] * c[5])).sqrt();
+        }
+        let mut with_radial: Vec<usize> = ORDER[..1 + 2 * side.degree].to_vec();
+        with_radial.push(1);
+        if let Some((left, _)) = self.left_by(&with_radial) {
+            if (degrees[side.degree].0 - left) / variance > 16.0 {
+                side.radial = side.radial.max(0.5 * RADIAL * step);
+            }
+        }
+        side
+    }
 
     /// Sum of squares left by the coefficients listed, and these.
-    fn left_by(&self, which: &[usize]) -> Option<(f64, SVector<f64, FITTED>)> {
+    pub(crate) fn left_by(&self, which: &[usize]) -> Option<(f64, SVector<f64, N>)> {
         let n = which.len();
-        let reduced = SMatrix::<f64, FITTED, FITTED>::from_fn(|i, j| match (i < n, j < n) {
+        let reduced = SMatrix::<f64, N, N>::from_fn(|i, j| match (i < n, j < n) {
             (true, true) => self.matrix[(which[i], which[j])],
             _ => f64::from(u8::from(i == j)),
         });
-        let right = SVector::<f64, FITTED>::from_fn(|i, _| if i < n { self.right[which[i]] } else { 0.0 });
+        let right = SVector::<f64, N>::from_fn(|i, _| if i < n { self.right[which[i]] } else { 0.0 });
         let x = reduced.cholesky()?.solve(&right);
         let mut all = SVector::zeros();
         which.iter().enumerate().for_each(|(i, w)| all[*w] = x[i]);
@@ -275,32 +307,17 @@ fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: us
         prior: NodePrior { about_gradient: floor, gradient: floor, bend: floor, about: SVector::zeros() },
     };
     let fits = Fits::new(contour, sectors, side);
-    let degrees: Vec<_> = [1, 3, 5].iter().map_while(|n| fits.left_by(&ORDER[..*n])).collect();
     let seen: f64 = (0..contour.len()).filter(|k| sectors.keep[*k]).map(|k| sectors.away[side][k].n).sum();
-    if degrees.len() < 3 || seen < 12.0 {
+    let Some(degrees) = fits.degrees().filter(|_| seen >= 12.0) else {
         // Too few pixels to ask. On a small disc a gradient of the light and a shift of the centre look alike; a large one can bear it.
         verdict.side.degree = usize::from(contour.perimeter_px > 40.0);
         return verdict;
-    }
+    };
     let about = stretches(contour, sectors, side, nodes, &degrees[2].1);
     let least = (1e-6 * step).powi(2).max(1e-300);
     let whole = degrees[2].0 / (seen - 5.0);
     let variance = within_sectors(contour, sectors, side, &degrees[2].1).unwrap_or(whole).max(least);
-    let fall = |a: usize, b: usize| (degrees[a].0 - degrees[b].0) / variance;
-    verdict.side.degree = if fall(1, 2) > WORTH && seen > 24.0 { 2 } else { usize::from(fall(0, 1) > WORTH) };
-    let degree = verdict.side.degree;
-    if degree == 2 {
-        // Light that bends along the contour bends across it as well.
-        let c = &degrees[2].1;
-        verdict.side.radial = (0.5 * (c[4] * c[4] + c[5] * c[5])).sqrt();
-    }
-    let mut with_radial: Vec<usize> = ORDER[..1 + 2 * degree].to_vec();
-    with_radial.push(1);
-    if let Some((left, _)) = fits.left_by(&with_radial) {
-        if (degrees[degree].0 - left) / variance > 16.0 {
-            verdict.side.radial = verdict.side.radial.max(0.5 * RADIAL * step);
-        }
-    }
+    verdict.side = fits.side(&degrees, variance, seen, step);
     let leaning: Vec<usize> = ORDER.iter().chain(&LEANING).copied().collect();
     let leans = fits
         .left_by(&leaning)

@@ -1,4 +1,5 @@
 //! A clean disc, fast: the model of [`crate::detect::exact`] with level and slope of the light on either side, nothing hidden, nothing beside it.
+//! On large discs the light may bend: what the pixels away from the edge show of second degree is fitted with the rest.
 //!
 //! Pixels near the edge are worked on sixteen at a time; those further away see one side only, and rows of them
 //! are summed up as they are. One set of sums serves every question about the light: a slope that is not asked for is held by its prior.
@@ -8,11 +9,12 @@
 //!
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
-//! | J^T W J | `Columns::gram` | 13 x 13 | | products of the columns `1, X, Y` inside, `1, X, Y` outside, blur, geometry, grey value less the model |
-//! | x | `found` | 12 | grey, px | change of light, blur and geometry |
-//! | l | `light` | 6 | grey | level and slopes inside, outside: what the model says now |
+//! | J^T W J | `Columns::gram` | 19 x 19 | | products of the columns `1, X, Y` inside, `1, X, Y` outside, blur, geometry, grey value less the model, then `X^2 + Y^2 - 1, X^2 - Y^2, 2 X Y` inside, outside |
+//! | x | `found` | 19 | grey, px | change of light, blur and geometry, each at the place of its column |
+//! | l | `light` | 12 | grey | level and slopes inside, outside, second degree inside, outside: what the model says now |
 //! | - | `Run`, `Sums` | | | pixels that see one side: sums of `1, u, v`, the grey value and their products |
 
+mod bent;
 mod columns;
 mod pixels;
 
@@ -20,11 +22,13 @@ use crate::conic::{Ellipse, Frame, from_regular, to_regular};
 use crate::detect::contour::Contour;
 use crate::detect::edge_model::{Dense, PRIOR_BLUR_PX};
 use crate::detect::exact::{SLOPE, SMALL, Share};
+use crate::detect::light::Side;
 use crate::detect::refine::reach_px;
 use crate::image::GrayView;
 use crate::lanes;
+use bent::Bent;
 use columns::{Columns, Left, Lens, SumUp};
-use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3, Vector6};
 use pixels::{Collect, Pixels, Rings};
 
 /// Unknowns of the light.
@@ -35,8 +39,13 @@ const FIXED: usize = 6;
 const N: usize = LIGHTS + FIXED;
 /// Columns: the unknowns and the grey value.
 const M: usize = N + 1;
-/// Products of two columns.
-const PRODUCTS: usize = M * (M + 1) / 2;
+/// Unknowns of light that bends; their columns come last.
+const BENDS: usize = 6;
+/// All columns.
+const ALL: usize = M + BENDS;
+/// Products of two columns, of light that does not bend and of all.
+const PLAIN: usize = M * (M + 1) / 2;
+const PRODUCTS: usize = ALL * (ALL + 1) / 2;
 /// Beyond this many blurs the edge is not felt.
 const NEAR: f64 = 3.5;
 /// Rounds at most.
@@ -66,8 +75,10 @@ pub(crate) struct Quick {
     columns: Columns,
     gram: Gram,
     dense: Dense,
-    found: [f64; N],
-    light: [f64; LIGHTS],
+    found: [f64; ALL],
+    light: [f64; LIGHTS + BENDS],
+    /// What is known of light that bends, where it does.
+    bent: Option<[Bent; 2]>,
     pub(crate) shares: Vec<Share>,
 }
 
@@ -79,6 +90,17 @@ impl Default for Gram {
     fn default() -> Self {
         Self([0.0; PRODUCTS])
     }
+}
+
+/// Columns of one side's light, in the order of [`Side::basis`].
+const fn columns_of(side: usize) -> [usize; Side::MOST] {
+    let (first, bends) = (3 * side, M + 3 * side);
+    [first, bends, first + 1, first + 2, bends + 1, bends + 2]
+}
+
+/// Place of a column in the list of the light.
+const fn of_light(column: usize) -> usize {
+    if column < LIGHTS { column } else { column + LIGHTS - M }
 }
 
 /// Place of a product in the lower triangle, `a >= b`.
@@ -103,43 +125,31 @@ impl Quick {
 
     /// Fits the disc as long as it looks clean; `outer_px` is how far it may look outwards, `floor` the least variance of the noise.
     pub(crate) fn fit(&mut self, view: &GrayView, state: &mut Clean, outer_px: f64, floor: f64) -> Option<()> {
+        self.bent = None;
+        // The geometry must have been solved for with the light that is there.
+        let mut rounds_alike = 0;
         for round in 0..MOST_ROUNDS {
-            let e = state.ellipse;
             let first = round == 0;
-            let reach = reach_px(state.blur_px);
-            let near = NEAR * state.blur_px;
-            let inner = reach.min(0.85 * e.semi_minor_px);
-            let small = state.blur_px * e.semi_major_px > SMALL * e.semi_minor_px * e.semi_minor_px;
-            if small || inner < near + 0.5 || outer_px < near + 2.0 {
-                return None;
-            }
-            let frame = Frame::new(&e);
-            let around = std::f64::consts::PI * (e.semi_major_px + e.semi_minor_px) * 2.0 * near;
-            let thin = if first { (around / START_PIXELS).clamp(1.0, THINNEST) as usize } else { 1 };
-            let rings = Rings { near, inner, outer: reach.min(outer_px), thin };
-            let whole = lanes::run(Collect { view, frame: &frame, rings, out: &mut self.pixels });
-            if !whole || self.pixels.near.count <= 3 * N {
-                return None;
-            }
-            state.variance = self.noise(floor)?;
+            self.collect(view, state, outer_px, first)?;
+            let was_bent = self.bent.is_some();
+            self.judge_noise(view, state, floor, round)?;
+            rounds_alike = if was_bent == self.bent.is_some() { rounds_alike + 1 } else { 0 };
             if first {
                 self.light = self.first_light(state);
             }
-            let lens = Lens { blur_px: state.blur_px, variance: state.variance, light: self.light };
-            lanes::run(SumUp { near: &self.pixels.near, frame: &frame, lens: &lens, out: &mut self.columns });
-            self.gram.0 = self.columns.gram;
-            self.add_runs(state);
-            if first {
+            self.sum_up(state);
+            if first || self.bent.is_some() {
                 self.solve(state, [true, true])?;
             } else {
                 self.solve_light(state)?;
             }
-            let change = &self.found[LIGHTS..];
+            let change = &self.found[LIGHTS..N];
             let largest = change.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
             (0..LIGHTS).for_each(|k| self.light[k] += self.found[k]);
+            (M..ALL).for_each(|k| self.light[of_light(k)] += self.found[k]);
             state.step = self.light[0] - self.light[3];
-            if !first && largest < STILL_PX {
-                return self.dense.geometry(N).then_some(());
+            if !first && rounds_alike > 0 && largest < STILL_PX {
+                return self.dense.geometry(self.unknowns()).then_some(());
             }
             if round > 0 && largest > 0.5 {
                 return None;
@@ -153,22 +163,75 @@ impl Quick {
         None
     }
 
-    /// Noise of either side; none where no side has pixels enough, or rows differ more than pixels do.
-    fn noise(&self, floor: f64) -> Option<[f64; 2]> {
-        let a = self.pixels.sums[0].noise(floor).ok()?;
-        let b = self.pixels.sums[1].noise(floor).ok()?;
+    /// Collects the pixels around the ellipse, for a start fewer rows of them; none where there is not room enough.
+    fn collect(&mut self, view: &GrayView, state: &Clean, outer_px: f64, first: bool) -> Option<()> {
+        let e = &state.ellipse;
+        let reach = reach_px(state.blur_px);
+        let near = NEAR * state.blur_px;
+        let inner = reach.min(0.85 * e.semi_minor_px);
+        let small = state.blur_px * e.semi_major_px > SMALL * e.semi_minor_px * e.semi_minor_px;
+        if small || inner < near + 0.5 || outer_px < near + 2.0 {
+            return None;
+        }
+        let frame = Frame::new(e);
+        let around = std::f64::consts::PI * (e.semi_major_px + e.semi_minor_px) * 2.0 * near;
+        let thin = if first { (around / START_PIXELS).clamp(1.0, THINNEST) as usize } else { 1 };
+        let rings = Rings { near, inner, outer: reach.min(outer_px), thin };
+        let whole = lanes::run(Collect { view, frame: &frame, rings, out: &mut self.pixels });
+        (whole && self.pixels.near.count > 3 * N).then_some(())
+    }
+
+    /// Products of all columns.
+    fn sum_up(&mut self, state: &Clean) {
+        let frame = Frame::new(&state.ellipse);
+        let lens = Lens { blur_px: state.blur_px, variance: state.variance, light: self.light };
+        let (near, out) = (&self.pixels.near, &mut self.columns);
+        if self.bent.is_some() {
+            lanes::run(SumUp::<true> { near, frame: &frame, lens: &lens, out });
+            self.gram.0 = self.columns.gram;
+            self.add_bent_runs(state);
+        } else {
+            lanes::run(SumUp::<false> { near, frame: &frame, lens: &lens, out });
+            self.gram.0[..PLAIN].copy_from_slice(&self.columns.gram[..PLAIN]);
+            self.add_runs(state);
+        }
+    }
+
+    /// Noise of either side, and whether the light of a large disc bends; none where rows differ more than pixels do.
+    fn judge_noise(&mut self, view: &GrayView, state: &mut Clean, floor: f64, round: usize) -> Option<()> {
+        let found = [0, 1].map(|side| self.pixels.sums[side].noise(floor));
+        let level = found.iter().all(Result::is_ok);
+        let asked = !level || self.bent.is_some() || round == 1;
+        let large = state.ellipse.perimeter_px() > bent::LEAST_CONTOUR_PX;
+        let mut found = found.map(|x| x.ok().flatten());
+        if asked && large {
+            let turn = self.turn(&state.ellipse);
+            let side = |side: usize| Bent::new(view, &self.pixels, side, &turn, floor, state.step.abs()).ok();
+            let sides = Bent::of_both(side(0)?, side(1)?);
+            // Once bent it stays so, lest rounds take turns.
+            if !level || self.bent.is_some() || sides.iter().any(Bent::bends) {
+                found = [0, 1].map(|side: usize| sides[side].variance);
+                self.bent = Some(sides);
+            }
+        } else if !level {
+            return None;
+        }
+        let [a, b] = found;
         let (a, b) = (a.or(b)?, b.or(a)?);
         // As elsewhere: a clipped side has no noise at all, yet it must not outweigh the flank of the edge.
         let least = floor.max(a.max(b) / 16.0);
-        Some([a.max(least), b.max(least)])
+        state.variance = [a.max(least), b.max(least)];
+        Some(())
     }
 
     /// Level light with the mean of either side.
-    fn first_light(&self, state: &Clean) -> [f64; LIGHTS] {
+    fn first_light(&self, state: &Clean) -> [f64; LIGHTS + BENDS] {
         let [inside, outside] = [0, 1].map(|side| self.pixels.sums[side].mean());
         let outside = outside.or_else(|| inside.map(|x| x - state.step)).unwrap_or(0.0);
         let inside = inside.unwrap_or(outside + state.step);
-        [inside, 0.0, 0.0, outside, 0.0, 0.0]
+        let mut light = [0.0; LIGHTS + BENDS];
+        (light[0], light[3]) = (inside, outside);
+        light
     }
 
     /// Adds what the rows away from the edge say about the light, less what the model says.
@@ -192,6 +255,29 @@ impl Quick {
         }
     }
 
+    /// The same of light that bends.
+    fn add_bent_runs(&mut self, state: &Clean) {
+        for (side, bent) in self.bent.iter().flatten().enumerate() {
+            let (w, fits) = (1.0 / state.variance[side], &bent.fits);
+            let columns = columns_of(side);
+            let l = Vector6::from(columns.map(|k| self.light[of_light(k)]));
+            let left = fits.right - fits.matrix * l;
+            for i in 0..Side::MOST {
+                for j in 0..=i {
+                    let (a, b) = (columns[i].max(columns[j]), columns[i].min(columns[j]));
+                    self.gram.0[place(a, b)] += w * fits.matrix[(i, j)];
+                }
+                self.gram.0[place(columns[i].max(N), columns[i].min(N))] += w * left[i];
+            }
+            self.gram.0[place(N, N)] += w * (fits.squares - l.dot(&(fits.right + left)));
+        }
+    }
+
+    /// Number of unknowns.
+    fn unknowns(&self) -> usize {
+        if self.bent.is_some() { N + BENDS } else { N }
+    }
+
     /// `(1, X, Y)` in units of the semi-axes about the centre from `(1, u, v)` about the reference pixel.
     fn turn(&self, e: &Ellipse) -> Matrix3<f64> {
         let (sin, cos) = e.angle_rad.sin_cos();
@@ -210,37 +296,58 @@ impl Quick {
         )
     }
 
-    /// Solves with the slopes free or held; returns `chi^2`, of what holds them included.
+    /// Solves with the slopes free or held, light that bends as it was judged; returns `chi^2`, of what holds them included.
     fn solve(&mut self, state: &Clean, free: [bool; 2]) -> Option<f64> {
         let gram = &self.gram.0;
-        self.dense.clear(N);
-        for i in 0..N {
+        let n = self.unknowns();
+        let bends = n - N;
+        // Blur and geometry must come last.
+        let column = |k: usize| if k < bends { M + k } else { k - bends };
+        self.dense.clear(n);
+        for i in 0..n {
             for j in 0..=i {
-                self.dense.matrix[i * N + j] = gram[place(i, j)];
+                let (a, b) = (column(i), column(j));
+                self.dense.matrix[i * n + j] = gram[place(a.max(b), a.min(b))];
             }
-            self.dense.right[i] = gram[place(N, i)];
+            self.dense.right[i] = gram[place(column(i).max(N), column(i).min(N))];
         }
         let at = LIGHTS + 1;
         self.dense.alone = SMatrix::from_fn(|i, j| gram[place(at + i.max(j), at + i.min(j))]);
-        let mut weights = [0.0; LIGHTS];
+        let weights = self.weights_of_light(state, free);
+        for (i, w) in (0..bends + LIGHTS).map(|i| (i, weights[of_light(column(i))])) {
+            self.dense.matrix[i * n + i] += w;
+            self.dense.right[i] -= w * self.light[of_light(column(i))];
+        }
+        let weight = PRIOR_BLUR_PX.powi(-2);
+        let blur = bends + LIGHTS;
+        self.dense.matrix[blur * n + blur] += weight;
+        self.dense.right[blur] += weight * (state.expected_blur_px - state.blur_px);
+        if !self.dense.unknowns(n) {
+            return None;
+        }
+        self.found = [0.0; ALL];
+        (0..n).for_each(|i| self.found[column(i)] = self.dense.right[i]);
+        let explained: f64 = (0..N).map(|i| self.found[i] * gram[place(N, i)]).sum();
+        let explained = explained + (M..M + bends).map(|i| self.found[i] * gram[place(i, N)]).sum::<f64>();
+        let held =
+            |k: usize| weights[of_light(k)] * self.light[of_light(k)] * (self.light[of_light(k)] + self.found[k]);
+        let held: f64 = (0..LIGHTS).map(held).sum::<f64>() + (M..M + bends).map(held).sum::<f64>();
+        Some(gram[place(N, N)] - explained + held)
+    }
+
+    /// Inverse variances of the light before seeing the image.
+    fn weights_of_light(&self, state: &Clean, free: [bool; 2]) -> [f64; LIGHTS + BENDS] {
+        let mut weights = [0.0; LIGHTS + BENDS];
         for side in 0..2 {
             let sigma = [1e3, if free[side] { 2.0 } else { 1e-5 }].map(|x: f64| (x * state.step).powi(-2));
             weights[3 * side..3 * side + 3].copy_from_slice(&[sigma[0], sigma[1], sigma[1]]);
         }
-        for (i, w) in weights.iter().enumerate() {
-            self.dense.matrix[i * N + i] += w;
-            self.dense.right[i] -= w * self.light[i];
+        for (side, bent) in self.bent.iter().flatten().enumerate() {
+            for (k, sigma) in columns_of(side).into_iter().zip(bent.prior_sigmas()) {
+                weights[of_light(k)] = sigma.powi(-2);
+            }
         }
-        let weight = PRIOR_BLUR_PX.powi(-2);
-        self.dense.matrix[LIGHTS * N + LIGHTS] += weight;
-        self.dense.right[LIGHTS] += weight * (state.expected_blur_px - state.blur_px);
-        if !self.dense.unknowns(N) {
-            return None;
-        }
-        self.found.copy_from_slice(&self.dense.right);
-        let explained: f64 = (0..N).map(|i| self.found[i] * gram[place(N, i)]).sum();
-        let held: f64 = (0..LIGHTS).map(|i| weights[i] * self.light[i] * (self.light[i] + self.found[i])).sum();
-        Some(gram[place(N, N)] - explained + held)
+        weights
     }
 
     /// Slopes as the pixels ask: a slope is worth its price, and light that rises outside rises inside as well.
@@ -262,7 +369,7 @@ impl Quick {
         self.shares.clear();
         self.shares.resize(contour.len(), Share::default());
         let count = self.pixels.near.count;
-        lanes::run(Left { columns: &mut self.columns, found: &self.found, count });
+        lanes::run(Left { columns: &mut self.columns, found: &self.found, bent: self.bent.is_some(), count });
         let Columns { diamond, response, left, .. } = &self.columns;
         for i in 0..count {
             let k = contour.sector(f64::from(diamond[i]));
@@ -277,6 +384,13 @@ impl Quick {
         if squares > pixels * 1.15 + 5.0 * (2.0 * pixels).sqrt() {
             return false;
         }
+        let like_noise = |(sum, count): (f64, f64), side: usize| {
+            sum < (count + 3.5 * (2.0 * count + 2.0_f64).sqrt()) * state.variance[side]
+        };
+        if let Some(bent) = &self.bent {
+            let light = |side| Vector6::from(columns_of(side).map(|k| self.light[of_light(k)]));
+            return (0..2).all(|k| like_noise(bent[k].left_by_rows(&self.pixels.runs[k], &light(k)), k));
+        }
         let turn = self.turn(&state.ellipse);
         (0..2).all(|side| {
             // The light as a plane over the columns and rows of the image.
@@ -287,7 +401,7 @@ impl Quick {
                 sum += left * left / x.n;
                 count += 1.0;
             }
-            sum < (count + 3.5 * (2.0 * count + 2.0_f64).sqrt()) * state.variance[side]
+            like_noise((sum, count), side)
         })
     }
 }

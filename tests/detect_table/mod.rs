@@ -15,6 +15,9 @@ pub enum Light {
     Slanted,
     /// Smoke in the disc alone: eight waves, 30 % together; the shortest half a disc long.
     Smoke,
+    /// Falls off as the square of the distance: by 5 % from the middle of the disc to its far ends along the image's rows, by half of that along
+    /// its columns, and rises by 5 % along the rows.
+    Bent,
     /// A saturated spot of a quarter of the radius on the contour; where it adds more than half the noise nothing is seen.
     Glare,
 }
@@ -98,6 +101,10 @@ impl Condition {
             let cover = spot.cover(u, v, h);
             match self.light {
                 Light::Even | Light::Glare => ground + (disc - ground) * cover,
+                Light::Bent => {
+                    let (x, y) = (x / self.semi_minor_px, y / self.semi_minor_px);
+                    (ground + (disc - ground) * cover) * (1.0 + 0.05 * x - 0.05 * x * x - 0.025 * y * y)
+                }
                 Light::Slanted => (ground + (disc - ground) * cover) * (1.0 + 0.3 * (0.8 * x + 0.6 * y) / across),
                 Light::Smoke => {
                     let smoke: f64 = waves.iter().map(|w| w[3] * (w[0] * x + w[1] * y + w[2]).sin()).sum();
@@ -162,6 +169,14 @@ impl Condition {
             Light::Slanted => [(disc, 0.0), (0.0, ground)]
                 .iter()
                 .flat_map(|(i, o)| [(image(&|x, _| x, *i, *o), 0.0), (image(&|_, y| y, *i, *o), 0.0)])
+                .collect(),
+            Light::Bent => [(disc, 0.0), (0.0, ground)]
+                .iter()
+                .flat_map(|(i, o)| {
+                    let r = self.semi_minor_px;
+                    let of = |f: &dyn Fn(f64, f64) -> f64| (image(&|x, y| f(x / r, y / r), *i, *o), 0.0);
+                    [of(&|x, _| x), of(&|_, y| y), of(&|x, _| x * x), of(&|x, y| x * y), of(&|_, y| y * y)]
+                })
                 .collect(),
             Light::Smoke => wavelengths(self.semi_minor_px)
                 .into_iter()

@@ -4,7 +4,7 @@
 //! as their last digit, seven digits below what is left. The formulas are those of [`crate::conic`]'s foot points and of
 //! [`crate::detect::profile`], which stay the plain path (`columns_are_those_of_the_plain_profile`).
 
-use super::{LIGHTS, M, N, PRODUCTS, place};
+use super::{ALL, BENDS, LIGHTS, M, N, PLAIN, PRODUCTS, place};
 use crate::conic::Frame;
 use crate::lanes::{Kernel, Lanes, SINGLES, Several, Singles, sum_of_singles};
 
@@ -68,14 +68,15 @@ pub(super) struct Lens {
     pub(super) blur_px: f64,
     /// Noise variance inside and outside, grey^2.
     pub(super) variance: [f64; 2],
-    /// Level and slopes of the light inside and outside, grey.
-    pub(super) light: [f64; LIGHTS],
+    /// Level and slopes of the light inside and outside, then what is of second degree, grey.
+    pub(super) light: [f64; LIGHTS + BENDS],
 }
 
-/// The columns, block by block, each times the root of its weight; what is left of the grey value last.
+/// The columns, block by block, each times the root of its weight: light, blur, geometry, what is left of the grey value, and where the
+/// light bends its second degree.
 #[derive(Debug)]
 pub(super) struct Columns {
-    pub(super) values: Vec<[[f32; BLOCK]; M]>,
+    pub(super) values: Vec<[[f32; BLOCK]; ALL]>,
     /// Derivative of the grey value by the distance from the edge, times the root of the weight.
     pub(super) response: Vec<f32>,
     /// Angle of the foot point on the diamond, see [`crate::detect::contour`].
@@ -92,29 +93,33 @@ impl Default for Columns {
     }
 }
 
-/// Makes the columns and takes their products.
-pub(super) struct SumUp<'a> {
+/// Makes the columns and takes their products; those of the second degree where the light is `BENT`.
+pub(super) struct SumUp<'a, const BENT: bool> {
     pub(super) near: &'a Near,
     pub(super) frame: &'a Frame,
     pub(super) lens: &'a Lens,
     pub(super) out: &'a mut Columns,
 }
 
-impl Kernel for SumUp<'_> {
+impl<const BENT: bool> Kernel for SumUp<'_, BENT> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        self.of::<L::Single>();
+        if BENT {
+            self.of::<L::Single, PRODUCTS>();
+        } else {
+            self.of::<L::Single, PLAIN>();
+        }
     }
 }
 
-impl SumUp<'_> {
+impl<const BENT: bool> SumUp<'_, BENT> {
     #[inline(always)]
-    fn of<S: Singles>(self) {
+    fn of<S: Singles, const P: usize>(self) {
         let n = self.near.padded();
         let blocks = n.div_ceil(BLOCK);
         if self.out.values.len() < blocks {
-            self.out.values.resize(blocks, [[0.0; BLOCK]; M]);
+            self.out.values.resize(blocks, [[0.0; BLOCK]; ALL]);
         }
         if self.out.response.len() < n {
             self.out.response.resize(n, 0.0);
@@ -122,7 +127,8 @@ impl SumUp<'_> {
         }
         let count = S::splat(self.near.count as f32);
         let seen = Seen::<S>::new(self.frame, self.lens);
-        let mut sums = [[0.0; SINGLES]; PRODUCTS];
+        let used = if BENT { ALL } else { M };
+        let mut sums = [[0.0; SINGLES]; P];
         for block in 0..blocks {
             let from = block * BLOCK;
             let m = (n - from).min(BLOCK);
@@ -135,8 +141,8 @@ impl SumUp<'_> {
                 // Single precision counts up to 16 million pixels.
                 let index = S::splat(at as f32) + S::load(&FIRST);
                 let shown = S::select(index.below(count), S::splat(1.0), S::splat(0.0));
-                let (columns, response, diamond) = seen.pixel(x, y, grey, shown);
-                for k in 0..M {
+                let (columns, response, diamond) = seen.pixel::<BENT>(x, y, grey, shown);
+                for k in 0..used {
                     columns[k].store(&mut values[k][i..]);
                 }
                 response.store(&mut self.out.response[at..]);
@@ -144,17 +150,21 @@ impl SumUp<'_> {
                 i += S::N;
             }
             products::<S>(values, m, &mut sums);
+            if BENT {
+                products_of_bends::<S>(values, m, &mut sums);
+            }
         }
-        for k in 0..PRODUCTS {
+        for k in 0..P {
             self.out.gram[k] = sum_of_singles(&sums[k]);
         }
     }
 }
 
-/// What the columns times the unknowns `found` leave of the first `count` grey values.
+/// What the columns times the unknowns `found`, each at the place of its column, leave of the first `count` grey values.
 pub(super) struct Left<'a> {
     pub(super) columns: &'a mut Columns,
-    pub(super) found: &'a [f64; N],
+    pub(super) found: &'a [f64; ALL],
+    pub(super) bent: bool,
     pub(super) count: usize,
 }
 
@@ -174,6 +184,11 @@ impl Kernel for Left<'_> {
             for k in 0..N {
                 sum = sum - L::Single::splat(self.found[k] as f32) * L::Single::load(&block[k][i..]);
             }
+            if self.bent {
+                for k in M..ALL {
+                    sum = sum - L::Single::splat(self.found[k] as f32) * L::Single::load(&block[k][i..]);
+                }
+            }
             sum.store(&mut left[at..]);
             at += L::Single::N;
         }
@@ -182,7 +197,7 @@ impl Kernel for Left<'_> {
 
 /// Adds the products of the first `m` pixels of a block, tile by tile: numbers once loaded serve a whole tile.
 #[inline(always)]
-fn products<S: Singles>(values: &[[f32; BLOCK]; M], m: usize, sums: &mut [[f32; SINGLES]; PRODUCTS]) {
+fn products<S: Singles>(values: &[[f32; BLOCK]; ALL], m: usize, sums: &mut [[f32; SINGLES]]) {
     tile::<S, 3, 4>(values, m, 0, 0, sums);
     tile::<S, 3, 4>(values, m, 3, 0, sums);
     tile::<S, 3, 4>(values, m, 3, 4, sums);
@@ -196,14 +211,24 @@ fn products<S: Singles>(values: &[[f32; BLOCK]; M], m: usize, sums: &mut [[f32; 
     tile::<S, 1, 6>(values, m, 12, 7, sums);
 }
 
+/// Those with columns of the second degree.
+#[inline(always)]
+fn products_of_bends<S: Singles>(values: &[[f32; BLOCK]; ALL], m: usize, sums: &mut [[f32; SINGLES]]) {
+    for second in [0, 4, 8, 12] {
+        tile::<S, 3, 4>(values, m, 13, second, sums);
+        tile::<S, 3, 4>(values, m, 16, second, sums);
+    }
+    tile::<S, 3, 3>(values, m, 16, 16, sums);
+}
+
 /// Products of `A` columns from `first` on with `B` columns from `second` on.
 #[inline(always)]
 fn tile<S: Singles, const A: usize, const B: usize>(
-    values: &[[f32; BLOCK]; M],
+    values: &[[f32; BLOCK]; ALL],
     m: usize,
     first: usize,
     second: usize,
-    sums: &mut [[f32; SINGLES]; PRODUCTS],
+    sums: &mut [[f32; SINGLES]],
 ) {
     let m = m.min(BLOCK);
     let mut part = 0;
@@ -250,7 +275,7 @@ struct Seen<S> {
     blur: S,
     inverse_blur: S,
     variance: [S; 2],
-    light: [S; LIGHTS],
+    light: [S; LIGHTS + BENDS],
 }
 
 /// A foot point.
@@ -267,14 +292,17 @@ struct Edge<S> {
     inside: S,
     slope: S,
     by_blur: S,
+    /// Distance in units of the blur as the profile sees it, and the curvature of the contour.
+    depth: S,
+    kappa: S,
 }
 
 impl<S: Singles> Seen<S> {
     #[inline(always)]
     fn new(frame: &Frame, lens: &Lens) -> Self {
         let one = |x: f64| S::splat(x as f32);
-        let mut light = [S::splat(0.0); LIGHTS];
-        for k in 0..LIGHTS {
+        let mut light = [S::splat(0.0); LIGHTS + BENDS];
+        for k in 0..LIGHTS + BENDS {
             light[k] = one(lens.light[k]);
         }
         Self {
@@ -297,7 +325,7 @@ impl<S: Singles> Seen<S> {
 
     /// Columns, response and angle on the diamond of a pixel.
     #[inline(always)]
-    fn pixel(&self, x: S, y: S, grey: S, shown: S) -> ([S; M], S, S) {
+    fn pixel<const BENT: bool>(&self, x: S, y: S, grey: S, shown: S) -> ([S; ALL], S, S) {
         let one = S::splat(1.0);
         let foot = self.foot(x, y);
         let edge = self.edge(&foot);
@@ -311,27 +339,60 @@ impl<S: Singles> Seen<S> {
         let (bx, by) = (px * p + moved * nx * self.inverse_a, py * p + moved * ny * self.inverse_b);
         let (ox, oy) = (px - bx, py - by);
         let light = &self.light;
-        let step = (light[0] - light[3]) + (light[1] - light[4]) * c + (light[2] - light[5]) * s;
+        let mut step = (light[0] - light[3]) + (light[1] - light[4]) * c + (light[2] - light[5]) * s;
+        if BENT {
+            step = step + (light[7] - light[10]) * (c * c - s * s) + (light[8] - light[11]) * (c * s + c * s);
+        }
         let h = root * step * slope;
         let (da, db) = (-(nx * c), -(ny * s));
         let (along, across) = (da - db, -((self.a + self.b) * c * s * inverse));
-        let model = (light[0] * p + light[1] * bx + light[2] * by) + (light[3] * q + light[4] * ox + light[5] * oy);
-        let columns = [
-            root * p,
-            root * bx,
-            root * by,
-            root * q,
-            root * ox,
-            root * oy,
-            root * step * edge.by_blur,
-            -(h * (self.cos * nx - self.sin * ny)),
-            -(h * (self.sin * nx + self.cos * ny)),
-            h * (da + db),
-            h * (self.cos2 * along - self.sin2 * across),
-            h * (self.sin2 * along + self.cos2 * across),
-            root * (grey - model),
-        ];
+        let mut model = (light[0] * p + light[1] * bx + light[2] * by) + (light[3] * q + light[4] * ox + light[5] * oy);
+        let mut columns = [S::splat(0.0); ALL];
+        if BENT {
+            let bends = self.bends(px, py, nx, ny, &edge);
+            for k in 0..BENDS {
+                model = model + light[LIGHTS + k] * bends[k];
+                columns[M + k] = root * bends[k];
+            }
+        }
+        columns[0] = root * p;
+        columns[1] = root * bx;
+        columns[2] = root * by;
+        columns[3] = root * q;
+        columns[4] = root * ox;
+        columns[5] = root * oy;
+        columns[6] = root * step * edge.by_blur;
+        columns[7] = -(h * (self.cos * nx - self.sin * ny));
+        columns[8] = -(h * (self.sin * nx + self.cos * ny));
+        columns[9] = h * (da + db);
+        columns[10] = h * (self.cos2 * along - self.sin2 * across);
+        columns[11] = h * (self.sin2 * along + self.cos2 * across);
+        columns[N] = root * (grey - model);
         (columns, h, diamond(c, s))
+    }
+
+    /// `X^2 + Y^2 - 1`, `X^2 - Y^2`, `2 X Y` times the profile, then times what it leaves, as [`crate::detect::surface`].
+    #[inline(always)]
+    fn bends(&self, px: S, py: S, nx: S, ny: S, edge: &Edge<S>) -> [S; BENDS] {
+        let (one, two) = (S::splat(1.0), S::splat(2.0));
+        let (p, s2) = (edge.inside, self.blur * self.blur);
+        let (gx, gy) = (edge.slope * nx * self.inverse_a, edge.slope * ny * self.inverse_b);
+        // Second derivatives of the profile, across and along the contour.
+        let (across, along) = (-(edge.slope * edge.depth * self.inverse_blur), edge.kappa * edge.slope);
+        let (turn, mixed) = (across - along, self.inverse_a * self.inverse_b);
+        let xx = (along + turn * nx * nx) * (self.inverse_a * self.inverse_a);
+        let yy = (along + turn * ny * ny) * (self.inverse_b * self.inverse_b);
+        let xy = turn * nx * ny * mixed;
+        let (x2, y2, xy2) = (px * px, py * py, two * px * py);
+        let (first, second) = (two * s2, s2 * s2);
+        let (gxx, gyy) = (px * gx, py * gy);
+        let rho = (x2 + y2) - one;
+        let inside = [
+            rho * p + first * (gxx + gyy) + second * (xx + yy),
+            (x2 - y2) * p + first * (gxx - gyy) + second * (xx - yy),
+            xy2 * p + first * (py * gx + px * gy) + second * two * xy,
+        ];
+        [inside[0], inside[1], inside[2], rho - inside[0], (x2 - y2) - inside[1], xy2 - inside[2]]
     }
 
     /// Newton steps on the eccentric angle held as a unit vector; each lane ends by itself, so that its bits do not hang on the others.
@@ -362,7 +423,9 @@ impl<S: Singles> Seen<S> {
                 break;
             }
         }
-        let length = one / (c * c + s * s).sqrt();
+        // What rounding left of the length, by a step of Newton's: near one a root cannot tell 1 + 2^-23 from one, and the foot points of
+        // a whole contour would lie outside by the last digit.
+        let length = one + (half - half * (c * c + s * s));
         (c, s) = (c * length, s * length);
         let (bc, sa) = (b * c, a * s);
         let inverse = one / (bc * bc + sa * sa).sqrt();
@@ -410,7 +473,7 @@ impl<S: Singles> Seen<S> {
         let y_by_blur = (mean_by_blur - d * self.inverse_blur) * r - y * widening;
         let bends = number(4.0) * fourth * he3 - number(3.0) * third * he2 + number(6.0) * sixth * he5;
         let by_blur = f * ((self.inverse_blur - widening) * bends - shape * y_by_blur);
-        Edge { inside, slope, by_blur }
+        Edge { inside, slope, by_blur, depth: y, kappa }
     }
 }
 
@@ -455,118 +518,8 @@ fn diamond<S: Singles>(c: S, s: S) -> S {
     S::select(c.below(zero), S::splat(2.0) - x, right)
 }
 
-const _: () = assert!(N + 1 == M && M == 13, "the tiles cover thirteen columns");
+const _: () =
+    assert!(N + 1 == M && M == 13 && ALL == 19, "the tiles cover thirteen columns, and six of the second degree");
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::conic::Ellipse;
-    use crate::detect::contour;
-    use crate::detect::profile::Profile;
-    use crate::frames::Pixel;
-    use crate::lanes::run_all;
-
-    fn near(e: &Ellipse, reach: f64) -> Near {
-        let frame = Frame::new(e);
-        let mut near = Near::default();
-        for (i, j) in (-40..=40).flat_map(|i| (-40..=40).map(move |j| (i, j))) {
-            let (x, y) = (f64::from(i) + 0.3, f64::from(j) - 0.1);
-            let q = (x / frame.a).hypot(y / frame.b);
-            if (q - 1.0).abs() * frame.b < reach {
-                let [u, v, grey] = near.take(1);
-                (u[0], v[0]) = (x as f32, y as f32);
-                grey[0] = (100.0 * (1.0 - q) + f64::from((i * 7 + j * 3) % 5)) as f32;
-            }
-        }
-        near.fill_up(frame.a);
-        near
-    }
-
-    const CASES: [(f64, f64, f64); 4] = [(13.0, 11.0, 1.0), (30.0, 12.0, 1.3), (36.0, 35.9, 0.5), (5.0, 4.0, 0.7)];
-
-    fn case((a, b, blur_px): (f64, f64, f64)) -> (Ellipse, Lens) {
-        let e = Ellipse { center_px: Pixel::new(0.0, 0.0), semi_major_px: a, semi_minor_px: b, angle_rad: 0.4 };
-        (e, Lens { blur_px, variance: [2.0, 3.0], light: [80.0, 4.0, -3.0, 10.0, 1.0, 2.0] })
-    }
-
-    #[derive(Clone)]
-    struct Summed<'a>(&'a Near, &'a Ellipse, Lens);
-    impl Kernel for Summed<'_> {
-        type Output = Columns;
-        #[inline(always)]
-        fn run<L: Lanes>(self) -> Columns {
-            let mut out = Columns::default();
-            let frame = Frame::new(self.1);
-            SumUp { near: self.0, frame: &frame, lens: &self.2, out: &mut out }.run::<L>();
-            out
-        }
-    }
-
-    #[test]
-    fn columns_are_those_of_the_plain_profile() {
-        for of in CASES {
-            let (e, lens) = case(of);
-            let near = near(&e, 3.5 * of.2);
-            let columns = run_all(&Summed(&near, &e, lens)).remove(0);
-            let frame = Frame::new(&e);
-            let profile = Profile { blur_px: of.2, a: frame.a, b: frame.b };
-            let mut gram = [0.0; PRODUCTS];
-            assert!(near.count > 50);
-            for i in 0..near.count {
-                let (x, y) = (f64::from(near.x[i]), f64::from(near.y[i]));
-                let feet = frame.feet(&[x], &[y]);
-                let (c, s) = (feet.cos[0], feet.sin[0]);
-                let lanes = profile.at(&feet.distance, &feet.cos, &feet.sin);
-                let on = frame.on_contour(c, s);
-                let (p, slope) = (lanes.inside[0], lanes.slope[0]);
-                let root = 1.0 / (lens.variance[0] * p + lens.variance[1] * (1.0 - p)).sqrt();
-                let s2 = of.2 * of.2;
-                let (bx, by) = (x / frame.a * p + s2 * slope * on.climb[0], y / frame.b * p + s2 * slope * on.climb[1]);
-                let base = [p, bx, by, 1.0 - p, x / frame.a - bx, y / frame.b - by];
-                let l = lens.light;
-                let step = (l[0] - l[3]) + (l[1] - l[4]) * c + (l[2] - l[5]) * s;
-                let model: f64 = base.iter().zip(&l).map(|(b, l)| b * l).sum();
-                let mut plain = [0.0; M];
-                for k in 0..LIGHTS {
-                    plain[k] = root * base[k];
-                }
-                plain[LIGHTS] = root * step * lanes.by_blur[0];
-                for k in 0..5 {
-                    plain[LIGHTS + 1 + k] = root * step * slope * on.row[k];
-                }
-                plain[N] = root * (f64::from(near.grey[i]) - model);
-                for k in 0..M {
-                    let value = f64::from(columns.values[i / BLOCK][k][i % BLOCK]);
-                    assert!((value - plain[k]).abs() < 1e-3, "{of:?} pixel {i}, {k}: {value} {}", plain[k]);
-                }
-                assert!((f64::from(columns.response[i]) - root * step * slope).abs() < 1e-3);
-                let angle = [f64::from(columns.diamond[i]), contour::diamond(c, s)];
-                assert!((angle[0] - angle[1]).abs() < 1e-5, "{of:?} pixel {i}: {angle:?}");
-                for a in 0..M {
-                    for b in 0..=a {
-                        gram[place(a, b)] += plain[a] * plain[b];
-                    }
-                }
-            }
-            for (a, b) in (0..M).flat_map(|a| (0..=a).map(move |b| (a, b))) {
-                let size = (gram[place(a, a)] * gram[place(b, b)]).sqrt();
-                let (found, plain) = (columns.gram[place(a, b)], gram[place(a, b)]);
-                assert!((found - plain).abs() < 5e-6 * size, "{of:?} {a} {b}: {found} {plain} of {size}");
-            }
-        }
-    }
-
-    #[test]
-    fn any_width_gives_the_same_bits() {
-        for of in CASES {
-            let (e, lens) = case(of);
-            let near = near(&e, 3.5 * of.2);
-            let all = run_all(&Summed(&near, &e, lens));
-            for one in &all {
-                assert_eq!(one.gram.map(f64::to_bits), all[0].gram.map(f64::to_bits));
-                assert_eq!(one.diamond[..near.count], all[0].diamond[..near.count]);
-                assert_eq!(one.response[..near.count], all[0].response[..near.count]);
-            }
-        }
-    }
-}
+mod tests;

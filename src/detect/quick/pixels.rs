@@ -58,13 +58,23 @@ impl Sums {
         }
         let (right, squares) = self.right();
         let x = self.matrix().cholesky().ok_or(())?.solve(&right);
-        let about_plane = (squares - right.dot(&x)).max(0.0) / (self.n - 3.0);
+        self.noise_about((squares - right.dot(&x)).max(0.0), 3.0, floor).map(Some)
+    }
+
+    /// Noise variance about a surface with so many coefficients that leaves these squares.
+    pub(super) fn noise_about(&self, squares: f64, coefficients: f64, floor: f64) -> Result<f64, ()> {
+        let variance = squares / (self.n - coefficients);
         let pairs = self.pairs.max(1.0);
         let of_neighbours = 0.5 * self.dd / pairs;
-        if about_plane > of_neighbours.max(floor) * (1.25 + 5.0 * (2.0 / pairs).sqrt()) {
+        if variance > of_neighbours.max(floor) * (1.25 + 5.0 * (2.0 / pairs).sqrt()) {
             return Err(());
         }
-        Ok(Some(about_plane))
+        Ok(variance)
+    }
+
+    /// Number of pixels.
+    pub(super) fn count(&self) -> f64 {
+        self.n
     }
 }
 
@@ -76,7 +86,7 @@ pub(super) struct Pixels {
     pub(super) sums: [Sums; 2],
     /// The reference pixel, and its grey value, which is subtracted from all.
     pub(super) reference: (f64, f64),
-    ground: f64,
+    pub(super) ground: f64,
 }
 
 /// How far from the ellipse which pixels are taken, px; every `thin`-th row only.

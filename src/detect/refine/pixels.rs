@@ -79,11 +79,12 @@ fn agree(shares: &[Share], sorted: &mut Vec<f64>) -> bool {
         median(sorted)
     };
     let information = typical(&|x| x.information);
-    let shift = 1.4826 * typical(&|x| x.shift_px().abs());
-    let limit = 4.5 * shift.max(information.powf(-0.5));
+    // Over its own sigma: a sector that the pixels happen to cut badly says less, and is further off.
+    let off = |x: &Share| x.shift_px().abs() * x.information.sqrt();
+    let limit = 4.5 * (1.4826 * typical(&off)).max(1.0);
     shares.iter().all(|x| {
         let (enough, spread) = (x.information > 0.15 * information, x.squares / x.pixels.max(1.0));
-        enough && x.shift_px().abs() < limit && spread < 2.0 + 5.0 * (2.0 / x.pixels.max(1.0)).sqrt()
+        enough && off(x) < limit && spread < 2.0 + 5.0 * (2.0 / x.pixels.max(1.0)).sqrt()
     })
 }
 
