@@ -16,7 +16,7 @@ mod sweep;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 #[cfg(target_arch = "x86_64")]
-mod x86_singles;
+mod x86_greys;
 
 pub(crate) use columns::{Column, ColumnMut};
 pub(crate) use greys::Greys;
@@ -29,46 +29,26 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 /// Points that go through a kernel together, whatever the width.
 pub(crate) const GROUP: usize = 8;
 
-/// Numbers that are computed with at once.
-pub(crate) trait Lanes:
+/// Numbers that are computed with at once, each an `X`.
+pub(crate) trait Several<X>:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
 {
-    /// How many; divides [`GROUP`].
+    /// How many; divides [`GROUP`] (`f64`) or [`SINGLES`] (`f32`).
     const N: usize;
     /// One truth value per number.
     type Mask: Copy;
-    /// Eight numbers of single precision.
-    type Greys: Greys;
-    /// Numbers of single precision in the same registers.
-    type Single: Singles;
     /// The same number everywhere.
-    fn splat(x: f64) -> Self;
+    fn splat(x: X) -> Self;
     /// The first N numbers of a slice; panics where it is shorter.
-    fn load(x: &[f64]) -> Self;
+    fn load(x: &[X]) -> Self;
     /// Into the first N places of a slice; panics where it is shorter.
-    fn store(self, out: &mut [f64]);
-    /// N numbers at a place of any alignment.
-    ///
-    /// # Safety
-    /// They can be read.
-    unsafe fn load_at(x: *const f64) -> Self;
-    /// To N places of any alignment.
-    ///
-    /// # Safety
-    /// They can be written.
-    unsafe fn store_at(self, out: *mut f64);
-    /// Into the first N places of a slice, rounded to single precision; panics where it is shorter.
-    fn narrow(self, out: &mut [f32]);
+    fn store(self, out: &mut [X]);
     /// Square root.
     fn sqrt(self) -> Self;
-    /// The whole number at or below.
-    fn floor(self) -> Self;
     /// `self < other`; false for NaN.
     fn below(self, other: Self) -> Self::Mask;
     /// `a` where the mask is set, else `b`.
     fn select(mask: Self::Mask, a: Self, b: Self) -> Self;
-    /// Both.
-    fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// True where every mask is set.
     fn all(mask: Self::Mask) -> bool;
     /// The larger one; `other` where self is NaN.
@@ -83,23 +63,74 @@ pub(crate) trait Lanes:
     }
 }
 
+/// `f64` numbers that are computed with at once.
+pub(crate) trait Lanes: Several<f64> {
+    /// Eight numbers of single precision.
+    type Greys: Greys;
+    /// Numbers of single precision in the same registers.
+    type Single: Singles;
+    /// N numbers at a place of any alignment.
+    ///
+    /// # Safety
+    /// They can be read.
+    unsafe fn load_at(x: *const f64) -> Self;
+    /// To N places of any alignment.
+    ///
+    /// # Safety
+    /// They can be written.
+    unsafe fn store_at(self, out: *mut f64);
+    /// Into the first N places of a slice, rounded to single precision; panics where it is shorter.
+    fn narrow(self, out: &mut [f32]);
+    /// The whole number at or below.
+    fn floor(self) -> Self;
+    /// Both.
+    fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+}
+
+/// One number as a list of one.
+macro_rules! one_number {
+    ($number:ident) => {
+        impl Several<$number> for $number {
+            const N: usize = 1;
+            type Mask = bool;
+            #[inline(always)]
+            fn splat(x: $number) -> Self {
+                x
+            }
+            #[inline(always)]
+            fn load(x: &[$number]) -> Self {
+                x[0]
+            }
+            #[inline(always)]
+            fn store(self, out: &mut [$number]) {
+                out[0] = self;
+            }
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                self.sqrt()
+            }
+            #[inline(always)]
+            fn below(self, other: Self) -> bool {
+                self < other
+            }
+            #[inline(always)]
+            fn select(mask: bool, a: Self, b: Self) -> Self {
+                if mask { a } else { b }
+            }
+            #[inline(always)]
+            fn all(mask: bool) -> bool {
+                mask
+            }
+        }
+    };
+}
+
+one_number!(f64);
+one_number!(f32);
+
 impl Lanes for f64 {
-    const N: usize = 1;
-    type Mask = bool;
     type Greys = greys::Plain;
     type Single = f32;
-    #[inline(always)]
-    fn splat(x: f64) -> Self {
-        x
-    }
-    #[inline(always)]
-    fn load(x: &[f64]) -> Self {
-        x[0]
-    }
-    #[inline(always)]
-    fn store(self, out: &mut [f64]) {
-        out[0] = self;
-    }
     #[inline(always)]
     unsafe fn load_at(x: *const f64) -> Self {
         // SAFETY: the contract of this function.
@@ -115,28 +146,12 @@ impl Lanes for f64 {
         out[0] = self as f32;
     }
     #[inline(always)]
-    fn sqrt(self) -> Self {
-        self.sqrt()
-    }
-    #[inline(always)]
     fn floor(self) -> Self {
         self.floor()
     }
     #[inline(always)]
-    fn below(self, other: Self) -> bool {
-        self < other
-    }
-    #[inline(always)]
-    fn select(mask: bool, a: Self, b: Self) -> Self {
-        if mask { a } else { b }
-    }
-    #[inline(always)]
     fn and(a: bool, b: bool) -> bool {
         a & b
-    }
-    #[inline(always)]
-    fn all(mask: bool) -> bool {
-        mask
     }
 }
 

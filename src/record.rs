@@ -24,7 +24,7 @@ mod sheet_check;
 mod sigma;
 
 pub use diagnosis::{
-    Diagnosis, KeyQuantity, MappingMap, MappingSigma, MappingUncertainty, ModelTest, OutlierReason, Prior,
+    Diagnosis, EXACT, KeyQuantity, MappingMap, MappingSigma, MappingUncertainty, ModelTest, OutlierReason, Prior,
     ViewInfluence,
 };
 pub use geometry::PlacedCamera;

@@ -37,6 +37,7 @@ mod factor;
 mod posterior;
 mod reduced;
 mod score;
+mod tiles;
 
 pub use factor::{SymmetricEigen, symmetric_eigen};
 pub use posterior::{BlockPosterior, Posterior, global_covariance, posterior};

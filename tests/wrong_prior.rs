@@ -49,6 +49,8 @@ fn a_focal_length_five_sigmas_off_is_told() {
 fn a_right_focal_length_and_a_right_drawing_are_not() {
     let (code, words, _) = calibrated("[camera.known]\nf_px = { value = 8900, sigma = 90 }");
     assert_eq!(code, 0, "{words}");
+    // Where the scale comes from, and among the priors.
+    assert_eq!(words.matches("mm, taken as exact").count(), 2, "{words}");
     // As the scene was drawn: the sheet is nearer on the left.
     let drawing =
         "[camera.design]\nobject_distance_mm = 506.0\nviewing_angle_deg = -44.3\nf_sigma = 0.01\ntilt_sigma_deg = 0.5";

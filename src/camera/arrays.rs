@@ -86,13 +86,7 @@ struct Ray<L> {
 impl<L: Lanes> Each<L, 2, 3> for Ray<L> {
     #[inline(always)]
     fn of(&self, q: [L; 2]) -> [L; 3] {
-        let r = &self.r;
-        let [x, y] = self.camera.ideal(q[0], q[1]);
-        let d = [
-            r[0][0] * x + r[0][1] * y + r[0][2],
-            r[1][0] * x + r[1][1] * y + r[1][2],
-            r[2][0] * x + r[2][1] * y + r[2][2],
-        ];
+        let d = self.camera.ray(&self.r, q);
         let per_length = L::splat(1.0) / (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
         [d[0] * per_length, d[1] * per_length, d[2] * per_length]
     }

@@ -104,6 +104,17 @@ impl<L: Lanes> BulkCamera<L> {
         [L::select(valid, x, none), L::select(valid, y, none)]
     }
 
+    /// Directions (x, y, z) of the rays of pixels (u, v) in another frame, to which this rotation leads; not of unit length.
+    #[inline(always)]
+    pub(crate) fn ray(&self, r: &[[L; 3]; 3], [u, v]: [L; 2]) -> [L; 3] {
+        let [x, y] = self.ideal(u, v);
+        let mut ray = [x; 3];
+        for k in 0..3 {
+            ray[k] = r[k][0] * x + r[k][1] * y + r[k][2];
+        }
+        ray
+    }
+
     #[inline(always)]
     fn gain(&self, s: L) -> L {
         let [k1, k2, k3] = self.k;

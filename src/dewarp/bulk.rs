@@ -26,13 +26,8 @@ struct Hit<L> {
 impl<L: Lanes> Each<L, 3, 2> for Hit<L> {
     #[inline(always)]
     fn of(&self, q: [L; 3]) -> [L; 2] {
-        let (r, o) = (&self.sheet_from_cam, &self.center);
-        let [x, y] = self.camera.ideal(q[0], q[1]);
-        let ray = [
-            r[0][0] * x + r[0][1] * y + r[0][2],
-            r[1][0] * x + r[1][1] * y + r[1][2],
-            r[2][0] * x + r[2][1] * y + r[2][2],
-        ];
+        let o = &self.center;
+        let ray = self.camera.ray(&self.sheet_from_cam, [q[0], q[1]]);
         let depth = (q[2] - o[2]) / ray[2];
         let (zero, none) = (L::splat(0.0), L::splat(f64::NAN));
         let met = L::and(zero.below(depth), depth.below(L::splat(f64::INFINITY)));

@@ -57,10 +57,35 @@ fn eight<G: Greys>(list: &[f32], first: usize) -> G {
     G::load(&out)
 }
 
+/// A kernel of which two windows fill eight numbers.
+trait Pairs<const T: usize> {
+    /// Numbers whose sums of fours are the levels at places `first` + 2 K and `first` + 2 K + 1; `[x, y]` within their pixels, of all eight.
+    fn pair<S: Level, G: Greys, const K: usize>(
+        raster: &Raster<'_, S, T>,
+        at: &Places,
+        first: usize,
+        at_pixel: [G; 2],
+    ) -> G;
+}
+
+impl<P: Pairs<T>, const T: usize> Weights<T> for P {
+    const PIECES: bool = false;
+    #[inline(always)]
+    fn levels<S: Level, G: Greys>(&self, raster: &Raster<'_, S, T>, at: &Places, first: usize) -> [f32; 8] {
+        let x = [eight::<G>(&at.x[0], first), eight(&at.x[1], first)];
+        stored(G::sums([
+            Self::pair::<S, G, 0>(raster, at, first, x),
+            Self::pair::<S, G, 1>(raster, at, first, x),
+            Self::pair::<S, G, 2>(raster, at, first, x),
+            Self::pair::<S, G, 3>(raster, at, first, x),
+        ]))
+    }
+}
+
 /// Bilinear: the four samples of a window side by side.
 pub(super) struct Linear;
 
-impl Linear {
+impl Pairs<2> for Linear {
     #[inline(always)]
     fn pair<S: Level, G: Greys, const K: usize>(
         raster: &Raster<'_, S, 2>,
@@ -76,20 +101,6 @@ impl Linear {
     }
 }
 
-impl Weights<2> for Linear {
-    const PIECES: bool = false;
-    #[inline(always)]
-    fn levels<S: Level, G: Greys>(&self, raster: &Raster<'_, S, 2>, at: &Places, first: usize) -> [f32; 8] {
-        let x = [eight::<G>(&at.x[0], first), eight(&at.x[1], first)];
-        stored(G::sums([
-            Self::pair::<S, G, 0>(raster, at, first, x),
-            Self::pair::<S, G, 1>(raster, at, first, x),
-            Self::pair::<S, G, 2>(raster, at, first, x),
-            Self::pair::<S, G, 3>(raster, at, first, x),
-        ]))
-    }
-}
-
 /// Keys' cubic: rows of two windows side by side.
 pub(super) struct Cubic;
 
@@ -100,7 +111,9 @@ impl Cubic {
         let (c, d) = (twice::<G>([1.0, -2.5, 2.0, -0.5]), twice::<G>([-0.5, 1.5, -1.5, 0.5]));
         a + x * (b + x * (c + x * d))
     }
+}
 
+impl Pairs<4> for Cubic {
     #[inline(always)]
     fn pair<S: Level, G: Greys, const K: usize>(
         raster: &Raster<'_, S, 4>,
@@ -114,20 +127,6 @@ impl Cubic {
         let upper = a.greys::<G>(&mut b) * down.of_fours::<0>() + a.greys::<G>(&mut b) * down.of_fours::<1>();
         let lower = a.greys::<G>(&mut b) * down.of_fours::<2>() + a.greys::<G>(&mut b) * down.of_fours::<3>();
         (upper + lower) * across
-    }
-}
-
-impl Weights<4> for Cubic {
-    const PIECES: bool = false;
-    #[inline(always)]
-    fn levels<S: Level, G: Greys>(&self, raster: &Raster<'_, S, 4>, at: &Places, first: usize) -> [f32; 8] {
-        let x = [eight::<G>(&at.x[0], first), eight(&at.x[1], first)];
-        stored(G::sums([
-            Self::pair::<S, G, 0>(raster, at, first, x),
-            Self::pair::<S, G, 1>(raster, at, first, x),
-            Self::pair::<S, G, 2>(raster, at, first, x),
-            Self::pair::<S, G, 3>(raster, at, first, x),
-        ]))
     }
 }
 

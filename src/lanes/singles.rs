@@ -2,45 +2,15 @@
 //!
 //! The rules of [`super`] hold with [`SINGLES`] running sums: bits are equal on every machine.
 
-use std::ops::{Add, Div, Mul, Neg, Sub};
+use super::Several;
 
 /// Pixels that go through a kernel together, whatever the width.
 pub(crate) const SINGLES: usize = 16;
 
 /// `f32` numbers that are computed with at once.
-pub(crate) trait Singles:
-    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
-{
-    /// How many; divides [`SINGLES`].
-    const N: usize;
-    /// One truth value per number.
-    type Mask: Copy;
-    /// The same number everywhere.
-    fn splat(x: f32) -> Self;
-    /// The first N numbers of a slice; panics where it is shorter.
-    fn load(x: &[f32]) -> Self;
-    /// Into the first N places of a slice; panics where it is shorter.
-    fn store(self, out: &mut [f32]);
-    /// Square root.
-    fn sqrt(self) -> Self;
-    /// `self < other`; false for NaN.
-    fn below(self, other: Self) -> Self::Mask;
-    /// `a` where the mask is set, else `b`.
-    fn select(mask: Self::Mask, a: Self, b: Self) -> Self;
-    /// True where every mask is set.
-    fn all(mask: Self::Mask) -> bool;
+pub(crate) trait Singles: Several<f32> {
     /// Two to the power of a whole number from -126 to 127.
     fn power_of_two(self) -> Self;
-    /// The larger one; `other` where self is NaN.
-    #[inline(always)]
-    fn at_least(self, other: Self) -> Self {
-        Self::select(other.below(self), self, other)
-    }
-    /// The smaller one; `other` where self is NaN.
-    #[inline(always)]
-    fn at_most(self, other: Self) -> Self {
-        Self::select(self.below(other), self, other)
-    }
     /// Absolute value.
     #[inline(always)]
     fn size(self) -> Self {
@@ -49,36 +19,6 @@ pub(crate) trait Singles:
 }
 
 impl Singles for f32 {
-    const N: usize = 1;
-    type Mask = bool;
-    #[inline(always)]
-    fn splat(x: f32) -> Self {
-        x
-    }
-    #[inline(always)]
-    fn load(x: &[f32]) -> Self {
-        x[0]
-    }
-    #[inline(always)]
-    fn store(self, out: &mut [f32]) {
-        out[0] = self;
-    }
-    #[inline(always)]
-    fn sqrt(self) -> Self {
-        self.sqrt()
-    }
-    #[inline(always)]
-    fn below(self, other: Self) -> bool {
-        self < other
-    }
-    #[inline(always)]
-    fn select(mask: bool, a: Self, b: Self) -> Self {
-        if mask { a } else { b }
-    }
-    #[inline(always)]
-    fn all(mask: bool) -> bool {
-        mask
-    }
     #[inline(always)]
     fn power_of_two(self) -> Self {
         f32::from_bits((((self as i32) + 127) as u32) << 23)

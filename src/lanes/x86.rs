@@ -3,31 +3,21 @@
 //! A value of these types is only ever made inside a function compiled for its instructions, which [`super::run`] enters after having
 //! asked the processor: that is what makes each `unsafe` below sound.
 
-use super::x86_singles::{EightSingles, SixteenSingles};
-use super::{Greys, Kernel, Lanes};
-use std::arch::asm;
+use super::{Kernel, Lanes, Several, Singles};
 use std::arch::x86_64::{
-    __m256, __m256d, __m512d, __mmask8, _CMP_LT_OQ, _MM_FROUND_NO_EXC, _MM_FROUND_TO_NEG_INF, _mm_storeu_ps,
-    _mm256_add_pd, _mm256_add_ps, _mm256_and_pd, _mm256_blendv_pd, _mm256_cmp_pd, _mm256_cvtpd_ps, _mm256_div_pd,
-    _mm256_floor_pd, _mm256_loadu_pd, _mm256_loadu_ps, _mm256_movemask_pd, _mm256_mul_pd, _mm256_mul_ps,
-    _mm256_permute2f128_ps, _mm256_permutevar8x32_ps, _mm256_set1_pd, _mm256_set1_ps, _mm256_setr_epi32,
-    _mm256_shuffle_ps, _mm256_sqrt_pd, _mm256_storeu_pd, _mm256_storeu_ps, _mm256_sub_pd, _mm256_xor_pd, _mm512_add_pd,
-    _mm512_cmp_pd_mask, _mm512_cvtpd_ps, _mm512_div_pd, _mm512_loadu_pd, _mm512_mask_blend_pd, _mm512_mul_pd,
-    _mm512_roundscale_pd, _mm512_set1_pd, _mm512_sqrt_pd, _mm512_storeu_pd, _mm512_sub_pd,
+    __m256, __m256d, __m512, __m512d, __mmask8, __mmask16, _CMP_LT_OQ, _MM_FROUND_NO_EXC, _MM_FROUND_TO_NEG_INF,
+    _mm_storeu_ps, _mm256_add_epi32, _mm256_add_pd, _mm256_add_ps, _mm256_and_pd, _mm256_blendv_pd, _mm256_blendv_ps,
+    _mm256_castsi256_ps, _mm256_cmp_pd, _mm256_cmp_ps, _mm256_cvtpd_ps, _mm256_cvtps_epi32, _mm256_div_pd,
+    _mm256_div_ps, _mm256_floor_pd, _mm256_loadu_pd, _mm256_loadu_ps, _mm256_movemask_pd, _mm256_movemask_ps,
+    _mm256_mul_pd, _mm256_mul_ps, _mm256_set1_epi32, _mm256_set1_pd, _mm256_set1_ps, _mm256_slli_epi32, _mm256_sqrt_pd,
+    _mm256_sqrt_ps, _mm256_storeu_pd, _mm256_storeu_ps, _mm256_sub_pd, _mm256_sub_ps, _mm256_xor_pd, _mm256_xor_ps,
+    _mm512_add_epi32, _mm512_add_pd, _mm512_add_ps, _mm512_castsi512_ps, _mm512_cmp_pd_mask, _mm512_cmp_ps_mask,
+    _mm512_cvtpd_ps, _mm512_cvtps_epi32, _mm512_div_pd, _mm512_div_ps, _mm512_loadu_pd, _mm512_loadu_ps,
+    _mm512_mask_blend_pd, _mm512_mask_blend_ps, _mm512_mul_pd, _mm512_mul_ps, _mm512_roundscale_pd, _mm512_set1_epi32,
+    _mm512_set1_pd, _mm512_set1_ps, _mm512_slli_epi32, _mm512_sqrt_pd, _mm512_sqrt_ps, _mm512_storeu_pd,
+    _mm512_storeu_ps, _mm512_sub_pd, _mm512_sub_ps,
 };
 use std::ops::{Add, Div, Mul, Neg, Sub};
-
-/// Four numbers.
-#[derive(Clone, Copy)]
-pub(super) struct Four(__m256d);
-
-/// Eight numbers.
-#[derive(Clone, Copy)]
-pub(super) struct Eight(__m512d);
-
-/// Eight numbers of single precision.
-#[derive(Clone, Copy)]
-pub(super) struct Single(__m256);
 
 /// Runs a kernel four numbers at a time.
 #[target_feature(enable = "avx2")]
@@ -54,55 +44,110 @@ macro_rules! operator {
     };
 }
 
-operator!(Four, Add, add, _mm256_add_pd);
-operator!(Four, Sub, sub, _mm256_sub_pd);
-operator!(Four, Mul, mul, _mm256_mul_pd);
-operator!(Four, Div, div, _mm256_div_pd);
-operator!(Single, Add, add, _mm256_add_ps);
-operator!(Single, Mul, mul, _mm256_mul_ps);
-operator!(Eight, Add, add, _mm512_add_pd);
-operator!(Eight, Sub, sub, _mm512_sub_pd);
-operator!(Eight, Mul, mul, _mm512_mul_pd);
-operator!(Eight, Div, div, _mm512_div_pd);
+/// A register of N numbers and the instructions that it is computed with. What the widths write differently is spelt out: a change of
+/// sign, the choice by a mask (its numbers bare registers), and whether a mask is set everywhere.
+macro_rules! register {
+    (
+        $(#[$words:meta])*
+        $name:ident: $n:literal $number:ident in $register:ident, mask $mask:ident;
+        $add:ident $sub:ident $mul:ident $div:ident $sqrt:ident $splat:ident $load:ident $store:ident $below:ident;
+        |$x:ident| $neg:expr; |$by:ident, $a:ident, $b:ident| $select:expr; |$of:ident| $all:expr
+    ) => {
+        $(#[$words])*
+        #[derive(Clone, Copy)]
+        pub(super) struct $name(pub(super) $register);
 
-impl Neg for Four {
-    type Output = Self;
-    #[inline(always)]
-    fn neg(self) -> Self {
-        // SAFETY: see the head of the file.
-        Self(unsafe { _mm256_xor_pd(self.0, _mm256_set1_pd(-0.0)) })
-    }
+        operator!($name, Add, add, $add);
+        operator!($name, Sub, sub, $sub);
+        operator!($name, Mul, mul, $mul);
+        operator!($name, Div, div, $div);
+
+        impl Neg for $name {
+            type Output = Self;
+            #[inline(always)]
+            fn neg(self) -> Self {
+                let $x = self.0;
+                // SAFETY: see the head of the file.
+                Self(unsafe { $neg })
+            }
+        }
+
+        impl Several<$number> for $name {
+            const N: usize = $n;
+            type Mask = $mask;
+            #[inline(always)]
+            fn splat(x: $number) -> Self {
+                // SAFETY: see the head of the file.
+                Self(unsafe { $splat(x) })
+            }
+            #[inline(always)]
+            fn load(x: &[$number]) -> Self {
+                // SAFETY: as above; the slice has N numbers.
+                Self(unsafe { $load(x[..$n].as_ptr()) })
+            }
+            #[inline(always)]
+            fn store(self, out: &mut [$number]) {
+                // SAFETY: as above; the slice has N places.
+                unsafe { $store(out[..$n].as_mut_ptr(), self.0) }
+            }
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                // SAFETY: see the head of the file.
+                Self(unsafe { $sqrt(self.0) })
+            }
+            #[inline(always)]
+            fn below(self, other: Self) -> $mask {
+                // SAFETY: see the head of the file.
+                unsafe { $below::<_CMP_LT_OQ>(self.0, other.0) }
+            }
+            #[inline(always)]
+            fn select($by: $mask, a: Self, b: Self) -> Self {
+                let ($a, $b) = (a.0, b.0);
+                // SAFETY: see the head of the file.
+                Self(unsafe { $select })
+            }
+            #[inline(always)]
+            #[allow(unused_unsafe)] // Masks of the wider registers are plain numbers.
+            fn all($of: $mask) -> bool {
+                // SAFETY: see the head of the file.
+                unsafe { $all }
+            }
+        }
+    };
 }
 
-impl Neg for Eight {
-    type Output = Self;
-    #[inline(always)]
-    fn neg(self) -> Self {
-        // -0 - x rounds like a change of sign: the xor of this width asks for further instructions.
-        Self::splat(-0.0) - self
-    }
+register! {
+    /// Four numbers.
+    Four: 4 f64 in __m256d, mask __m256d;
+    _mm256_add_pd _mm256_sub_pd _mm256_mul_pd _mm256_div_pd _mm256_sqrt_pd _mm256_set1_pd _mm256_loadu_pd _mm256_storeu_pd _mm256_cmp_pd;
+    |x| _mm256_xor_pd(x, _mm256_set1_pd(-0.0)); |mask, a, b| _mm256_blendv_pd(b, a, mask); |mask| _mm256_movemask_pd(mask) == 0b1111
+}
+
+register! {
+    /// Eight numbers of single precision.
+    EightSingles: 8 f32 in __m256, mask __m256;
+    _mm256_add_ps _mm256_sub_ps _mm256_mul_ps _mm256_div_ps _mm256_sqrt_ps _mm256_set1_ps _mm256_loadu_ps _mm256_storeu_ps _mm256_cmp_ps;
+    |x| _mm256_xor_ps(x, _mm256_set1_ps(-0.0)); |mask, a, b| _mm256_blendv_ps(b, a, mask); |mask| _mm256_movemask_ps(mask) == 0xff
+}
+
+// -0 - x rounds like a change of sign: the xor of this width asks for further instructions.
+register! {
+    /// Eight numbers.
+    Eight: 8 f64 in __m512d, mask __mmask8;
+    _mm512_add_pd _mm512_sub_pd _mm512_mul_pd _mm512_div_pd _mm512_sqrt_pd _mm512_set1_pd _mm512_loadu_pd _mm512_storeu_pd _mm512_cmp_pd_mask;
+    |x| _mm512_sub_pd(_mm512_set1_pd(-0.0), x); |mask, a, b| _mm512_mask_blend_pd(mask, b, a); |mask| mask == u8::MAX
+}
+
+register! {
+    /// Sixteen numbers of single precision.
+    SixteenSingles: 16 f32 in __m512, mask __mmask16;
+    _mm512_add_ps _mm512_sub_ps _mm512_mul_ps _mm512_div_ps _mm512_sqrt_ps _mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm512_cmp_ps_mask;
+    |x| _mm512_sub_ps(_mm512_set1_ps(-0.0), x); |mask, a, b| _mm512_mask_blend_ps(mask, b, a); |mask| mask == u16::MAX
 }
 
 impl Lanes for Four {
-    const N: usize = 4;
-    type Mask = __m256d;
-    type Greys = Single;
+    type Greys = EightSingles;
     type Single = EightSingles;
-    #[inline(always)]
-    fn splat(x: f64) -> Self {
-        // SAFETY: see the head of the file.
-        Self(unsafe { _mm256_set1_pd(x) })
-    }
-    #[inline(always)]
-    fn load(x: &[f64]) -> Self {
-        // SAFETY: as above; the slice has four numbers.
-        Self(unsafe { _mm256_loadu_pd(x[..4].as_ptr()) })
-    }
-    #[inline(always)]
-    fn store(self, out: &mut [f64]) {
-        // SAFETY: as above; the slice has four places.
-        unsafe { _mm256_storeu_pd(out[..4].as_mut_ptr(), self.0) }
-    }
     #[inline(always)]
     unsafe fn load_at(x: *const f64) -> Self {
         // SAFETY: as above, and the contract of this function.
@@ -112,11 +157,6 @@ impl Lanes for Four {
     unsafe fn store_at(self, out: *mut f64) {
         // SAFETY: as above, and the contract of this function.
         unsafe { _mm256_storeu_pd(out, self.0) }
-    }
-    #[inline(always)]
-    fn sqrt(self) -> Self {
-        // SAFETY: see the head of the file.
-        Self(unsafe { _mm256_sqrt_pd(self.0) })
     }
     #[inline(always)]
     fn narrow(self, out: &mut [f32]) {
@@ -129,47 +169,15 @@ impl Lanes for Four {
         Self(unsafe { _mm256_floor_pd(self.0) })
     }
     #[inline(always)]
-    fn below(self, other: Self) -> __m256d {
-        // SAFETY: see the head of the file.
-        unsafe { _mm256_cmp_pd::<_CMP_LT_OQ>(self.0, other.0) }
-    }
-    #[inline(always)]
-    fn select(mask: __m256d, a: Self, b: Self) -> Self {
-        // SAFETY: see the head of the file.
-        Self(unsafe { _mm256_blendv_pd(b.0, a.0, mask) })
-    }
-    #[inline(always)]
     fn and(a: __m256d, b: __m256d) -> __m256d {
         // SAFETY: see the head of the file.
         unsafe { _mm256_and_pd(a, b) }
     }
-    #[inline(always)]
-    fn all(mask: __m256d) -> bool {
-        // SAFETY: see the head of the file.
-        unsafe { _mm256_movemask_pd(mask) == 0b1111 }
-    }
 }
 
 impl Lanes for Eight {
-    const N: usize = 8;
-    type Mask = __mmask8;
-    type Greys = Single;
+    type Greys = EightSingles;
     type Single = SixteenSingles;
-    #[inline(always)]
-    fn splat(x: f64) -> Self {
-        // SAFETY: see the head of the file.
-        Self(unsafe { _mm512_set1_pd(x) })
-    }
-    #[inline(always)]
-    fn load(x: &[f64]) -> Self {
-        // SAFETY: as above; the slice has eight numbers.
-        Self(unsafe { _mm512_loadu_pd(x[..8].as_ptr()) })
-    }
-    #[inline(always)]
-    fn store(self, out: &mut [f64]) {
-        // SAFETY: as above; the slice has eight places.
-        unsafe { _mm512_storeu_pd(out[..8].as_mut_ptr(), self.0) }
-    }
     #[inline(always)]
     unsafe fn load_at(x: *const f64) -> Self {
         // SAFETY: as above, and the contract of this function.
@@ -179,11 +187,6 @@ impl Lanes for Eight {
     unsafe fn store_at(self, out: *mut f64) {
         // SAFETY: as above, and the contract of this function.
         unsafe { _mm512_storeu_pd(out, self.0) }
-    }
-    #[inline(always)]
-    fn sqrt(self) -> Self {
-        // SAFETY: see the head of the file.
-        Self(unsafe { _mm512_sqrt_pd(self.0) })
     }
     #[inline(always)]
     fn narrow(self, out: &mut [f32]) {
@@ -196,105 +199,29 @@ impl Lanes for Eight {
         Self(unsafe { _mm512_roundscale_pd::<{ _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC }>(self.0) })
     }
     #[inline(always)]
-    fn below(self, other: Self) -> __mmask8 {
-        // SAFETY: see the head of the file.
-        unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(self.0, other.0) }
-    }
-    #[inline(always)]
-    fn select(mask: __mmask8, a: Self, b: Self) -> Self {
-        // SAFETY: see the head of the file.
-        Self(unsafe { _mm512_mask_blend_pd(mask, b.0, a.0) })
-    }
-    #[inline(always)]
     fn and(a: __mmask8, b: __mmask8) -> __mmask8 {
         a & b
     }
+}
+
+impl Singles for EightSingles {
     #[inline(always)]
-    fn all(mask: __mmask8) -> bool {
-        mask == u8::MAX
+    fn power_of_two(self) -> Self {
+        // SAFETY: see the head of the file.
+        unsafe {
+            let exponent = _mm256_add_epi32(_mm256_cvtps_epi32(self.0), _mm256_set1_epi32(127));
+            Self(_mm256_castsi256_ps(_mm256_slli_epi32::<23>(exponent)))
+        }
     }
 }
 
-/// Number K of each four everywhere in that four.
-#[inline]
-#[target_feature(enable = "avx")]
-fn of_fours<const K: usize>(x: __m256) -> __m256 {
-    let out;
-    // In words of the processor: where the compiler sees through a shuffle it merges it with others and takes two instructions for one.
-    // SAFETY: one instruction between registers, of the set that the function is compiled for.
-    unsafe {
-        match K {
-            0 => {
-                asm!("vpermilps {}, {}, 0x00", lateout(ymm_reg) out, in(ymm_reg) x, options(pure, nomem, nostack, preserves_flags))
-            }
-            1 => {
-                asm!("vpermilps {}, {}, 0x55", lateout(ymm_reg) out, in(ymm_reg) x, options(pure, nomem, nostack, preserves_flags))
-            }
-            2 => {
-                asm!("vpermilps {}, {}, 0xaa", lateout(ymm_reg) out, in(ymm_reg) x, options(pure, nomem, nostack, preserves_flags))
-            }
-            _ => {
-                asm!("vpermilps {}, {}, 0xff", lateout(ymm_reg) out, in(ymm_reg) x, options(pure, nomem, nostack, preserves_flags))
-            }
-        }
-    }
-    out
-}
-
-impl Greys for Single {
+impl Singles for SixteenSingles {
     #[inline(always)]
-    fn splat(x: f32) -> Self {
-        // SAFETY: see the head of the file.
-        Self(unsafe { _mm256_set1_ps(x) })
-    }
-    #[inline(always)]
-    fn load(x: &[f32; 8]) -> Self {
-        // SAFETY: as above; the array has eight numbers.
-        Self(unsafe { _mm256_loadu_ps(x.as_ptr()) })
-    }
-    #[inline(always)]
-    fn store(self, out: &mut [f32; 8]) {
-        // SAFETY: as above; the array has eight places.
-        unsafe { _mm256_storeu_ps(out.as_mut_ptr(), self.0) }
-    }
-    #[inline(always)]
-    fn of_fours<const K: usize>(self) -> Self {
-        // SAFETY: see the head of the file.
-        Self(unsafe { of_fours::<K>(self.0) })
-    }
-    #[inline(always)]
-    fn four_times<const K: usize>(self) -> Self {
-        let [a, b] = [2 * K as i32, 2 * K as i32 + 1];
-        // SAFETY: see the head of the file.
-        Self(unsafe { _mm256_permutevar8x32_ps(self.0, _mm256_setr_epi32(a, a, a, a, b, b, b, b)) })
-    }
-    #[inline(always)]
-    fn four_twice<const K: usize>(self) -> Self {
-        // SAFETY: see the head of the file.
-        Self(unsafe {
-            match K {
-                0 => _mm256_permute2f128_ps::<0x00>(self.0, self.0),
-                _ => _mm256_permute2f128_ps::<0x11>(self.0, self.0),
-            }
-        })
-    }
-    #[inline(always)]
-    fn folded(self, other: Self) -> Self {
+    fn power_of_two(self) -> Self {
         // SAFETY: see the head of the file.
         unsafe {
-            let low = Self(_mm256_permute2f128_ps::<0x20>(self.0, other.0));
-            low + Self(_mm256_permute2f128_ps::<0x31>(self.0, other.0))
-        }
-    }
-    #[inline(always)]
-    fn sums([a, b, c, d]: [Self; 4]) -> Self {
-        // SAFETY: see the head of the file.
-        unsafe {
-            let ab = Self(_mm256_shuffle_ps::<0x44>(a.0, b.0)) + Self(_mm256_shuffle_ps::<0xee>(a.0, b.0));
-            let cd = Self(_mm256_shuffle_ps::<0x44>(c.0, d.0)) + Self(_mm256_shuffle_ps::<0xee>(c.0, d.0));
-            let all = Self(_mm256_shuffle_ps::<0x88>(ab.0, cd.0)) + Self(_mm256_shuffle_ps::<0xdd>(ab.0, cd.0));
-            // Even ones below, odd ones above.
-            Self(_mm256_permutevar8x32_ps(all.0, _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7)))
+            let exponent = _mm512_add_epi32(_mm512_cvtps_epi32(self.0), _mm512_set1_epi32(127));
+            Self(_mm512_castsi512_ps(_mm512_slli_epi32::<23>(exponent)))
         }
     }
 }

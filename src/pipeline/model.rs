@@ -8,6 +8,7 @@ use crate::bundle::{
 use crate::camera::INTRINSICS;
 use crate::conic::Ellipse;
 use crate::error::{Insufficient, Invalid, Result};
+use crate::record;
 use crate::rig::{CameraStart, OpenLabels, RigProblem};
 use crate::rig_file::{
     Adjust, CameraDescription, Knowledge, Length, Loss as LossName, Parameter, PlaneZ, RigDescription, Scale,
@@ -24,8 +25,6 @@ pub const AXIS_POINT_SIGMA: f64 = 0.1;
 pub const LOSS_SIGMAS: f64 = 3.0;
 /// Standard deviation of every printed dot about its nominal place where the rig file gives none, part of the pitch.
 pub const POINT_SIGMA: f64 = 0.01;
-/// A metric fact without a sigma is taken as exact to this part: far below what many discs together tell of a length (2e-6 of a radius).
-const EXACT: f64 = 1e-8;
 
 /// The problem and the labels of its discs.
 pub(super) struct Built {
@@ -130,7 +129,7 @@ pub(super) fn node(target: &Target, l: &DotId) -> Node {
 }
 
 fn stiff(length: Length) -> (f64, f64) {
-    (length.value_mm, length.sigma_mm.unwrap_or(EXACT * length.value_mm))
+    (length.value_mm, length.sigma_mm.unwrap_or(record::EXACT * length.value_mm))
 }
 
 /// Target model, first guess of its shape, and the facts that fix its scale.

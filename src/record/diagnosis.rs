@@ -74,6 +74,16 @@ pub struct Prior {
     pub words: String,
 }
 
+/// A length that is given without a sigma has this part of itself: far below what many discs together tell of a length (2e-6 of a radius).
+pub const EXACT: f64 = 1e-8;
+
+impl Prior {
+    /// Whether it was given without a sigma.
+    pub fn exact(&self) -> bool {
+        self.prior_sigma <= 1.001 * EXACT * self.prior.abs()
+    }
+}
+
 /// A test whether the model lacks something.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ModelTest {

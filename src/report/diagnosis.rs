@@ -64,7 +64,12 @@ pub(super) fn priors(record: &Record) -> Table {
         };
         let z = if p.z.is_finite() { plain(p.z, 2) } else { "–".into() };
         let name = if p.stated { p.name.clone() } else { format!("{} (assumed)", p.name) };
-        (name, vec![with_unit(p.prior, p.prior_sigma, unit), images, z, plain(p.sigma_ratio, 2), verdict.into()])
+        let prior = if p.exact() {
+            format!("{} {unit}, taken as exact", plain(p.prior, 8))
+        } else {
+            with_unit(p.prior, p.prior_sigma, unit)
+        };
+        (name, vec![prior, images, z, plain(p.sigma_ratio, 2), verdict.into()])
     };
     let heads = ["known beforehand", "the images alone", "apart, sigmas", "sigma after / before", ""];
     table(&heads, d.priors.iter().map(row).collect())

@@ -1,5 +1,7 @@
 //! Dense factorisations; the only file that names faer.
 
+use super::tiles::{FEW, InverseRoot, Take};
+use crate::lanes::{self, GROUP};
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::linalg::solvers::{Llt, Solve};
 use faer::{Accum, MatMut, MatRef, Par, Side};
@@ -19,12 +21,17 @@ pub(super) fn take_product(s: &mut DMatrix<f64>, y: &[f64]) {
     triangular::matmul(out, lower, Accum::Add, columns, whole, rows, whole, -1.0, Par::Seq);
 }
 
-/// Size up to which the factor is formed by plain loops; beyond, faer's blocked code is faster than its call is dear.
-const SMALL: usize = 48;
+/// Size of the pose of a view: loops of a known length are unrolled.
+const POSE: usize = 6;
 
 /// Writes the lower Cholesky factor of the n x n matrix in `l` (column by column, its lower triangle is read) over it; false
 /// where it is not positive definite.
 pub(super) fn factorise(l: &mut [f64], n: usize) -> bool {
+    if n == POSE { factorise_in_loops(&mut l[..POSE * POSE], POSE) } else { factorise_in_loops(l, n) }
+}
+
+#[inline(always)]
+fn factorise_in_loops(l: &mut [f64], n: usize) -> bool {
     for j in 0..n {
         let (done, rest) = l.split_at_mut(j * n);
         let column = &mut rest[j..n];
@@ -44,15 +51,9 @@ pub(super) fn factorise(l: &mut [f64], n: usize) -> bool {
 
 /// `L^-1 x` in place.
 pub(super) fn forward(l: &[f64], x: &mut [f64]) {
-    forward_below(l, x.len(), x);
-}
-
-/// The same for the n x n factor and an x whose first elements, all zero, are left out.
-fn forward_below(l: &[f64], n: usize, x: &mut [f64]) {
-    let first = n - x.len();
-    for k in 0..x.len() {
-        let row = first + k;
-        let column = &l[row * n + row..(row + 1) * n];
+    let n = x.len();
+    for k in 0..n {
+        let column = &l[k * n + k..(k + 1) * n];
         let (head, tail) = x[k..].split_at_mut(1);
         head[0] /= column[0];
         tail.iter_mut().zip(&column[1..]).for_each(|(t, c)| *t -= head[0] * c);
@@ -80,7 +81,7 @@ pub(super) enum Cholesky {
 impl Cholesky {
     /// `None` where the matrix is not positive definite.
     pub(super) fn of(m: &DMatrix<f64>) -> Option<Self> {
-        if m.nrows() <= SMALL {
+        if m.nrows() <= FEW {
             let mut l = m.clone();
             return factorise(l.as_mut_slice(), m.nrows()).then_some(Cholesky::Small(l));
         }
@@ -108,16 +109,18 @@ impl Cholesky {
     pub(super) fn inverse(&self) -> DMatrix<f64> {
         match self {
             Cholesky::Small(l) => {
-                // Rows of L^-1 above its diagonal are zero: column j of it begins at row j.
                 let n = l.nrows();
-                let mut root = DMatrix::identity(n, n);
+                let mut rows = vec![0.0; n * n.next_multiple_of(GROUP)];
+                lanes::run(InverseRoot { l: l.as_slice(), rows: &mut rows, n });
+                let mut out = DMatrix::zeros(n, n);
+                lanes::run(Take { y: &rows, s: out.as_mut_slice(), n });
                 for j in 0..n {
-                    forward_below(l.as_slice(), n, &mut root.as_mut_slice()[j * n + j..(j + 1) * n]);
+                    for i in j..n {
+                        let x = -out[(i, j)];
+                        (out[(i, j)], out[(j, i)]) = (x, x);
+                    }
                 }
-                DMatrix::from_fn(n, n, |i, j| {
-                    let from = i.max(j);
-                    root.column(i).iter().zip(root.column(j).iter()).skip(from).map(|(a, b)| a * b).sum()
-                })
+                out
             }
             Cholesky::Large(l) => {
                 let n = l.L().nrows();
@@ -178,7 +181,7 @@ mod tests {
     /// Both codes on the same matrices, on either side of the border.
     #[test]
     fn plain_loops_and_faer_agree() {
-        for n in [1, 2, 7, SMALL, SMALL + 1] {
+        for n in [1, 2, 7, FEW, FEW + 1] {
             let root = DMatrix::from_fn(n, n, |i, j| ((i * 7 + j * 13) as f64).sin() + if i == j { 3.0 } else { 0.0 });
             let a = &root * root.transpose();
             let rhs = DMatrix::from_fn(n, 3, |i, j| (i as f64 - 0.3 * j as f64).cos());

@@ -7,6 +7,7 @@
 //! `H_vv^-1 H_vg = L^-T Y` itself is formed only where the covariance asks for it.
 
 use super::factor::{Cholesky, backward, factorise, forward, take_product};
+use super::tiles::{FEW, Take};
 use super::{Gradient, NormalEquations, Step};
 use crate::lanes::{self, GROUP, Kernel, Lanes};
 use nalgebra::{DMatrix, DVector};
@@ -58,46 +59,9 @@ fn damp(m: &mut [f64], n: usize, ridge: impl Fn(usize, f64) -> f64) {
     }
 }
 
-/// Number of global unknowns up to which products are formed in tiles of the lower triangle; beyond, blocked code is faster.
-const FEW: usize = 48;
-
 /// Distance of the columns of Y transposed: whole groups for the tiles.
 fn stride(global: usize) -> usize {
     if global <= FEW { global.next_multiple_of(GROUP) } else { global }
-}
-
-/// Takes `Y^T Y` from the lower triangle of the n x n matrix `s`; `y` holds rows of Y, each filled up with zeros to whole groups. Every element is
-/// summed over the rows in their order, whatever the width.
-struct Take<'a> {
-    y: &'a [f64],
-    s: &'a mut [f64],
-    n: usize,
-}
-
-impl Kernel for Take<'_> {
-    type Output = ();
-    #[inline(always)]
-    fn run<L: Lanes>(self) {
-        let width = self.n.next_multiple_of(GROUP);
-        for j in (0..self.n).step_by(4) {
-            // Tiles from the group on that holds the diagonal.
-            for i in (j / L::N * L::N..self.n).step_by(L::N) {
-                let mut tile = [L::splat(0.0); 4];
-                for row in self.y.chunks_exact(width) {
-                    let (left, right) = (L::load(&row[i..]), &row[j..j + 4]);
-                    for b in 0..4 {
-                        tile[b] = tile[b] + left * L::splat(right[b]);
-                    }
-                }
-                for (b, tile) in tile.into_iter().enumerate().take(self.n - j) {
-                    let mut sums = [0.0; GROUP];
-                    tile.store(&mut sums);
-                    let (column, rows) = (j + b, i.max(j + b)..(i + L::N).min(self.n));
-                    rows.for_each(|r| self.s[column * self.n + r] -= sums[r - i]);
-                }
-            }
-        }
-    }
 }
 
 /// Forms the rows of `Y = L^-1 H_vg` of one block, `width` apart, and takes `Y^T y` from the right-hand side. Plain loops, which are compiled for
@@ -320,45 +284,5 @@ impl<'a> Reduced<'a> {
             sum += weighted(&b.h_vv, d, &|i, h| self.ridge.block(v, i, h));
         }
         0.5 * (self.b_dot(step) + sum)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Rows of Y with many zeros where they are filled up.
-    fn rows(n: usize) -> Vec<f64> {
-        let width = n.next_multiple_of(GROUP);
-        (0..7 * width).map(|i| if i % width < n { ((i * 31) as f64).sin() } else { 0.0 }).collect()
-    }
-
-    #[derive(Clone)]
-    struct Taken(usize);
-    impl Kernel for Taken {
-        type Output = Vec<f64>;
-        #[inline(always)]
-        fn run<L: Lanes>(self) -> Vec<f64> {
-            let mut s = vec![1.0; self.0 * self.0];
-            Take { y: &rows(self.0), s: &mut s, n: self.0 }.run::<L>();
-            s
-        }
-    }
-
-    #[test]
-    fn tiles_take_the_product_from_the_lower_triangle_alone() {
-        for n in [0, 1, 3, 8, 11, 22, FEW] {
-            let (all, y) = (lanes::run_all(&Taken(n)), rows(n));
-            for s in &all {
-                assert_eq!(*s, all[0]);
-            }
-            let width = n.next_multiple_of(GROUP).max(1);
-            for (at, s) in all[0].iter().enumerate() {
-                let (i, j) = (at % n, at / n);
-                let product: f64 = y.chunks_exact(width).map(|row| row[i] * row[j]).sum();
-                let wanted = if i >= j { 1.0 - product } else { 1.0 };
-                assert!((s - wanted).abs() < 1e-14, "{n}: {i} {j}");
-            }
-        }
     }
 }

@@ -6,7 +6,7 @@
 
 use super::{LIGHTS, M, N, PRODUCTS, place};
 use crate::conic::Frame;
-use crate::lanes::{Kernel, Lanes, SINGLES, Singles, sum_of_singles};
+use crate::lanes::{Kernel, Lanes, SINGLES, Several, Singles, sum_of_singles};
 
 /// Pixels whose columns are stored before their products are taken; a multiple of [`SINGLES`].
 pub(super) const BLOCK: usize = 128;
