@@ -311,7 +311,7 @@ impl Exact {
         let fields = self.all_fields(state);
         let (mut all, bests) = self.listen_to_all(state, &fields, amplitude);
         let mut least = bests.iter().copied().fold(f64::INFINITY, f64::min);
-        if free < NOISE_KNOWN {
+        if (1.0..NOISE_KNOWN).contains(&free) {
             let heard = fields.into_iter().zip(&bests).filter(|(_, best)| **best < least + NO_SAY);
             let fields: Vec<Field> = heard.map(|(field, _)| field).collect();
             // Steps of one standard deviation of the logarithm.

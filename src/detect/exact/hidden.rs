@@ -3,7 +3,8 @@
 //! A pixel is *odd* where its residual, alone or averaged with its eight neighbours, is `ODD` times what is usual. Glare has
 //! skirts that no single pixel betrays, yet together they drag the edge along. So odd pixels that lie together grow by rings: a
 //! ring is hidden where its mean residual, or what is to be expected of it were the excess to go on falling from ring to ring as it
-//! did before, exceeds `FELT` of the noise. The first ring, the pixels side by side with the spot, is always hidden. Skirts fall at least exponentially, so the expectation is on the safe side.
+//! did before, exceeds `FELT` of the noise. The first ring, the pixels side by side with the spot, is always hidden. Skirts fall at least
+//! exponentially, so the expectation is on the safe side.
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|

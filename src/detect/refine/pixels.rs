@@ -145,11 +145,12 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     s.exact.uncovered();
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
     let mut smoky = nodes || s.exact.smoke_left() || s.exact.louder_inside(&state);
+    let explained = large || s.exact.misfit() < UNEXPLAINED;
     let mut clear = false;
     if start.smoke {
         // What is hidden is asked for before smoke.
         let mut found = uncover(view, &state, &kept, start, floor, smoky, s);
-        if found.is_none() && !large {
+        if found.is_none() && !explained {
             found = leave_a_stretch(view, &before, start, (&keep, floor), s);
         }
         clear = found.is_some();
@@ -158,7 +159,7 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
             None => {
                 s.exact.uncovered();
                 kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-                smoky |= !large && s.exact.misfit() > UNEXPLAINED;
+                smoky |= !explained;
             }
         }
     }
