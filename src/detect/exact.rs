@@ -4,16 +4,18 @@
 //! ([`crate::detect::profile`]) and light ([`crate::detect::surface`]). Gauss-Newton in geometry and blur, exact in the light.
 //!
 //! Smoke is a random field: waves on a lattice of wave vectors `k` in units of the semi-axes, whose heights are
-//! unknowns with a prior, variance of a height `~ amp^2 S(k l)`, of smooth light, `S = exp(-(k l)^2 / 2)`, or of turbulence cut
+//! unknowns with a prior, variance of a height `~ amp^2 S(k l)`, of smooth light, `S = (1 + (k l)^2 / 6)^(-3)`, or of turbulence cut
 //! by a sheet, `S = (1 + (k l)^2)^(-4/3)`. Spectrum, amplitude and length are those with the largest restricted likelihood of the image,
 //!
 //! ```text
-//! -2 ln L = chi^2 + ln det(J^T W J + Lambda^-1) + ln det Lambda + sum ln variance
+//! -2 ln L = chi^2 + ln det(J^T W J + Lambda^-1) + ln det Lambda + sum ln variance - sum ln W
 //! ```
 //!
 //! with all unknowns, geometry and blur among them, integrated out; the result is the mean over all of them, each with its
-//! likelihood as weight: so the sigmas say what not knowing the smoke, nor of which kind it is, costs. Noise inside is what
-//! is left over the degrees of freedom that the waves did not spend, for light carries shot noise that the ground does not show.
+//! likelihood as weight: so the sigmas say what not knowing the smoke, nor of which kind it is, costs. There is no smoke where light that
+//! is at most slanted says as much under louder noise. Noise inside is what is left over the degrees of freedom that the waves did not
+//! spend, for light carries shot noise that the ground does not show. Of small discs these are few: then the mean is over the noise as
+//! well, which may be four times louder where there is more light (`ln (variance / outside) ~ N(0, ln 4)`), but hardly quieter (`ln 1.3`).
 //!
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
@@ -38,7 +40,7 @@ use crate::detect::rim::Rim;
 use crate::detect::surface::{At, on_contour};
 use crate::image::GrayView;
 use crate::lanes::{self, Kernel, Lanes as Width};
-use field::{PRIOR_PIXELS, Verdict};
+use field::{MOST_LOUD, PRIOR_PIXELS, Verdict};
 use hidden::Hidden;
 use left::Within;
 use nalgebra::{SMatrix, SVector};
@@ -133,6 +135,8 @@ impl Exact {
 
     fn look(&mut self, view: &GrayView, state: &State, contour: &Contour, keep: &[bool], reach: Reach) -> bool {
         self.band.collect(view, &state.ellipse, contour, reach);
+        // The same whichever sectors count and whatever is hidden: residuals of pixels that a fit left out are those of its light.
+        let ground = self.band.grey.first().copied().unwrap_or(0.0);
         if !self.hidden.none() {
             let frame = Frame::new(&state.ellipse);
             for i in 0..self.band.len() {
@@ -142,7 +146,6 @@ impl Exact {
             }
         }
         self.count = self.band.compact(keep);
-        let ground = self.band.grey.first().copied().unwrap_or(0.0);
         self.band.grey.iter_mut().for_each(|g| *g -= ground);
         self.count > 2 * FIXED
     }
@@ -465,7 +468,8 @@ impl Exact {
             }
             if round == 0 && state.field.is_some() {
                 chosen = 1;
-                self.choose_field(state, afresh);
+                // Far from the contour louder noise would explain most.
+                self.choose_field(state, afresh, 0);
             }
             self.sum_up(state);
             self.solve(state)?;
@@ -493,7 +497,7 @@ impl Exact {
                 chosen = 2;
                 round = round.min(MOST_ROUNDS - 3);
                 self.hold_steps(state);
-                self.choose_field(state, afresh);
+                self.choose_field(state, afresh, MOST_LOUD);
                 self.sum_up(state);
                 self.solve(state)?;
                 self.held.clear();

@@ -225,7 +225,9 @@ impl Condition {
         let light = self.light_columns();
         // The smoke modulates the step, a spot hides another stretch of the contour: the bound is another in each scene.
         let bounds = match self.light {
-            Light::Smoke => scenes.min(12),
+            // Of large discs it takes as long as the fit.
+            Light::Smoke if self.semi_minor_px > 10.0 => scenes.min(12),
+            Light::Smoke => scenes,
             Light::Glare => scenes.min(20),
             _ => 1,
         };

@@ -1,9 +1,10 @@
 //! Smoke as a random field: its lattice of waves, its prior, and what not knowing it costs.
 
-use super::{Exact, FIXED, State};
+use super::{CHUNK, Exact, FIXED, State};
 use crate::conic::{Ellipse, from_regular, to_regular};
 use crate::detect::band::{LANES, Reach};
 use crate::detect::contour::Contour;
+use crate::detect::light::Side;
 use crate::image::GrayView;
 use nalgebra::{SMatrix, SVector};
 use std::f64::consts::{PI, SQRT_2, TAU};
@@ -16,15 +17,33 @@ const MOST_WAVES: f64 = 120.0;
 const WORTH: f64 = 16.0;
 /// Loss in the same from which a field has no say.
 const NO_SAY: f64 = 16.0;
+/// Doublings of the noise inside tried in place of a field.
+pub(super) const MOST_LOUD: usize = 12;
+/// Factors by which the variance of the noise on the side with more light may well be larger or smaller.
+const LIKELY: f64 = 4.0;
+const UNLIKELY: f64 = 1.3;
+/// Degrees of freedom from which the noise inside is known well enough.
+const NOISE_KNOWN: f64 = 150.0;
+/// Loss in twice the logarithm of the likelihood at which other noise is no longer tried, and steps of it at most, either way.
+const FAR: f64 = 6.0;
+const MOST_STEPS: usize = 4;
 /// Pixels from which the prior of a field is chosen.
 pub(super) const PRIOR_PIXELS: usize = 3000;
+
+/// Minus twice the logarithm of the prior of the noise inside, beside that outside: with more light comes more shot noise, of a factor
+/// that may well be `LIKELY`; less noise with more light is hardly more than another ground.
+fn prior_of_noise([inside, outside]: [f64; 2], step: f64) -> f64 {
+    let louder = (inside / outside).ln() * step.signum();
+    (louder / if louder > 0.0 { LIKELY } else { UNLIKELY }.ln()).powi(2)
+}
 
 /// How the variance of the waves falls with the wave number `k`, for a length `l`.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) enum Spectrum {
-    /// `exp(-(k l)^2 / 2)`: smooth light.
+    /// `(1 + (k l)^2 / 6)^(-3)`: light with a slope that has a slope itself (Matern). A bell would promise more: that light seen
+    /// inside says without error what it is at the rim.
     #[default]
-    Gaussian,
+    Smooth,
     /// `(1 + (k l)^2)^(-4/3)`: what turbulence mixes, cut by a sheet (von Karman; `E(k) ~ k^(-5/3)` in space).
     Karman,
 }
@@ -33,14 +52,14 @@ impl Spectrum {
     /// Lengths tried, in semi-axes. Of the short waves of turbulence only amplitude and length together are seen.
     const fn lengths(self) -> &'static [f64] {
         match self {
-            Self::Gaussian => &[0.27, 0.36, 0.48, 0.64, 0.85, 1.15],
+            Self::Smooth => &[0.27, 0.36, 0.48, 0.64, 0.85, 1.15],
             Self::Karman => &[0.4, 1.0, 2.5],
         }
     }
 
     fn variance(self, kl: f64) -> f64 {
         match self {
-            Self::Gaussian => (-0.5 * kl * kl).exp(),
+            Self::Smooth => (1.0 + kl * kl / 6.0).powi(-3),
             Self::Karman => (1.0 + kl * kl).powf(-4.0 / 3.0),
         }
     }
@@ -48,7 +67,7 @@ impl Spectrum {
     /// By how much the lattice repeats itself beyond the region, in semi-axes.
     fn margin(self, length: f64) -> f64 {
         match self {
-            Self::Gaussian => 3.0 * length,
+            Self::Smooth => 3.0 * length,
             Self::Karman => 1.0,
         }
     }
@@ -71,7 +90,7 @@ impl Field {
         let axes = [e.semi_major_px, e.semi_minor_px];
         let spacing = axes.map(|a| TAU / (2.0 * (1.0 + 2.5 * blur_px / a) + spectrum.margin(length)));
         let shortest = match spectrum {
-            Spectrum::Gaussian => [3.0 / length; 2],
+            Spectrum::Smooth => axes.map(|a| (4.5 / length).min(SHORTEST * a / blur_px)),
             Spectrum::Karman => axes.map(|a| SHORTEST * a / blur_px),
         };
         let count = 0.5 * PI * shortest[0] / spacing[0] * shortest[1] / spacing[1];
@@ -198,15 +217,28 @@ impl Exact {
         said
     }
 
-    /// Spectrum, length and amplitude with the largest likelihood; no field where none is worth it. Unless `afresh`, only
-    /// the amplitude of a field chosen before is chosen anew.
-    pub(super) fn choose_field(&mut self, state: &mut State, afresh: bool) {
+    /// What the fields given say under the noise of the state, the likelihood of that noise and its prior counted, and the least value of each.
+    fn listen_to_all(&mut self, state: &State, fields: &[Field], amplitude: f64) -> (Vec<Said>, Vec<f64>) {
+        let (mut all, mut bests) = (vec![], vec![]);
+        for field in fields {
+            let mut tried = State { field: Some(field.clone()), ..state.clone() };
+            let mut said = self.listen(&mut tried, amplitude);
+            let noise = self.log_noise(state) + prior_of_noise(state.variance, state.step);
+            said.iter_mut().for_each(|s| s.value += noise);
+            bests.push(said.iter().map(|s| s.value).fold(f64::INFINITY, f64::min));
+            all.extend(said);
+        }
+        (all, bests)
+    }
+
+    /// Spectrum, length and amplitude with the largest likelihood; no field where none is worth it, beside light without waves under noise
+    /// inside that is doubled up to `loudest` times. Unless `afresh`, only the amplitude of a field chosen before is chosen anew.
+    pub(super) fn choose_field(&mut self, state: &mut State, afresh: bool, loudest: usize) {
         let before = state.field.take().filter(|f| !afresh && !f.waves.is_empty());
         self.light.clear();
         // A few thousand pixels fix the prior.
         self.thinned = self.count.div_ceil(PRIOR_PIXELS);
-        self.sum_up(state);
-        let without = self.solve(state);
+        let without = self.without_field(state, loudest);
         let fields = match before {
             Some(f) => vec![f],
             None => self.all_fields(state),
@@ -221,14 +253,46 @@ impl Exact {
                 best = tried.field.map(|f| (top.value, Field { amplitude: top.amplitude, ..f }));
             }
         }
+        let quiet = self.log_noise(state);
         self.thinned = 1;
+        let best = best.map(|(value, field)| (value + quiet, field));
         state.field = best.filter(|b| without.is_some_and(|w| b.0 + WORTH < w)).map(|b| b.1);
+    }
+
+    /// Sum of the logarithms of the noise variances of the pixels summed up last.
+    fn log_noise(&self, state: &State) -> f64 {
+        let chosen = (0..self.count).filter(|i| (i / CHUNK).is_multiple_of(self.thinned.max(1)));
+        chosen.map(|i| -Self::weight(state, self.inside[i]).ln()).sum()
+    }
+
+    /// Minus twice the logarithm of the likelihood, with that of the noise, of light that is at most slanted, under the noise inside
+    /// that explains it best: light carries shot noise that the ground does not show.
+    fn without_field(&mut self, state: &State, loudest: usize) -> Option<f64> {
+        let mut least: Option<f64> = None;
+        for degree in [0, 1] {
+            let mut plain = state.clone();
+            plain.sides[0] = Side { degree, ..plain.sides[0] };
+            let (sigmas, count) = (plain.sides[0].prior_sigmas(), plain.sides[0].count());
+            let slopes: f64 = sigmas[2..count].iter().map(|s| 2.0 * s.ln()).sum();
+            let mut quieter = f64::INFINITY;
+            for _ in 0..=loudest {
+                self.sum_up(&plain);
+                let value = self.solve(&plain)? + self.log_noise(&plain) + slopes;
+                if value > quieter {
+                    break;
+                }
+                quieter = value;
+                plain.variance[0] *= 2.0;
+            }
+            least = Some(least.map_or(quieter, |x| x.min(quieter)));
+        }
+        least
     }
 
     fn all_fields(&self, state: &State) -> Vec<Field> {
         let (e, blur_px) = (&state.ellipse, state.blur_px);
         let least = 1.8 * blur_px / (e.semi_major_px * e.semi_minor_px).sqrt();
-        [Spectrum::Gaussian, Spectrum::Karman]
+        [Spectrum::Smooth, Spectrum::Karman]
             .iter()
             .flat_map(|s| s.lengths().iter().map(move |l| (*s, *l)))
             .filter(|(s, l)| *s == Spectrum::Karman || *l >= least)
@@ -236,20 +300,37 @@ impl Exact {
             .collect()
     }
 
-    /// Estimate and covariance averaged over all fields, each with its likelihood as weight: what not knowing the kind of
-    /// light costs, between fields and within each. The state must stand where its own field left it.
+    /// Estimate and covariance averaged over all fields and, where few pixels show it, over the noise inside, each with its likelihood as
+    /// weight: what not knowing the kind of light costs, between fields and within each. The state must stand where its own field left it.
     pub(super) fn weigh_fields(&mut self, state: &State) -> Option<Verdict> {
         let amplitude = state.field.as_ref()?.amplitude;
         let own = (self.dense.clone(), self.found.clone(), self.light.clone());
+        let free = self.free_in_field(state);
         self.hold_steps(state);
         self.light.clear();
-        let mut all: Vec<Said> = vec![];
-        for field in self.all_fields(state) {
-            let mut tried = State { field: Some(field), ..state.clone() };
-            all.extend(self.listen(&mut tried, amplitude));
+        let fields = self.all_fields(state);
+        let (mut all, bests) = self.listen_to_all(state, &fields, amplitude);
+        let mut least = bests.iter().copied().fold(f64::INFINITY, f64::min);
+        if (1.0..NOISE_KNOWN).contains(&free) {
+            let heard = fields.into_iter().zip(&bests).filter(|(_, best)| **best < least + NO_SAY);
+            let fields: Vec<Field> = heard.map(|(field, _)| field).collect();
+            // Steps of one standard deviation of the logarithm.
+            let step = (2.0 / free).sqrt();
+            for factor in [step.exp(), (-step).exp()] {
+                let mut tried = state.clone();
+                for _ in 0..MOST_STEPS {
+                    tried.variance[0] *= factor;
+                    let (said, bests) = self.listen_to_all(&tried, &fields, amplitude);
+                    all.extend(said);
+                    let best = bests.into_iter().fold(f64::INFINITY, f64::min);
+                    if best > least + FAR {
+                        break;
+                    }
+                    least = least.min(best);
+                }
+            }
         }
         (self.dense, self.found, self.light) = own;
-        let least = all.iter().map(|s| s.value).min_by(f64::total_cmp)?;
         all.retain(|s| s.value < least + NO_SAY);
         let weight = |s: &Said| (-0.5 * (s.value - least)).exp();
         let sum: f64 = all.iter().map(weight).sum();
@@ -264,10 +345,24 @@ impl Exact {
         Some(Verdict { change, covariance })
     }
 
-    /// By how much the noise inside differs from that which the fit took, variance over variance: squared residuals
-    /// over the degrees of freedom that the waves left them.
+    /// By how much the noise inside differs from that which the fit took, variance over variance: the most likely with its prior,
+    /// from squared residuals over the degrees of freedom that the waves left them.
     pub(super) fn noise_in_field(&self, state: &State) -> f64 {
-        let Some(field) = &state.field else { return 1.0 };
+        if self.within.count < 6.0 {
+            return 1.0;
+        }
+        let free = self.free_in_field(state);
+        let cost = |factor: f64| {
+            let [inside, outside] = state.variance;
+            free * factor.ln() + self.within.squares / factor + prior_of_noise([factor * inside, outside], state.step)
+        };
+        let factors = (-120..=120).map(|i| (0.03 * f64::from(i)).exp());
+        factors.min_by(|a, b| cost(*a).total_cmp(&cost(*b))).unwrap_or(1.0)
+    }
+
+    /// Degrees of freedom that the waves left the pixels inside.
+    pub(crate) fn free_in_field(&self, state: &State) -> f64 {
+        let Some(field) = &state.field else { return self.within.count };
         let n = Self::lights(state) + FIXED;
         let l = &self.dense.matrix;
         let mut column = vec![0.0; n];
@@ -281,7 +376,6 @@ impl Exact {
             }
             spent += 1.0 - variance / field.variance(j / 2);
         }
-        let free = 1.0 - (spent / self.within.all).min(0.9);
-        if self.within.count < 6.0 { 1.0 } else { self.within.squares / (self.within.count * free) }
+        self.within.count * (1.0 - (spent / self.within.all).min(0.9))
     }
 }

@@ -3,7 +3,8 @@
 //! A pixel is *odd* where its residual, alone or averaged with its eight neighbours, is `ODD` times what is usual. Glare has
 //! skirts that no single pixel betrays, yet together they drag the edge along. So odd pixels that lie together grow by rings: a
 //! ring is hidden where its mean residual, or what is to be expected of it were the excess to go on falling from ring to ring as it
-//! did before, exceeds `FELT` of the noise. Skirts fall at least exponentially, so the expectation is on the safe side.
+//! did before, exceeds `FELT` of the noise. The first ring, the pixels side by side with the spot, is always hidden. Skirts fall at least
+//! exponentially, so the expectation is on the safe side.
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
@@ -21,7 +22,10 @@ const ODD: f64 = 4.5;
 /// Mean residual of a ring that is hidden, in units of the noise.
 const FELT: f64 = 0.4;
 /// Widest skirt, px.
-const MOST_RINGS: usize = 16;
+const MOST_SKIRT_PX: i64 = 16;
+/// Width of a ring, px: pixels side by side are in another than those corner to corner.
+const RING_PX: f64 = 0.4;
+const MOST_RINGS: usize = (MOST_SKIRT_PX as f64 / RING_PX) as usize;
 /// Largest share of the pixels of either side that may be hidden.
 const MOST_HIDDEN: f64 = 0.4;
 /// Largest share that glare is believed to hide where it may as well be smoke.
@@ -250,8 +254,8 @@ fn grow(left: &Grid<f64>, spot: &[usize], noise: f64, hidden: &mut Grid<bool>) {
             continue;
         }
         rings[0].push(*p);
-        for q in left.around(*p, MOST_RINGS as i64) {
-            let ring = left.gap(*p, q) as usize;
+        for q in left.around(*p, MOST_SKIRT_PX) {
+            let ring = (left.gap(*p, q) / RING_PX) as usize;
             if !left.at[q].is_nan() && ring <= MOST_RINGS && (ring as u8) < within.at[q] {
                 within.at[q] = ring as u8;
             }
@@ -263,10 +267,10 @@ fn grow(left: &Grid<f64>, spot: &[usize], noise: f64, hidden: &mut Grid<bool>) {
     let excess =
         |ring: &[usize]| sign * ring.iter().map(|p| left.at[*p]).sum::<f64>() / (noise * ring.len().max(1) as f64);
     let (mut before, mut last) = (f64::INFINITY, excess(&rings[0]));
-    for (i, ring) in rings.iter().enumerate().skip(1).filter(|r| !r.1.is_empty()) {
+    for (i, ring) in rings.iter().skip(1).filter(|r| !r.is_empty()).enumerate() {
         let now = excess(ring);
         let expected = last * (last / before).clamp(0.0, 1.0);
-        if i > 1 && now.max(expected) < FELT {
+        if i > 0 && now.max(expected) < FELT {
             break;
         }
         ring.iter().for_each(|p| hidden.at[*p] = true);

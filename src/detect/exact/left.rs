@@ -4,6 +4,9 @@ use super::{CHUNK, Exact, FIXED, State};
 use crate::conic::Frame;
 use crate::detect::band::LANES;
 
+/// Pairs of neighbours below which smoke may pass for noise: chance alone makes three standard deviations of their likeness a quarter.
+const FEW: f64 = 144.0;
+
 /// One sector's share in the result.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Share {
@@ -128,6 +131,16 @@ impl Exact {
             return self.misfit() > 2.0;
         }
         product > 0.25 * n && product > 3.0 * n.sqrt()
+    }
+
+    /// Whether the noise inside is well above that outside, on a disc of too few pixels to show whether they are alike.
+    pub(crate) fn louder_inside(&self, state: &State) -> bool {
+        let [inner, outer] = self.away.map(|[_, n]| n);
+        let [a, b] = state.variance;
+        self.neighbours[1] < FEW
+            && inner > 0.0
+            && outer > 0.0
+            && (a / b).ln() > 2.5 * (2.0 / inner + 2.0 / outer).sqrt()
     }
 
     /// Mean squared residual over the noise.

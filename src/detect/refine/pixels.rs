@@ -15,6 +15,11 @@ use nalgebra::SVector;
 const LEAST_SHARE: f64 = 0.05;
 /// By how much the noise that a field of smoke leaves may surpass, as a variance, that which neighbouring pixels showed.
 const LOUDER: f64 = 1.5;
+/// Mean squared residual over the noise that says that something is not explained, and that it is.
+const UNEXPLAINED: f64 = 2.0;
+const EXPLAINED: f64 = 1.5;
+/// Stretches of a quarter of the contour that are left out in turn.
+const STRETCHES: usize = 8;
 
 /// The short way: a disc with nothing hidden and nothing beside it; none where it may be otherwise.
 pub(super) fn clean_disc(
@@ -140,22 +145,25 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let floor = quantisation(view).max((1e-4 * model.step).powi(2));
     s.exact.uncovered();
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-    let smoky = nodes || s.exact.smoke_left();
-    let clear = start.smoke && {
-        let mut tried = state.clone();
-        match s.exact.uncover(view, &mut tried, &mut s.fine, &kept, start, floor) {
-            // The skirts of glare look like smoke, but of little of the disc.
-            Some(found) if !s.exact.smoke_left() && (!smoky || s.exact.misfit() < 1.2 && s.exact.hides_little()) => {
-                (state, kept) = (tried, found);
-                true
-            }
-            _ => {
+    let mut smoky = nodes || s.exact.smoke_left() || s.exact.louder_inside(&state);
+    let explained = large || s.exact.misfit() < UNEXPLAINED;
+    let mut clear = false;
+    if start.smoke {
+        // What is hidden is asked for before smoke.
+        let mut found = uncover(view, &state, &kept, start, floor, smoky, s);
+        if found.is_none() && !explained {
+            found = leave_a_stretch(view, &before, start, (&keep, floor), s);
+        }
+        clear = found.is_some();
+        match found {
+            Some(found) => (state, kept) = found,
+            None => {
                 s.exact.uncovered();
                 kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-                false
+                smoky |= !explained;
             }
         }
-    };
+    }
     if smoky && start.smoke && !clear {
         if large {
             return Some(Exactly::Smoke);
@@ -163,13 +171,72 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
         match fit_smoke(view, &before, &state, start, (&keep, floor), s)? {
             Some(smoky) => (state, kept) = smoky,
             None if nodes => return None,
-            None => kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?,
+            None => {
+                kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
+                // No smoke: then rather more hidden than none.
+                match uncover(view, &state, &kept, start, floor, false, s) {
+                    Some(found) => (state, kept) = found,
+                    None => {
+                        s.exact.uncovered();
+                        kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
+                    }
+                }
+            }
         }
     }
     let (ellipse, change, blur_px) = s.exact.finished(&state)?;
     let edge = edges(&s.fine, &s.exact.shares, Some(&kept), &change, s.exact.widen());
     let covariance = covariance_from_regular(&to_regular(&ellipse), &s.exact.covariance());
     Some(Exactly::Fitted(Box::new(Found { ellipse, blur_px, covariance: Some(covariance) }), edge))
+}
+
+/// The disc without the pixels that something hides, where what is left of it looks like no smoke; `plain` is what all pixels of the
+/// sectors `kept` came to, their residuals still in the scratch. Where it may as well be `smoky` only little may be hidden.
+fn uncover(
+    view: &GrayView,
+    plain: &State,
+    kept: &[bool],
+    start: &Start,
+    floor: f64,
+    smoky: bool,
+    s: &mut Scratch,
+) -> Option<(State, Vec<bool>)> {
+    let mut state = plain.clone();
+    let found = s.exact.uncover(view, &mut state, &mut s.fine, kept, start, floor)?;
+    // The skirts of glare look like smoke, but of little of the disc.
+    let glare = |exact: &Exact| exact.misfit() < 1.2 && exact.hides_little() && !exact.louder_inside(&state);
+    (!s.exact.smoke_left() && (!smoky || glare(&s.exact))).then_some((state, found))
+}
+
+/// Glare on a small disc may bend the whole ellipse so that no sector disagrees more than another: one stretch of the contour after
+/// the other is left out, and where the rest of one explains itself, that tells what is hidden.
+fn leave_a_stretch(
+    view: &GrayView,
+    before: &State,
+    start: &Start,
+    (keep, floor): (&[bool], f64),
+    s: &mut Scratch,
+) -> Option<(State, Vec<bool>)> {
+    let count = keep.len();
+    let mut best: Option<(f64, State, Vec<bool>)> = None;
+    for j in 0..STRETCHES {
+        let within = |k: usize| (k + count - j * count / STRETCHES) % count * 4 < count;
+        let rest: Vec<bool> = (0..count).map(|k| !within(k)).collect();
+        let mut state = before.clone();
+        s.exact.uncovered();
+        if s.exact.settle(view, &mut state, &mut s.fine, &rest, start, floor).is_none() || s.exact.louder_inside(&state)
+        {
+            continue;
+        }
+        let misfit = s.exact.misfit();
+        if misfit < best.as_ref().map_or(EXPLAINED, |b| b.0) {
+            best = Some((misfit, state, rest));
+        }
+    }
+    let (_, mut state, rest) = best?;
+    s.exact.uncovered();
+    let kept = s.exact.settle(view, &mut state, &mut s.fine, &rest, start, floor)?;
+    uncover(view, &state, &kept, start, floor, true, s)
 }
 
 /// The fit with a field of smoke and the sectors that counted, from where `before` stood; `plain` is what polynomials came to, their
@@ -191,7 +258,9 @@ fn fit_smoke(
     smoky.variance = [inside, outside];
     // What is no smoke is not to pass for noise.
     let explains = |state: &State, exact: &Exact, most: f64| {
-        state.field.is_some() && state.variance[0] < LOUDER * inside && exact.misfit() < most
+        // Of few pixels the noise is not known well.
+        let louder = LOUDER * (1.0 + 2.0 * (2.0 / exact.free_in_field(state)).sqrt());
+        state.field.is_some() && state.variance[0] < louder * inside && exact.misfit() < most
     };
     // Smoke looked like disagreement before it was known.
     let mut whole = smoky.clone();
