@@ -15,7 +15,7 @@ fn main() {
     let words: Vec<String> = std::env::args().skip(1).filter(|x| !x.starts_with("--")).collect();
     let wished = |name: &str| words.iter().find_map(|w| w.strip_prefix(name).map(|x| x.parse().unwrap()));
     let (scenes_wished, shots_wished) = (wished("scenes="), wished("shots="));
-    let lights = ["even", "slanted", "smoke", "bent", "glare"];
+    let lights = ["even", "slanted", "smoke", "haze", "bent", "glare"];
     let any_light = !words.iter().any(|w| lights.contains(&&w[..]));
     let sizes: Vec<f64> = words.iter().filter_map(|w| w.parse().ok()).collect();
     let wide = std::env::var("SPIVCAL_TABLE").is_ok_and(|x| x == "wide");
@@ -32,13 +32,17 @@ fn main() {
     for &semi_minor_px in radii {
         for (ratio, blur_px, light, bits, bright) in conditions() {
             // On small discs such light is even or slanted.
-            if blur_px > 0.45 * semi_minor_px || light == Light::Bent && semi_minor_px < 40.0 {
+            let added = matches!(light, Light::Bent | Light::Haze);
+            if blur_px > 0.45 * semi_minor_px || added && semi_minor_px < 40.0 {
                 continue;
             }
             // Rows keep their seeds.
-            let bent = light == Light::Bent;
-            seed += u64::from(!bent);
-            let seed = if bent { 1000 + semi_minor_px as u64 } else { seed };
+            seed += u64::from(!added);
+            let seed = match light {
+                Light::Bent => 1000 + semi_minor_px as u64,
+                Light::Haze => 2000 + semi_minor_px as u64,
+                _ => seed,
+            };
             let name = lights[light as usize];
             let chosen = any_light || words.iter().any(|w| w == name);
             if !chosen || !sizes.is_empty() && !sizes.contains(&semi_minor_px) {
@@ -47,7 +51,7 @@ fn main() {
             let c = Condition { semi_minor_px, ratio, blur_px, light, bits, noise: 0.015, bright };
             let (scenes, shots) = match (light, semi_minor_px > 50.0) {
                 // What smoke does to a scene it does to all its images.
-                (Light::Smoke, false) => (100, 1),
+                (Light::Smoke | Light::Haze, false) => (100, 1),
                 (_, false) => (20, 8),
                 (_, true) => (4, 8),
             };
@@ -66,7 +70,7 @@ fn main() {
 }
 
 /// a/b, blur, light, bits, bright.
-fn conditions() -> [(f64, f64, Light, u32, bool); 10] {
+fn conditions() -> [(f64, f64, Light, u32, bool); 11] {
     [
         (1.2, 0.8, Light::Even, 8, false),
         (1.2, 0.8, Light::Even, 16, true),
@@ -75,6 +79,7 @@ fn conditions() -> [(f64, f64, Light, u32, bool); 10] {
         (1.2, 3.0, Light::Even, 16, true),
         (2.5, 0.8, Light::Even, 8, false),
         (1.2, 0.8, Light::Slanted, 8, false),
+        (1.2, 0.8, Light::Haze, 16, true),
         (1.2, 0.8, Light::Bent, 8, false),
         (1.2, 0.8, Light::Smoke, 16, true),
         (1.2, 0.8, Light::Glare, 8, false),

@@ -35,8 +35,9 @@ const NODE_PX: f64 = 6.0;
 const MOST_NODES: usize = 400;
 /// Standard deviation of a radial slope that the image shows, grey steps per semi-axis.
 const RADIAL: f64 = 0.15;
-/// A slope held too tightly drags the edge along with it, one held too loosely costs little: the prior is this much wider than measured.
-const LOOSE: f64 = 4.0;
+/// A slope held too tightly drags the edge along with it, one held too loosely costs little: the prior is this much wider than measured, from
+/// light that goes up and down but a few times around the contour.
+const LOOSE: f64 = 2.0;
 /// How much it must fall for slopes across the contour that no surface has: chance does that once in 20 000 discs.
 const LEANS: f64 = 20.0;
 /// Standard deviations by which light must vary to be called smoke.
@@ -84,11 +85,12 @@ pub(crate) struct AtNode {
     pub(crate) tie: [f64; 3],
 }
 
-/// Weights of the values and of the differences of neighbours in a chain of which every value has the standard deviation `sigma` and every
-/// difference `step`: with the correlation `r = 1 - step^2 / (2 sigma^2)` of neighbours (first-order autoregression)
-/// `(1 - r) / (1 + r) / sigma^2` and `r / (1 - r^2) / sigma^2`. Values that were held one by one would fix their mean as if each knew of it.
-fn chained(sigma: f64, step: f64) -> [f64; 2] {
-    let r = (1.0 - 0.5 * (step / sigma).powi(2)).clamp(0.0, 1.0 - 1e-12);
+/// Weights of the values and of the differences of neighbours in a chain of which every value has the standard deviation `sigma` and neighbours
+/// the correlation `r = exp(-apart)`, `apart` in lengths over which the values change (first-order autoregression): `(1 - r) / (1 + r) / sigma^2` and
+/// `r / (1 - r^2) / sigma^2`. Values held one by one would fix their mean as if each knew of it; a walk with steps as small as those of
+/// light that varies smoothly would not come as far as that light does.
+fn chained(sigma: f64, apart: f64) -> [f64; 2] {
+    let r = (-apart.max(1e-9)).exp();
     let weight = sigma.powi(-2) / (1.0 + r);
     [(1.0 - r) * weight, r / (1.0 - r) * weight]
 }
@@ -100,21 +102,24 @@ impl NodePrior {
         [value, climb, Side::bend(contour, k)].map(|x| self.about.iter().zip(&x).map(|(c, x)| c * x).sum())
     }
 
+    /// One over the length along the contour in which light changes, in units of the semi-axes; what is measured as shorter than two nodes
+    /// is noise.
+    fn per_length(&self, nodes: usize) -> f64 {
+        (self.bend / self.gradient).min(0.5 * nodes as f64)
+    }
+
     /// Standard deviation of the third derivative in units of the semi-axes, grey, of waves of one length that run in all directions:
-    /// `(10/9)^(1/2) bend^2 / gradient`. What is measured as shorter than two nodes is noise.
+    /// `(10/9)^(1/2) bend^2 / gradient`.
     fn third(&self, nodes: usize) -> f64 {
-        self.bend * (10.0_f64 / 9.0).sqrt() * (self.bend / self.gradient).min(0.5 * nodes as f64)
+        (10.0_f64 / 9.0).sqrt() * self.bend * self.per_length(nodes)
     }
 
     /// At node `i` of `nodes`.
     pub(crate) fn at(&self, contour: &Contour, i: usize, nodes: usize) -> AtNode {
         let k = i * contour.len() / nodes;
         let (along, across) = (contour.turn[k] * contour.perimeter_px / nodes as f64, contour.steepness(k));
-        // A mixed second derivative has a third of the variance of a pure one, a mixed third one a fifth.
-        let slope_step = self.bend * along * across / 3.0_f64.sqrt();
-        let bend_step = self.third(nodes) * along * across * across / 5.0_f64.sqrt();
-        let slope = chained(LOOSE * self.gradient * across, slope_step);
-        let bend = chained(LOOSE * self.bend * across * across, bend_step);
+        let slope = chained(LOOSE * self.gradient * across, along * self.per_length(nodes));
+        let bend = chained(LOOSE * self.bend * across * across, along * self.per_length(nodes));
         AtNode { own: [0.0, slope[0], bend[0]], tie: [(self.about_gradient * along).powi(-2), slope[1], bend[1]] }
     }
 }

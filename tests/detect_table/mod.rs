@@ -15,6 +15,8 @@ pub enum Light {
     Slanted,
     /// Smoke in the disc alone: eight waves, 30 % together; the shortest half a disc long.
     Smoke,
+    /// The same three times as long.
+    Haze,
     /// Falls off as the square of the distance: by 5 % from the middle of the disc to its far ends along the image's rows, by half of that along
     /// its columns, and rises by 5 % along the rows.
     Bent,
@@ -33,11 +35,6 @@ pub struct Condition {
     /// Of the step.
     pub noise: f64,
     pub bright: bool,
-}
-
-/// Of the smoke, px.
-fn wavelengths(semi_minor_px: f64) -> [f64; 8] {
-    std::array::from_fn(|i| semi_minor_px * (1.0 + 3.0 * i as f64 / 7.0))
 }
 
 /// What came out, in the order centre u, centre v, semi-major, semi-minor.
@@ -64,6 +61,12 @@ impl Condition {
         (2.0 * (self.semi_minor_px * self.ratio + 5.0 * self.blur_px) + 24.0) as usize
     }
 
+    /// Of the smoke, px.
+    fn wavelengths(&self) -> [f64; 8] {
+        let times = if self.light == Light::Haze { 3.0 } else { 1.0 };
+        std::array::from_fn(|i| times * self.semi_minor_px * (1.0 + 3.0 * i as f64 / 7.0))
+    }
+
     fn spot(&self, du: f64, dv: f64) -> Spot {
         let middle = (self.size() / 2) as f64;
         Spot { u: middle + du, v: middle + dv, a: self.semi_minor_px * self.ratio, b: self.semi_minor_px, phi: 0.4 }
@@ -84,7 +87,7 @@ impl Condition {
         let mut random = Random(seed);
         (0..8)
             .map(|i| {
-                let wavelength = wavelengths(self.semi_minor_px)[i];
+                let wavelength = self.wavelengths()[i];
                 let t = TAU * random.uniform();
                 let k = TAU / wavelength;
                 [k * t.cos(), k * t.sin(), TAU * random.uniform(), 0.3 / 8.0_f64.sqrt()]
@@ -106,7 +109,7 @@ impl Condition {
                     (ground + (disc - ground) * cover) * (1.0 + 0.05 * x - 0.05 * x * x - 0.025 * y * y)
                 }
                 Light::Slanted => (ground + (disc - ground) * cover) * (1.0 + 0.3 * (0.8 * x + 0.6 * y) / across),
-                Light::Smoke => {
+                Light::Smoke | Light::Haze => {
                     let smoke: f64 = waves.iter().map(|w| w[3] * (w[0] * x + w[1] * y + w[2]).sin()).sum();
                     ground + (disc * (1.0 + smoke) - ground) * cover
                 }
@@ -178,7 +181,8 @@ impl Condition {
                     [of(&|x, _| x), of(&|_, y| y), of(&|x, _| x * x), of(&|x, y| x * y), of(&|_, y| y * y)]
                 })
                 .collect(),
-            Light::Smoke => wavelengths(self.semi_minor_px)
+            Light::Smoke | Light::Haze => self
+                .wavelengths()
                 .into_iter()
                 .flat_map(|wavelength| {
                     let k = TAU / wavelength;
@@ -226,8 +230,8 @@ impl Condition {
         // The smoke modulates the step, a spot hides another stretch of the contour: the bound is another in each scene.
         let bounds = match self.light {
             // Of large discs it takes as long as the fit.
-            Light::Smoke if self.semi_minor_px > 10.0 => scenes.min(12),
-            Light::Smoke => scenes,
+            Light::Smoke | Light::Haze if self.semi_minor_px > 10.0 => scenes.min(12),
+            Light::Smoke | Light::Haze => scenes,
             Light::Glare => scenes.min(20),
             _ => 1,
         };
