@@ -140,11 +140,11 @@ fn sigmas_are_true_in_large_discs_full_of_haze() {
     }
 }
 
-/// Bubbles of 5 to 15 px full of smoke, as the simulator renders them: light carries shot noise that the ground does not show, and
+/// Bubbles of 5 to 15 px, and of 60 to 180 px, full of smoke, as the simulator renders them: light carries shot noise that the ground does not show, and
 /// smoke has waves of all lengths.
 #[test]
-fn sigmas_are_true_in_small_bubbles_full_of_smoke() {
-    for (divisor, length_mm) in [(12.0, 1.5), (12.0, 0.5)] {
+fn sigmas_are_true_in_bubbles_full_of_smoke() {
+    for (divisor, length_mm) in [(12.0, 1.5), (12.0, 0.5), (1.0, 5.0)] {
         let simulation = simulate(&smaller_bubbles(divisor, length_mm)).unwrap();
         let truth: serde_json::Value = serde_json::from_str(&simulation.truth_json).unwrap();
         let (mut z2, mut count) = ([0.0; 4], 0.0);

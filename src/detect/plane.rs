@@ -366,7 +366,7 @@ impl Kernel for Steep<'_> {
 
 /// Copies the first and last inner values into `pad` places at either end.
 #[inline(always)]
-fn repeat_ends(line: &mut [f32], pad: usize) {
+pub(super) fn repeat_ends<T: Copy>(line: &mut [T], pad: usize) {
     let n = line.len();
     let (first, last) = (line[pad], line[n - pad - 1]);
     line[..pad].fill(first);

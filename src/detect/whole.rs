@@ -15,6 +15,7 @@
 //! | F | `Whole::field` | 32/81 of that | the field whose zero lines are followed |
 
 use crate::detect::level::Level;
+use crate::detect::plane::repeat_ends;
 use crate::image::{GrayView, Samples};
 use crate::lanes::{self, Kernel, Lanes};
 
@@ -320,15 +321,6 @@ fn start(s: u16, t: u16, f: u16, g: u16, least: u16) -> u16 {
     let steep = (s.max(t) - s.min(t)).saturating_sub(least);
     let apart = (f as i16 > 0) != (g as i16 > 0);
     if apart { steep } else { 0 }
-}
-
-/// Copies the first and last inner values into `pad` places at either end.
-#[inline(always)]
-fn repeat_ends<T: Copy>(line: &mut [T], pad: usize) {
-    let n = line.len();
-    let (first, last) = (line[pad], line[n - pad - 1]);
-    line[..pad].fill(first);
-    line[n - pad..].fill(last);
 }
 
 #[cfg(test)]
