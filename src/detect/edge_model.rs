@@ -9,7 +9,7 @@
 //!
 //! `Phi` is the normal distribution, `kappa` the local curvature: blur moves the half level of a curved edge inwards by
 //! `kappa s^2 / 2` (heat equation in polar coordinates, first order; the second order only widens `s` by `1 + kappa^2 s^2 / 4`,
-//! which the fitted `s` absorbs; the third order is `kappa^3 s^4 / 8`). The slope terms are those of light that rises or falls
+//! which the fitted `s` absorbs; the third order is `kappa^3 s^4 / 8`). The slope terms are those of light that rises, falls or bends
 //! along the normal, blurred with the disc ([`crate::detect::sectors`]).
 //!
 //! | symbol | identifier | shape | unit | meaning |
@@ -17,7 +17,7 @@
 //! | q | `geometry` | 5 | px | `(u0, v0, (a+b)/2, e1, e2)`, see [`crate::conic`] |
 //! | s | `blur_px` | 1 | px | standard deviation of the blur, pixel area included (adds 1/12 px^2) |
 //! | t | - | 1 | rad | eccentric angle of the foot point |
-//! | L, S | `level`, `slope` | 1 per sector and side | grey, grey/px | light on the contour and its derivative along the normal, see [`crate::detect::light`] |
+//! | L, S, B | `level`, `slope`, `bend` | 1 per sector and side | grey, grey/px, grey/px^2 | light on the contour and its derivatives along the normal, see [`crate::detect::light`] |
 //! | var_in, var_out | `variance` | 2 | grey^2 | noise on either side; in between it follows P (shot noise rises with level) |
 //!
 //! One solve finds `(q, s, light)` together from the sums of the sectors ([`crate::detect::sectors`]): Gauss-Newton in `q` and `s`,

@@ -13,6 +13,8 @@
 //!
 //! Smoke follows no polynomial: there what it adds to the best one, levels, slopes and bends, stands at *nodes* around the contour, tied to
 //! their neighbours as loosely as the pixels away from the edge show them to differ.
+//! Levels walk from node to node in steps as large as those that are seen. Slopes and bends are chains with the standard deviation of
+//! the light's derivatives along the contour and the length over which they change, `gradient / bend`, since smoke has no preferred direction.
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
