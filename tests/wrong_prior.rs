@@ -49,8 +49,6 @@ fn a_focal_length_five_sigmas_off_is_told() {
 fn a_right_focal_length_and_a_right_drawing_are_not() {
     let (code, words, _) = calibrated("[camera.known]\nf_px = { value = 8900, sigma = 90 }");
     assert_eq!(code, 0, "{words}");
-    // Where the scale comes from, and among the priors.
-    assert_eq!(words.matches("mm, taken as exact").count(), 2, "{words}");
     // As the scene was drawn: the sheet is nearer on the left.
     let drawing =
         "[camera.design]\nobject_distance_mm = 506.0\nviewing_angle_deg = -44.3\nf_sigma = 0.01\ntilt_sigma_deg = 0.5";
@@ -58,4 +56,15 @@ fn a_right_focal_length_and_a_right_drawing_are_not() {
     assert_eq!(code, 0, "{words}");
     let priors = json["fit"]["diagnosis"]["priors"].as_array().unwrap();
     assert_eq!(priors.iter().filter(|p| p["stated"] == true).count(), 3);
+}
+
+#[test]
+fn a_length_without_a_sigma_is_taken_as_exact() {
+    let folder = tempfile::tempdir().unwrap();
+    let rig = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/bubbles/rig.toml");
+    let done =
+        Command::new(env!("CARGO_BIN_EXE_spivcal")).arg("calibrate").arg(rig).arg("-o").arg(folder.path()).output();
+    let words = String::from_utf8_lossy(&done.unwrap().stdout).into_owned();
+    // Where the scale comes from, and among what was known beforehand.
+    assert_eq!(words.matches("26 mm, taken as exact").count(), 2, "{words}");
 }
