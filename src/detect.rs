@@ -17,6 +17,7 @@ mod rim;
 mod rough;
 mod rows;
 mod sectors;
+mod shared_light;
 mod surface;
 mod trace;
 mod whole;

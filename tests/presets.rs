@@ -5,12 +5,16 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
+mod joint;
+
+use joint::joint_chi2;
 use spivcal::camera::{INTRINSIC_NAMES, Radial};
 use spivcal::error::{Error, Unusable};
 use spivcal::pipeline::{CalibrateOptions, calibrate};
 use spivcal::record::Record;
 use spivcal::rig_file::RigDescription;
 use spivcal::simulate::{Scene, preset_text, simulate};
+use spivcal::stats::chi_square_above;
 
 /// Replaces each pair of words, which must occur.
 fn changed(text: &str, changes: &[(&str, &str)]) -> String {
@@ -23,7 +27,8 @@ fn changed(text: &str, changes: &[(&str, &str)]) -> String {
 const SMALL: [(&str, &str); 2] =
     [("image_size_px = [1024, 768]", "image_size_px = [512, 384]"), ("= 0.00625", "= 0.0125")];
 
-/// Calibrates a scene; every estimated parameter within 4 sigmas of the truth, the sheet flat, nothing to look at.
+/// Calibrates a scene; every estimated parameter within 4 sigmas of the truth, all together no worse and no better than one chance in ten
+/// thousand, the sheet flat, nothing to look at.
 fn end_to_end(scene: &str) -> Record {
     end_to_end_but_for(scene, None)
 }
@@ -61,6 +66,11 @@ fn end_to_end_but_for(scene: &str, flag: Option<&str>) -> Record {
     let surprises: Vec<_> = record.fit.flags.iter().filter(|f| !flag.is_some_and(|w| f.contains(w))).collect();
     assert!(record.fit.converged && surprises.is_empty(), "{surprises:?}");
     assert!(wrong.is_empty(), "{wrong:#?}");
+    if flag.is_none() {
+        let (chi2, n) = joint_chi2(&record, &truth);
+        println!("all {n} numbers of the cameras together: chi-square {chi2:.1}");
+        assert!((1e-4..1.0 - 1e-4).contains(&chi_square_above(chi2, n as f64)), "chi-square {chi2} of {n} numbers");
+    }
     record
 }
 

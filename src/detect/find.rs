@@ -11,6 +11,7 @@ use crate::detect::level::Level;
 use crate::detect::plane::{self, Floats, Source, check_finite};
 use crate::detect::refine::{Scratch, Start, reach_px, refine};
 use crate::detect::rows::ByRow;
+use crate::detect::shared_light::SharedLight;
 use crate::detect::trace::{Line, Tracer};
 use crate::detect::whole::{self, Rows, Whole};
 use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason, Shape};
@@ -96,6 +97,7 @@ fn refine_all<'a>(
     options: &DetectOptions,
 ) -> Vec<(&'a Candidate, std::result::Result<Disc, RejectionReason>)> {
     let around = surroundings(candidates);
+    let light = SharedLight::of(view, candidates);
     let wanted: Vec<_> = candidates.iter().zip(&around).filter(|(c, _)| wanted(c.bright, options.polarity)).collect();
     let one = |scratch: &mut Scratch, (candidate, around): &(&'a Candidate, &Surroundings)| {
         let start = Start {
@@ -105,6 +107,7 @@ fn refine_all<'a>(
             contrast: candidate.contrast,
             inner_px: around.inner_px,
             neighbours: &around.neighbours,
+            slopes: light.slopes(candidate),
             smoke: wanted.len() <= MOST_SMOKY,
         };
         (*candidate, refine(view, &start, options, scratch))

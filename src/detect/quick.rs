@@ -2,7 +2,8 @@
 //! On large discs the light may bend: what the pixels away from the edge show of second degree is fitted with the rest.
 //!
 //! Pixels near the edge are worked on sixteen at a time; those further away see one side only, and rows of them
-//! are summed up as they are. One set of sums serves every question about the light: a slope that is not asked for is held by its prior.
+//! are summed up as they are. One set of sums serves every question about the light: a slope that is not asked for is held at what other discs tell
+//! ([`crate::detect::shared_light`]).
 //! The first round, whose result is only a better start, takes every second to fourth row.
 //! The fit ends in questions about what is left: sectors that disagree, rows whose mean is off, residuals beyond the noise. Any yes, and
 //! the disc goes the longer way through [`crate::detect::sectors`], so that what is lost here is time only.
@@ -64,8 +65,24 @@ pub(crate) struct Clean {
     pub(crate) blur_px: f64,
     pub(crate) expected_blur_px: f64,
     pub(crate) step: f64,
+    /// Gradients of the light inside and outside that other discs tell, grey/px along u and v.
+    pub(crate) slopes: [[f64; 2]; 2],
     /// Noise variance inside and outside, grey^2.
     pub(crate) variance: [f64; 2],
+}
+
+impl Clean {
+    /// The light as other discs tell it, in units of the semi-axes; levels and second degree are no one's but its own.
+    fn expected_light(&self) -> [f64; LIGHTS + BENDS] {
+        let e = &self.ellipse;
+        let (sin, cos) = e.angle_rad.sin_cos();
+        let mut light = [0.0; LIGHTS + BENDS];
+        for (side, [gu, gv]) in self.slopes.into_iter().enumerate() {
+            light[3 * side + 1] = e.semi_major_px * (cos * gu + sin * gv);
+            light[3 * side + 2] = e.semi_minor_px * (cos * gv - sin * gu);
+        }
+        light
+    }
 }
 
 /// Buffers reused from disc to disc, and the result.
@@ -224,12 +241,12 @@ impl Quick {
         Some(())
     }
 
-    /// Level light with the mean of either side.
+    /// The mean of either side, with slopes as expected.
     fn first_light(&self, state: &Clean) -> [f64; LIGHTS + BENDS] {
         let [inside, outside] = [0, 1].map(|side| self.pixels.sums[side].mean());
         let outside = outside.or_else(|| inside.map(|x| x - state.step)).unwrap_or(0.0);
         let inside = inside.unwrap_or(outside + state.step);
-        let mut light = [0.0; LIGHTS + BENDS];
+        let mut light = state.expected_light();
         (light[0], light[3]) = (inside, outside);
         light
     }
@@ -313,10 +330,11 @@ impl Quick {
         }
         let at = LIGHTS + 1;
         self.dense.alone = SMatrix::from_fn(|i, j| gram[place(at + i.max(j), at + i.min(j))]);
-        let weights = self.weights_of_light(state, free);
+        let (weights, expected) = (self.weights_of_light(state, free), state.expected_light());
         for (i, w) in (0..bends + LIGHTS).map(|i| (i, weights[of_light(column(i))])) {
             self.dense.matrix[i * n + i] += w;
-            self.dense.right[i] -= w * self.light[of_light(column(i))];
+            let k = of_light(column(i));
+            self.dense.right[i] -= w * (self.light[k] - expected[k]);
         }
         let weight = PRIOR_BLUR_PX.powi(-2);
         let blur = bends + LIGHTS;
@@ -329,8 +347,10 @@ impl Quick {
         (0..n).for_each(|i| self.found[column(i)] = self.dense.right[i]);
         let explained: f64 = (0..N).map(|i| self.found[i] * gram[place(N, i)]).sum();
         let explained = explained + (M..M + bends).map(|i| self.found[i] * gram[place(i, N)]).sum::<f64>();
-        let held =
-            |k: usize| weights[of_light(k)] * self.light[of_light(k)] * (self.light[of_light(k)] + self.found[k]);
+        let held = |k: usize| {
+            let beside = self.light[of_light(k)] - expected[of_light(k)];
+            weights[of_light(k)] * beside * (beside + self.found[k])
+        };
         let held: f64 = (0..LIGHTS).map(held).sum::<f64>() + (M..M + bends).map(held).sum::<f64>();
         Some(gram[place(N, N)] - explained + held)
     }

@@ -61,6 +61,8 @@ pub(crate) struct Start<'a> {
     pub(crate) inner_px: f64,
     /// Other edges around.
     pub(crate) neighbours: &'a [Ellipse],
+    /// Gradients of the light inside and outside that the discs around tell, grey/px along u and v.
+    pub(crate) slopes: [[f64; 2]; 2],
     /// Whether a random field of light may be fitted, which takes thousands of times as long as a clean disc.
     pub(crate) smoke: bool,
 }

@@ -39,6 +39,7 @@ pub(super) fn clean_disc(
         blur_px: start.blur_px,
         expected_blur_px: start.blur_px,
         step: if start.bright { start.contrast } else { -start.contrast },
+        slopes: start.slopes,
         variance: [1.0; 2],
     };
     let floor = quantisation(view).max((1e-4 * start.contrast).powi(2));

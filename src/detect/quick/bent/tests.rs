@@ -95,7 +95,8 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
         ellipse.center_px.u_px += 0.3;
         ellipse.semi_minor_px -= 0.2;
         let (blur_px, step) = (0.8, -32_000.0);
-        let mut state = Clean { ellipse, blur_px, expected_blur_px: blur_px, step, variance: [1.0; 2] };
+        let mut state =
+            Clean { ellipse, blur_px, expected_blur_px: blur_px, step, slopes: [[0.0; 2]; 2], variance: [1.0; 2] };
         let (mut quick, mut contour) = (Quick::default(), Contour::default());
         quick.fit(&view, &mut state, f64::INFINITY, floor).expect("a clean disc");
         contour.cut(&state.ellipse, &[]);
@@ -111,6 +112,7 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
             contrast: -step,
             inner_px: LARGE.semi_minor_px,
             neighbours: &[],
+            slopes: [[0.0; 2]; 2],
             smoke: false,
         };
         let (variance, field) = (state.variance, None);
