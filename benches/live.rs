@@ -12,7 +12,7 @@
 use spivcal::detect::{DetectOptions, find_discs};
 use spivcal::error::Result;
 use spivcal::image::GrayImage;
-use spivcal::pipeline::{CalibrateOptions, Progress, calibrate, load_image};
+use spivcal::pipeline::{CalibrateOptions, Progress, Workers, calibrate, load_image};
 use spivcal::report::residuals_csv;
 use spivcal::rig_file::RigDescription;
 use std::hint::black_box;
@@ -103,9 +103,10 @@ impl Work {
         };
         let found = calibrate(&self.job, &load, &options, &mut told).unwrap();
         let computed = now();
-        let to = self.to.path();
-        std::fs::write(to.join("calibration.json"), found.record.to_json().unwrap()).unwrap();
-        std::fs::write(to.join("residuals.csv"), residuals_csv(&found.record, &found.residuals)).unwrap();
+        let write = |name: &str, text: String| std::fs::write(self.to.path().join(name), text).unwrap();
+        let record = || write("calibration.json", found.record.to_json().unwrap());
+        let residuals = || write("residuals.csv", residuals_csv(&found.record, &found.residuals));
+        Workers::new(threads).unwrap().install(|| rayon::join(record, residuals));
         drop(found);
         let written = now();
         let passed = |a: [f64; 2], b: [f64; 2]| [b[0] - a[0], b[1] - a[1]];

@@ -126,3 +126,51 @@ pub fn readjusted_without_views(
 pub fn predicted_with_all_views(adjustment: &Adjustment, rows: &DMatrix<f64>) -> Option<Prediction> {
     predict(adjustment.equations.as_ref()?, rows)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bundle::rig_scene::Scene;
+
+    fn adjusted(per_view: bool, points: bool) -> Adjustment {
+        let scene = Scene::build(4, per_view, true, points).with_noise(4);
+        let options = AdjustOptions { rounds: 0, ..AdjustOptions::default() };
+        adjust(&scene.model, scene.truth.clone(), &options, &mut |_| true)
+    }
+
+    /// To the bit, for either order of the unknowns.
+    #[test]
+    fn equations_without_a_view_are_those_of_a_model_without_it() {
+        for (per_view, points) in [(false, false), (true, false), (false, true)] {
+            let adjustment = adjusted(per_view, points);
+            let all = ViewsLeftOut::of(&adjustment);
+            let full = Bundle::with_views(&adjustment.model).linearise(&adjustment.state).unwrap();
+            for view in 0..adjustment.model.views.len() {
+                let model = without(&adjustment.model, &[view]);
+                assert!(model.images.len() < adjustment.model.images.len());
+                for bundle in [Bundle::of(&model), Bundle::with_views(&model)] {
+                    let wanted = bundle.linearise(&adjustment.state).unwrap();
+                    assert_eq!(all.summed(&bundle, view).unwrap(), wanted);
+                    assert_ne!(wanted, full);
+                }
+            }
+        }
+    }
+
+    /// The same minimum as an adjustment that forms all equations anew, and the prediction nearly there.
+    #[test]
+    fn a_view_is_left_out_as_by_an_adjustment_without_it() {
+        let adjustment = adjusted(false, false);
+        let all = ViewsLeftOut::of(&adjustment);
+        let options = AdjustOptions { rounds: 0, ..AdjustOptions::default() };
+        for view in 0..adjustment.model.views.len() {
+            let out = all.readjusted(view, &options.solve, &mut |_| true).unwrap();
+            let wanted = readjusted_without_views(&adjustment, &[view], &options, &mut |_| true);
+            assert!(out.decrement < options.solve.decrement && wanted.decrement < options.solve.decrement);
+            assert!((out.cost - wanted.cost).abs() < 1e-9 * wanted.cost, "{} {}", out.cost, wanted.cost);
+            for (a, b) in out.state.cameras.iter().zip(&wanted.state.cameras) {
+                assert!((a.f_px / b.f_px - 1.0).abs() < 1e-6, "{} {}", a.f_px, b.f_px);
+            }
+        }
+    }
+}

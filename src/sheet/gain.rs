@@ -224,18 +224,25 @@ impl SheetUncertainty {
         let own: Vec<(usize, Parameter)> =
             named.filter_map(|(i, n)| Some((i, Parameter::of(n, camera_names)?))).collect();
         let null = &covariance.null_directions;
-        let stepped = |p: Parameter| {
-            let h = stereo.step_of(p);
-            (h, stereo.stepped(p, h).zip(stereo.stepped(p, -h)).map(<[StereoSheet; 2]>::from))
+        let matrix = DMatrix::from_fn(own.len(), own.len(), |i, j| covariance.matrix[(own[i].0, own[j].0)]);
+        let null = DMatrix::from_fn(own.len(), null.ncols(), |i, j| null[(own[i].0, j)]);
+        let (names_at, parameters) = own.into_iter().unzip();
+        Some(Self { names_at, ..Self::made_of(stereo, parameters, matrix, null) })
+    }
+
+    /// With parameters of no names.
+    fn made_of(
+        stereo: StereoSheet,
+        parameters: Vec<Parameter>,
+        covariance: DMatrix<f64>,
+        null_directions: DMatrix<f64>,
+    ) -> Self {
+        let stepped = |p: &Parameter| {
+            let h = stereo.step_of(*p);
+            (h, stereo.stepped(*p, h).zip(stereo.stepped(*p, -h)).map(<[StereoSheet; 2]>::from))
         };
-        Some(Self {
-            stereo,
-            names_at: own.iter().map(|(i, _)| *i).collect(),
-            steps: own.iter().map(|(_, p)| stepped(*p)).collect(),
-            covariance: DMatrix::from_fn(own.len(), own.len(), |i, j| covariance.matrix[(own[i].0, own[j].0)]),
-            null_directions: DMatrix::from_fn(own.len(), null.ncols(), |i, j| null[(own[i].0, j)]),
-            parameters: own.into_iter().map(|(_, p)| p).collect(),
-        })
+        let steps = parameters.iter().map(stepped).collect();
+        Self { stereo, parameters, names_at: vec![], steps, covariance, null_directions }
     }
 
     /// The calibration itself.
@@ -440,9 +447,10 @@ mod tests {
     #[test]
     fn scale_is_no_gain() {
         let truth = symmetric(8000.0, 0.7);
-        let mut larger = truth;
-        larger.cam_from_rig[1].translation_mm *= 1.01;
-        larger.rig_from_sheet.translation_mm *= 1.01;
+        let (mut motions, mut sheet) = (truth.cam_from_rig, truth.rig_from_sheet);
+        motions[1].translation_mm *= 1.01;
+        sheet.translation_mm *= 1.01;
+        let larger = StereoSheet::placed(truth.cameras, motions, sheet);
         let r = larger.response(&truth, [5.0, 3.0]).unwrap();
         assert!((r.in_plane_scale() - 1.01).abs() < 1e-12);
         assert!((r.relative_gain() - 1.0).abs() < 1e-12);
@@ -460,7 +468,7 @@ mod tests {
             vec![Parameter::Intrinsic(0, 0), Parameter::Motion(1), Parameter::Sheet(1), Parameter::Sheet(5)];
         let sigmas = [8.0, 2e-4, 3e-4, 0.02];
         let covariance = DMatrix::from_fn(4, 4, |i, j| if i == j { sigmas[i] * sigmas[i] } else { 0.0 });
-        let u = SheetUncertainty { stereo, parameters, covariance, null_directions: DMatrix::zeros(4, 0) };
+        let u = SheetUncertainty::made_of(stereo, parameters, covariance, DMatrix::zeros(4, 0));
         let got = u.at([3.0, 2.0]).unwrap();
         let moved = |p: Parameter, h: f64| stereo.stepped(p, h).unwrap().response(&stereo, [3.0, 2.0]).unwrap();
         let (mut gain, mut disparity) = (0.0, 0.0);
@@ -486,7 +494,7 @@ mod tests {
         let parameters = vec![Parameter::Sheet(0), Parameter::Sheet(1), Parameter::Sheet(2)];
         let n: Vector3<f64> = stereo.rig_from_sheet.rotation.column(2).into_owned();
         let null_directions = DMatrix::from_column_slice(3, 1, n.as_slice());
-        let turned = SheetUncertainty { stereo, parameters, covariance: DMatrix::zeros(3, 3), null_directions };
+        let turned = SheetUncertainty::made_of(stereo, parameters, DMatrix::zeros(3, 3), null_directions);
         let at = turned.at([3.0, 2.0]).unwrap();
         assert_eq!((at.disparity_px(), at.relative_gain()), (Some(0.0), Some(0.0)));
     }
