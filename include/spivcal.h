@@ -698,7 +698,8 @@
 #define SPIVCAL_ARRAY_VIEW_RMS_PX 523
 
 /**
- * Covariance of all estimated numbers, n x n row-major, n = SPIVCAL_COUNT_COVARIANCE; units: those at the end of the two names.
+ * Covariance of all estimated numbers, n x n row-major, n = SPIVCAL_COUNT_COVARIANCE; units: those at the end of the two names;
+ * poses: steps as of SPIVCAL_ARRAY_CAM_FROM_RIG_SIGMA, which turn the translation too.
  */
 #define SPIVCAL_ARRAY_COVARIANCE 531
 
@@ -758,7 +759,7 @@
 #define SPIVCAL_TEXT_CAMERA_NAME 608
 
 /**
- * Index: row of the covariance; such as "left.f_px", "sheet.a_per_mm", "view0.rig_from_target.tx_mm".
+ * Index: row of the covariance; such as "left.f_px", "sheet.rig_from_sheet.rx_rad", "view0.rig_from_target.tx_mm".
  */
 #define SPIVCAL_TEXT_COVARIANCE_NAME 609
 

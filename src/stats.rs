@@ -16,14 +16,14 @@
 #[cfg(test)]
 pub(crate) mod random;
 
-/// Probability that a chi-square with `degrees` degrees of freedom exceeds `chi2`; 1 for `chi2 <= 0`, `NaN` for `NaN`.
+/// Probability that a chi-square with `degrees` degrees of freedom, whole or not, exceeds `chi2`; 1 for `chi2 <= 0`, `NaN` for `NaN`.
 ///
 /// ```
 /// // Two degrees of freedom: e^(-x/2).
-/// assert!((spivcal::stats::chi_square_above(6.0, 2) - (-3.0_f64).exp()).abs() < 1e-14);
+/// assert!((spivcal::stats::chi_square_above(6.0, 2.0) - (-3.0_f64).exp()).abs() < 1e-14);
 /// ```
-pub fn chi_square_above(chi2: f64, degrees: usize) -> f64 {
-    upper_gamma(degrees as f64 / 2.0, chi2 / 2.0)
+pub fn chi_square_above(chi2: f64, degrees: f64) -> f64 {
+    upper_gamma(degrees / 2.0, chi2 / 2.0)
 }
 
 /// Probability that a normal number lies further than `sigmas` standard deviations from its mean, on either side.
@@ -103,18 +103,19 @@ mod tests {
             assert!((normal_beyond(z) / p - 1.0).abs() < 1e-11, "{z} {}", normal_beyond(z));
         }
         // Upper points of the usual tables; even degrees also in closed form.
-        for (c, n, p) in [(3.841458820694124, 1, 0.05), (18.307038053275146, 10, 0.05), (124.34211340400407, 100, 0.05)]
+        for (c, n, p) in
+            [(3.841458820694124, 1.0, 0.05), (18.307038053275146, 10.0, 0.05), (124.34211340400407, 100.0, 0.05)]
         {
             assert!((chi_square_above(c, n) / p - 1.0).abs() < 1e-10, "{n} {}", chi_square_above(c, n));
         }
         for x in [0.1, 2.0, 7.0, 40.0] {
             let h: f64 = 0.5 * x;
             let closed = (-h).exp() * (1.0 + h + h * h / 2.0 + h * h * h / 6.0);
-            assert!((chi_square_above(x, 8) / closed - 1.0).abs() < 1e-12);
+            assert!((chi_square_above(x, 8.0) / closed - 1.0).abs() < 1e-12);
         }
         // Median of a large chi-square is n - 2/3.
-        assert!((chi_square_above(100_000.0 - 2.0 / 3.0, 100_000) - 0.5).abs() < 1e-6);
-        assert_eq!((chi_square_above(0.0, 3), chi_square_above(1e6, 3)), (1.0, 0.0));
-        assert!(chi_square_above(f64::NAN, 3).is_nan());
+        assert!((chi_square_above(100_000.0 - 2.0 / 3.0, 100_000.0) - 0.5).abs() < 1e-6);
+        assert_eq!((chi_square_above(0.0, 3.0), chi_square_above(1e6, 3.0)), (1.0, 0.0));
+        assert!(chi_square_above(f64::NAN, 3.0).is_nan());
     }
 }

@@ -5,12 +5,14 @@
 
 mod real_sets;
 
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use real_sets::folder;
 use serde_json::Value;
 use spivcal::camera::INTRINSIC_NAMES;
 use spivcal::pipeline::{CalibrateOptions, calibrate, load_image};
 use spivcal::record::Record;
 use spivcal::rig_file::{Observations, RigDescription, image_path};
+use spivcal::stats::chi_square_above;
 use std::path::{Path, PathBuf};
 
 fn example(name: &str) -> PathBuf {
@@ -67,7 +69,42 @@ fn number(v: &Value) -> f64 {
     v.as_f64().unwrap_or_else(|| panic!("not a number: {v}"))
 }
 
-/// A rendered example against its truth: sheet within 3 sigmas, cameras within 4.
+/// Chi-square of all that the covariance says of both cameras, correlations included, against the truth, and how many numbers that are. Poses
+/// differ by steps on the left: `R' = exp(dw) R`, `t' = exp(dw) t + dv`.
+fn joint_chi2(record: &Record, truth: &Value) -> (f64, usize) {
+    let all = &record.covariance;
+    let rows: Vec<usize> = (0..all.names.len())
+        .filter(|i| all.names[*i].starts_with("left.") || all.names[*i].starts_with("right."))
+        .collect();
+    let (mut off, n) = (vec![], rows.len());
+    for name in rows.iter().map(|i| all.names[*i].split('.').collect::<Vec<_>>()) {
+        let camera = record.cameras.iter().position(|c| c.name == name[0]).unwrap();
+        let (c, t) = (&record.cameras[camera], &truth["cameras"][camera]);
+        if name[1] != "cam_from_rig" {
+            let k = INTRINSIC_NAMES.iter().position(|k| *k == name[1]).unwrap();
+            off.push(c.intrinsics().to_array()[k] - number(&t[name[1]]));
+            continue;
+        }
+        let pose = &t["cam_from_rig"];
+        let r = Matrix3::from_fn(|i, j| c.cam_from_rig.rotation[i][j]);
+        let r_truth = Matrix3::from_fn(|i, j| number(&pose["rotation"][i][j]));
+        let turn = r * r_truth.transpose();
+        let dw =
+            Vector3::new(turn[(2, 1)] - turn[(1, 2)], turn[(0, 2)] - turn[(2, 0)], turn[(1, 0)] - turn[(0, 1)]) / 2.0;
+        let t_truth = Vector3::from_fn(|i, _| number(&pose["translation_mm"][i]));
+        let dv = Vector3::from(c.cam_from_rig.translation_mm) - turn * t_truth;
+        let axis = ["x_", "y_", "z_"].iter().position(|a| name[2][1..].starts_with(a)).unwrap();
+        off.push(if name[2].starts_with('r') { dw[axis] } else { dv[axis] });
+    }
+    let sigma: Vec<f64> = rows.iter().map(|i| all.matrix[*i][*i].sqrt()).collect();
+    let correlation = DMatrix::from_fn(n, n, |i, j| all.matrix[rows[i]][rows[j]] / (sigma[i] * sigma[j]));
+    let z = DVector::from_fn(n, |i, _| off[i] / sigma[i]);
+    let solved = correlation.cholesky().expect("a covariance of full rank").solve(&z);
+    (z.dot(&solved), n)
+}
+
+/// A rendered example against its truth: sheet within 3 sigmas, cameras within 4, all numbers of the cameras together no worse and no
+/// better than one chance in ten thousand.
 fn rendered(name: &str, observations: Observations) {
     let record = run_as(name, None, observations);
     let truth: Value =
@@ -106,6 +143,10 @@ fn rendered(name: &str, observations: Observations) {
             compare(format!("{}.effective.{what}", c.name), got, number(&t["effective"][what]), sigma, 4.0);
         }
     }
+    let (chi2, n) = joint_chi2(&record, &truth);
+    println!("{name}: all {n} numbers of the cameras together: chi-square {chi2:.1}");
+    let chance = chi_square_above(chi2, n as f64);
+    assert!(n == 18 && (1e-4..1.0 - 1e-4).contains(&chance), "{name}: chi-square {chi2} of {n} numbers");
     let sheet = record.sheet.as_ref().expect("views in the sheet");
     let t = &truth["sheet"];
     let angle = number(&t["angle_to_baseline_deg"]);

@@ -18,6 +18,7 @@ use super::residuals::{self, DiscResidual, ImageResiduals};
 use super::retraction;
 use super::state::State;
 use crate::solve::{self, Gradient, Iteration, NormalEquations, Posterior, Problem, Step, Termination};
+use crate::stats::chi_square_above;
 use nalgebra::DMatrix;
 
 /// Options of [`adjust`].
@@ -356,10 +357,13 @@ fn scale_of_camera(
     variance_factor(edge_chi2, edge_dof).max(variance_factor(disc_chi2, disc_dof)).sqrt()
 }
 
-/// `chi2 / dof` where it exceeds 1 by more than three of its standard deviations, else 1: a factor that follows mere
-/// chance would spoil true sigmas.
+/// Chance beyond which a sum of squares is no chance: that of three standard deviations of a normal number, on one side.
+const CHANCE: f64 = 1.35e-3;
+
+/// `chi2 / dof` where true sigmas would hardly ever give so much, else 1: a factor that follows mere chance would spoil them. The chance
+/// is the chi-square's own: of the ten degrees that a few discs leave, one in a hundred lies three of their standard deviations above.
 fn variance_factor(chi2: f64, dof: f64) -> f64 {
-    if dof < 1.0 || chi2 - dof < 3.0 * (2.0 * dof).sqrt() { 1.0 } else { chi2 / dof }
+    if dof < 1.0 || chi_square_above(chi2, dof) > CHANCE { 1.0 } else { chi2 / dof }
 }
 
 /// Takes out discs that lie off by more than the limit; never more than a fifth of an image.
@@ -404,4 +408,20 @@ fn set_outliers_aside(
         }
     }
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Against the upper points of printed tables: one in a hundred or in two hundred is chance, one in a thousand is not.
+    #[test]
+    fn a_variance_factor_is_no_chance() {
+        for (chi2, dof) in [(5.0, 10.0), (25.188, 10.0), (135.807, 100.0), (10.828, 0.9)] {
+            assert_eq!(variance_factor(chi2, dof), 1.0, "{chi2} of {dof}");
+        }
+        for (chi2, dof) in [(10.828, 1.0), (29.588, 10.0), (149.449, 100.0)] {
+            assert_eq!(variance_factor(chi2, dof), chi2 / dof);
+        }
+    }
 }

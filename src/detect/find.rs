@@ -256,11 +256,14 @@ fn repeat_px(semi_minor_px: f64) -> f64 {
     0.4 * semi_minor_px + 1.0
 }
 
+/// By what part of the larger one two views of one region may differ in size, however small the region: a coarse view widens a dot by some of
+/// its own pixels, but nothing is a view of all that it lies in.
+const MOST_WIDENED: f64 = 0.85;
+
 /// Two ellipses of about one place and size.
 fn same_place(a: &Ellipse, b: &Ellipse) -> bool {
-    let (ra, rb) = (a.semi_minor_px, b.semi_minor_px);
-    within(a.center_px, b.center_px, repeat_px(ra.max(rb)))
-        && (ra / rb - 1.0).abs().min((rb / ra - 1.0).abs()) < 0.35 + 1.0 / ra.min(rb)
+    let (small, large) = (a.semi_minor_px.min(b.semi_minor_px), a.semi_minor_px.max(b.semi_minor_px));
+    within(a.center_px, b.center_px, repeat_px(large)) && 1.0 - small / large < (0.35 + 1.0 / small).min(MOST_WIDENED)
 }
 
 /// Two starts that ended on one disc.
@@ -502,6 +505,44 @@ fn keep_marks(detection: &mut Detection, marks: &[(Candidate, MarkKind)]) {
         let radius_px = mean_radius_px(&c.ellipse);
         if radius_px > typical / 3.0 && radius_px < 3.0 * typical {
             detection.shapes.push(Shape { center_px: c.ellipse.center_px, radius_px, mark: *kind });
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::expect_used)]
+mod tests {
+    use super::*;
+
+    fn candidate(u_px: f64, v_px: f64, semi_px: (f64, f64), level: u32) -> Candidate {
+        let ellipse = Ellipse::new(Pixel::new(u_px, v_px), semi_px.0, semi_px.1, 0.3).expect("an ellipse");
+        Candidate { ellipse, blur_px: 1.0, bright: true, contrast: 100.0, rms_px: 0.1, level }
+    }
+
+    /// Two specks of smoke that touch, each finer than 1.5 px, lay near the centre of a bubble: it went with them.
+    #[test]
+    fn touching_specks_inside_a_disc_do_not_take_it_along() {
+        for speck_px in [0.4, 0.9, 1.4, 2.0, 3.0] {
+            let disc = candidate(253.6, 395.7, (202.1, 138.5), 0);
+            let speck = candidate(270.0, 401.0, (2.0 * speck_px, speck_px), 0);
+            let mut seen = Seen { candidates: vec![disc], ..Seen::default() };
+            seen.rejected.push((speck, RejectionReason::Overlapping));
+            drop_repeats(&mut seen);
+            assert_eq!(seen.candidates.len(), 1, "specks of {speck_px} px");
+            assert!(!same_place(&disc.ellipse, &speck.ellipse), "known from a speck of {speck_px} px");
+        }
+    }
+
+    /// Coarse views of a dot are wider by some of their own pixels, and are dropped.
+    #[test]
+    fn of_a_dot_seen_at_several_sizes_the_finest_view_stays() {
+        for (fine_px, coarse_px) in [(1.6, 4.0), (2.5, 5.5), (4.0, 6.0), (30.0, 31.0)] {
+            let views =
+                [candidate(50.0, 50.0, (fine_px, fine_px), 0), candidate(50.6, 49.8, (coarse_px, coarse_px), 1)];
+            let mut seen = Seen { candidates: views.to_vec(), ..Seen::default() };
+            drop_repeats(&mut seen);
+            assert_eq!(seen.candidates.len(), 1, "{fine_px} and {coarse_px} px");
+            assert_eq!(seen.candidates[0].level, 0);
         }
     }
 }

@@ -60,7 +60,7 @@ impl Disagreement {
 
     /// Whether it is beyond chance, `tests` being asked together.
     fn is_significant(&self, tests: usize) -> bool {
-        chi_square_above(self.statistic, self.degrees) * (tests as f64) < BY_CHANCE
+        chi_square_above(self.statistic, self.degrees as f64) * (tests as f64) < BY_CHANCE
     }
 }
 

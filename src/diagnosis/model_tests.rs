@@ -12,7 +12,7 @@ pub(super) fn model_tests(s: &Subject<'_>, keys: &Keys, flags: &mut Vec<String>)
     let matrix = s.covariance.propagate(&keys.rows);
     let mut out = vec![];
     for test in &tests {
-        let p_value = chi_square_above(test.statistic, test.degrees);
+        let p_value = chi_square_above(test.statistic, test.degrees as f64);
         let needed = p_value * (tests.len() as f64) < FALSE_ALARMS;
         let moved = if rows.ncols() == test.shift.len() { &rows * &test.shift } else { nalgebra::DVector::zeros(0) };
         let mut bias = (0.0, String::new());

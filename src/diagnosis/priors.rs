@@ -191,7 +191,7 @@ fn dots(s: &Subject<'_>, checks: &[PriorCheck]) -> Option<Prior> {
     let testable = degrees >= 1.0;
     // A plate better than it was said to be is no contradiction.
     let z = if testable { ((chi2 - degrees) / (2.0 * degrees).sqrt()).max(0.0) } else { f64::NAN };
-    let conflict = z > 0.0 && chi_square_above(chi2, degrees.floor() as usize) < FALSE_ALARMS;
+    let conflict = z > 0.0 && chi_square_above(chi2, degrees) < FALSE_ALARMS;
     let name = "places of the printed dots".to_string();
     let what = format!(
         "the dots lie {} um (rms) off their nominal places; {} um were allowed",

@@ -306,7 +306,7 @@ impl Prior {
                 degrees += 1;
             }
         }
-        let chance = if degrees > 0 { chi_square_above(chi2, degrees) } else { f64::NAN };
+        let chance = if degrees > 0 { chi_square_above(chi2, degrees as f64) } else { f64::NAN };
         let far: Vec<String> = numbers
             .iter()
             .filter(|n| n.change_sigmas.abs() > FAR)

@@ -232,7 +232,8 @@ pub const SPIVCAL_ARRAY_RIG_FROM_TARGET: i32 = 521;
 pub const SPIVCAL_ARRAY_RIG_FROM_TARGET_SIGMA: i32 = 522;
 /// Index: view. Root mean square residual per camera, px, NaN where a camera does not see it.
 pub const SPIVCAL_ARRAY_VIEW_RMS_PX: i32 = 523;
-/// Covariance of all estimated numbers, n x n row-major, n = SPIVCAL_COUNT_COVARIANCE; units: those at the end of the two names.
+/// Covariance of all estimated numbers, n x n row-major, n = SPIVCAL_COUNT_COVARIANCE; units: those at the end of the two names;
+/// poses: steps as of SPIVCAL_ARRAY_CAM_FROM_RIG_SIGMA, which turn the translation too.
 pub const SPIVCAL_ARRAY_COVARIANCE: i32 = 531;
 /// Positions of the adjusted points in the target frame, mm: all x, then all y, then all z: 3 n doubles.
 pub const SPIVCAL_ARRAY_TARGET_POINT_XYZ_MM: i32 = 541;
@@ -259,7 +260,7 @@ pub const SPIVCAL_TEXT_UNDETERMINED: i32 = 606;
 pub const SPIVCAL_TEXT_FLAG: i32 = 607;
 /// Index: camera.
 pub const SPIVCAL_TEXT_CAMERA_NAME: i32 = 608;
-/// Index: row of the covariance; such as "left.f_px", "sheet.a_per_mm", "view0.rig_from_target.tx_mm".
+/// Index: row of the covariance; such as "left.f_px", "sheet.rig_from_sheet.rx_rad", "view0.rig_from_target.tx_mm".
 pub const SPIVCAL_TEXT_COVARIANCE_NAME: i32 = 609;
 /// two-discs, bubbles, dot-grid or two-level-plate.
 pub const SPIVCAL_TEXT_TARGET_KIND: i32 = 610;

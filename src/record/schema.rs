@@ -571,7 +571,7 @@ pub struct Provenance {
 
 /// Covariance of every estimated number.
 ///
-/// Names are `owner.quantity_unit`: `left.f_px`, `right.cam_from_rig.rx_rad`, `sheet.a_per_mm`,
+/// Names are `owner.quantity_unit`: `left.f_px`, `right.cam_from_rig.rx_rad`, `sheet.rig_from_sheet.rx_rad`,
 /// `view0.rig_from_target.tx_mm`, `target.spacing_mm`. Pose steps are those of [`PoseSigma`].
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Covariance {
