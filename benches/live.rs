@@ -5,14 +5,14 @@
 //! time, which other work on the machine lengthens less; the same of its three parts: images (decoded, searched and labelled), what is
 //! computed from them, files. The goal is 50 ms with two threads.
 //!
-//! `cargo bench --bench live -- once` makes one record with one thread inside of a function `measured`, for
-//! `valgrind --tool=callgrind --toggle-collect='*measured*'`.
+//! `cargo bench --bench live -- once` makes one record with one thread: its instructions are counted by running that program under
+//! `valgrind --tool=callgrind`.
 #![allow(unsafe_code, clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
 use spivcal::detect::{DetectOptions, find_discs};
 use spivcal::error::Result;
 use spivcal::image::GrayImage;
-use spivcal::pipeline::{CalibrateOptions, Progress, Workers, calibrate, load_image};
+use spivcal::pipeline::{CalibrateOptions, Progress, calibrate, load_image};
 use spivcal::report::residuals_csv;
 use spivcal::rig_file::RigDescription;
 use std::hint::black_box;
@@ -103,10 +103,9 @@ impl Work {
         };
         let found = calibrate(&self.job, &load, &options, &mut told).unwrap();
         let computed = now();
-        let write = |name: &str, text: String| std::fs::write(self.to.path().join(name), text).unwrap();
-        let record = || write("calibration.json", found.record.to_json().unwrap());
-        let residuals = || write("residuals.csv", residuals_csv(&found.record, &found.residuals));
-        Workers::new(threads).unwrap().install(|| rayon::join(record, residuals));
+        let to = self.to.path();
+        std::fs::write(to.join("calibration.json"), found.record.to_json().unwrap()).unwrap();
+        std::fs::write(to.join("residuals.csv"), residuals_csv(&found.record, &found.residuals)).unwrap();
         drop(found);
         let written = now();
         let passed = |a: [f64; 2], b: [f64; 2]| [b[0] - a[0], b[1] - a[1]];
@@ -114,15 +113,11 @@ impl Work {
     }
 }
 
-#[inline(never)]
-fn measured(work: &Work) {
-    black_box(work.all(1, Instant::now()));
-}
-
 fn main() {
     let work = Work::new();
     if std::env::args().any(|a| a == "once") {
-        return measured(&work);
+        black_box(work.all(1, Instant::now()));
+        return;
     }
     let wanted: Vec<(usize, usize)> = (0..work.job.views.len()).flat_map(|v| [(v, 0), (v, 1)]).collect();
     let decode = || wanted.iter().map(|(v, c)| work.load(*v, *c).unwrap()).collect::<Vec<GrayImage>>();
