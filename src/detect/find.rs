@@ -26,6 +26,8 @@ const TEXTURE: f64 = 0.15;
 const DUST: f64 = 0.25;
 /// Images with more candidates than this show prints, not smoke.
 const MOST_SMOKY: usize = 24;
+/// Fewer lines than this are judged by one thread.
+const LINES_AT_ONCE: usize = 16;
 /// Pyramid levels looked at.
 const LEVELS: u32 = 3;
 
@@ -107,12 +109,17 @@ fn refine_all<'a>(
         };
         (*candidate, refine(view, &start, options, scratch))
     };
-    if rayon::current_thread_index().is_some() && wanted.len() > 1 {
+    if several_threads() && wanted.len() > 1 {
         wanted.par_iter().map_init(Scratch::default, one).collect()
     } else {
         let mut scratch = Scratch::default();
         wanted.iter().map(|w| one(&mut scratch, w)).collect()
     }
+}
+
+/// Whether the caller runs in a pool of more than one thread.
+fn several_threads() -> bool {
+    rayon::current_thread_index().is_some() && rayon::current_num_threads() > 1
 }
 
 fn check_options(o: &DetectOptions) -> Result<()> {
@@ -180,9 +187,16 @@ fn look(view: &GrayView, noise: f32, options: &DetectOptions) -> Seen {
     seen
 }
 
-/// Follows and judges the lines of one level from where they start.
-fn follow(on: &impl Level, starts: &[u32], gradient: f32, level: u32, options: &DetectOptions, seen: &mut Seen) {
-    let mut line = Line::default();
+/// Follows and judges the lines of one level from where they start. Within a pool they are judged side by side.
+fn follow(
+    on: &(impl Level + Sync),
+    starts: &[u32],
+    gradient: f32,
+    level: u32,
+    options: &DetectOptions,
+    seen: &mut Seen,
+) {
+    let (mut line, mut lines) = (Line::default(), Vec::new());
     let mut tracer = Tracer::new(on);
     let strength = Strength { gradient: f64::from(gradient) };
     let finer: Vec<(Ellipse, bool)> = seen.candidates.iter().map(|c| (c.ellipse, c.bright)).collect();
@@ -192,12 +206,22 @@ fn follow(on: &impl Level, starts: &[u32], gradient: f32, level: u32, options: &
         let reach = repeat_px(e.semi_minor_px.max(by_row.largest_px));
         by_row.near(e.center_px, reach).any(|k| finer[k].1 == bright && same_place(&finer[k].0, e))
     };
+    let judged = |line: &Line| judge(line, on, strength, level, options, &known);
     for start in starts {
         let (u, v) = (*start as usize % on.width(), *start as usize / on.width());
-        if tracer.fresh(u, v) {
-            tracer.follow(u, v, &mut line);
-            seen.take(judge(&line, on, strength, level, options, &known));
+        if !tracer.fresh(u, v) {
+            continue;
         }
+        tracer.follow(u, v, &mut line);
+        if several_threads() {
+            lines.push(line.clone());
+        } else {
+            seen.take(judged(&line));
+        }
+    }
+    if !lines.is_empty() {
+        let verdicts: Vec<Verdict> = lines.par_iter().with_min_len(LINES_AT_ONCE).map(judged).collect();
+        verdicts.into_iter().for_each(|v| seen.take(v));
     }
 }
 

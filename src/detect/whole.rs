@@ -295,10 +295,10 @@ impl Mean {
             *s = a[i] + b[i] + c[i];
         }
         let (a, b, c) = (&self.across[..n], &self.across[3..n + 3], &self.across[6..n + 6]);
-        let at = level.data.len();
+        let (at, own_at) = (level.data.len(), level.smooth_at(v));
         level.data.resize(at + n, 0);
         let (done, field) = level.data.split_at_mut(at);
-        let own = &done[v.max(2 * v.max(2) - R) * n..][..n];
+        let own = &done[own_at..][..n];
         for (i, f) in field.iter_mut().enumerate() {
             let x = 81 * i32::from(own[i]) - (a[i] + b[i] + c[i]) as i32;
             *f = ((x + (1 << (FIELD_SHIFT - 1))) >> FIELD_SHIFT).clamp(-32_768, 32_767) as i16 as u16;
