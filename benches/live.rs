@@ -2,16 +2,21 @@
 //! record and the residuals written to files; no report, no overlays.
 //!
 //! `cargo bench --bench live`. Rounds with one and with two threads take turns; medians of the time that passes and of the processors' own
-//! time, which other work on the machine lengthens less. The goal is 50 ms with two threads.
+//! time, which other work on the machine lengthens less; the same of its three parts: images (decoded, searched and labelled), what is
+//! computed from them, files. The goal is 50 ms with two threads.
+//!
+//! `cargo bench --bench live -- once` makes one record with one thread: its instructions are counted by running that program under
+//! `valgrind --tool=callgrind`.
 #![allow(unsafe_code, clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
 use spivcal::detect::{DetectOptions, find_discs};
+use spivcal::error::Result;
 use spivcal::image::GrayImage;
-use spivcal::pipeline::{CalibrateOptions, calibrate, load_image};
+use spivcal::pipeline::{CalibrateOptions, Progress, calibrate, load_image};
 use spivcal::report::residuals_csv;
 use spivcal::rig_file::RigDescription;
 use std::hint::black_box;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 const ROUNDS: usize = 21;
@@ -66,34 +71,82 @@ impl Times {
     }
 }
 
-fn main() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/printed");
-    let text = std::fs::read_to_string(folder.join("rig.toml")).unwrap();
-    let job = RigDescription::parse(&text, "rig.toml").unwrap();
-    let load = |view: usize, camera: usize| load_image(&folder.join(job.views[view].images[camera].as_ref().unwrap()));
-    let to = tempfile::tempdir().unwrap();
-    let all = |threads: usize| {
+/// The twelve images, and where the files go.
+struct Work {
+    folder: PathBuf,
+    job: RigDescription,
+    to: tempfile::TempDir,
+}
+
+impl Work {
+    fn new() -> Self {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/printed");
+        let text = std::fs::read_to_string(folder.join("rig.toml")).unwrap();
+        Self { folder, job: RigDescription::parse(&text, "rig.toml").unwrap(), to: tempfile::tempdir().unwrap() }
+    }
+
+    fn load(&self, view: usize, camera: usize) -> Result<GrayImage> {
+        load_image(&self.folder.join(self.job.views[view].images[camera].as_ref().unwrap()))
+    }
+
+    /// From images to files; what passes until the last image has been searched, until all is computed, until the files are there.
+    fn all(&self, threads: usize, origin: Instant) -> [[f64; 2]; 3] {
+        let now = || [1e3 * origin.elapsed().as_secs_f64(), processor_ms(origin)];
+        let (begin, mut seen) = (now(), [0.0; 2]);
         let options = CalibrateOptions { threads, ..CalibrateOptions::default() };
-        let found = calibrate(&job, &load, &options, &mut |_| true).unwrap();
-        std::fs::write(to.path().join("calibration.json"), found.record.to_json().unwrap()).unwrap();
-        std::fs::write(to.path().join("residuals.csv"), residuals_csv(&found.record, &found.residuals)).unwrap();
-    };
-    let wanted: Vec<(usize, usize)> = (0..job.views.len()).flat_map(|v| [(v, 0), (v, 1)]).collect();
-    let decode = || wanted.iter().map(|(v, c)| load(*v, *c).unwrap()).collect::<Vec<GrayImage>>();
-    let options = DetectOptions { polarity: job.target.polarity, ..DetectOptions::default() };
+        let load = |view: usize, camera: usize| self.load(view, camera);
+        let mut told = |p: Progress| {
+            if matches!(p, Progress::Image { .. }) {
+                seen = now();
+            }
+            true
+        };
+        let found = calibrate(&self.job, &load, &options, &mut told).unwrap();
+        let computed = now();
+        let to = self.to.path();
+        std::fs::write(to.join("calibration.json"), found.record.to_json().unwrap()).unwrap();
+        std::fs::write(to.join("residuals.csv"), residuals_csv(&found.record, &found.residuals)).unwrap();
+        drop(found);
+        let written = now();
+        let passed = |a: [f64; 2], b: [f64; 2]| [b[0] - a[0], b[1] - a[1]];
+        [passed(begin, seen), passed(seen, computed), passed(computed, written)]
+    }
+}
+
+fn main() {
+    let work = Work::new();
+    if std::env::args().any(|a| a == "once") {
+        black_box(work.all(1, Instant::now()));
+        return;
+    }
+    let wanted: Vec<(usize, usize)> = (0..work.job.views.len()).flat_map(|v| [(v, 0), (v, 1)]).collect();
+    let decode = || wanted.iter().map(|(v, c)| work.load(*v, *c).unwrap()).collect::<Vec<GrayImage>>();
+    let options = DetectOptions { polarity: work.job.target.polarity, ..DetectOptions::default() };
     let origin = Instant::now();
-    let [mut decoding, mut searching, mut one, mut two] = [0; 4].map(|_| Times::default());
+    let [mut decoding, mut searching] = [0; 2].map(|_| Times::default());
+    let mut whole = [0; 2].map(|_| Times::default());
+    let mut parts = [0; 2].map(|_| [0; 3].map(|_| Times::default()));
     for _ in 0..ROUNDS {
         let images = decoding.take(origin, decode);
         searching.take(origin, || {
             images.iter().map(|i| find_discs(&i.view(), &options).unwrap().discs.len()).sum::<usize>()
         });
-        one.take(origin, || all(1));
-        two.take(origin, || all(2));
+        for (k, (whole, parts)) in whole.iter_mut().zip(&mut parts).enumerate() {
+            let each = whole.take(origin, || work.all(k + 1, origin));
+            for (part, [passed, of_processors]) in parts.iter_mut().zip(each) {
+                part.passed.push(passed);
+                part.of_processors.push(of_processors);
+            }
+        }
     }
     println!("{} images, medians of {ROUNDS} rounds", wanted.len());
     decoding.print("decoding, one thread");
     searching.print("searching, one thread");
-    one.print("images to record, one thread");
-    two.print("images to record, two threads");
+    for (k, (whole, parts)) in whole.iter_mut().zip(&mut parts).enumerate() {
+        println!("threads: {}", k + 1);
+        whole.print("  images to record");
+        for (part, name) in parts.iter_mut().zip(["  images seen", "  computed", "  files"]) {
+            part.print(name);
+        }
+    }
 }

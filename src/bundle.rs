@@ -73,9 +73,7 @@ pub use conflict::{PriorCheck, prior_checks};
 pub use extension::{Extension, ExtensionTest, extension_tests};
 pub use facts::{Fact, PriorOf};
 pub use focus::Focus;
-pub use influence::{
-    named_rows, natural_of, predicted_with_all_views, predicted_without_view, readjusted_without_views,
-};
+pub use influence::{ViewsLeftOut, named_rows, natural_of, predicted_with_all_views, readjusted_without_views};
 pub use model::{
     CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, PairObservation,
     PlanePosition, PointObservations, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,

@@ -5,7 +5,7 @@
 //! | priors | does what was known beforehand agree with the images? how much of a number is its prior? | [`crate::bundle::prior_checks`] |
 //! | weak directions | which numbers move together? | principal directions of the covariance, in parts of 0.5 % and 5 mrad |
 //! | model tests | is a lens term lacking? is the plate bent, are its dots displaced? | [`crate::bundle::extension_tests`] |
-//! | views | what does each view contribute, does it agree with the others, and which one does not? | [`crate::bundle::predicted_without_view`], and an adjustment without it |
+//! | views | what does each view contribute, does it agree with the others, and which one does not? | [`crate::bundle::ViewsLeftOut`], and an adjustment without it |
 //! | mapping | what do errors of the calibration do to u, v, w and to dewarped images? | [`crate::sheet::SheetUncertainty`] |
 //!
 //! Every yes-or-no finding allows 1 % false alarms over all tests of its kind together (Bonferroni). A finding becomes a flag only where
@@ -108,13 +108,29 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
     out.diagnosis.key_quantities = quantities(s.covariance, &keys);
     out.diagnosis.priors = priors::priors(s, &mut out.flags);
     watch.check()?;
-    out.diagnosis.model_tests = model_tests::model_tests(s, &keys, &mut out.flags);
-    watch.check()?;
-    out.diagnosis.views = views::views(s, &names, &keys, &watch, &mut out.flags)?;
+    // Each part has flags of its own, so that they stand in one order whoever is done first.
+    let views = || -> Result<_> {
+        let mut flags = vec![];
+        Ok((views::views(s, &names, &keys, &watch, &mut flags)?, flags))
+    };
+    let others = || -> Result<_> {
+        let (mut of_tests, mut of_mapping) = (vec![], vec![]);
+        let tests = model_tests::model_tests(s, &keys, &mut of_tests);
+        watch.check()?;
+        let mapping = mapping::mapping_uncertainty(s.covariance, s.sizes_px, &names, &mut of_mapping);
+        Ok((tests, of_tests, mapping, of_mapping))
+    };
+    let (views, others) = side_by_side(views, others);
+    let ((views, of_views), (tests, of_tests, mapping, of_mapping)) = (views?, others?);
+    (out.diagnosis.model_tests, out.diagnosis.views, out.mapping) = (tests, views, mapping);
     out.diagnosis.outliers = outliers::outliers(s);
-    watch.check()?;
-    out.mapping = mapping::mapping_uncertainty(s.covariance, s.sizes_px, &names, &mut out.flags);
+    out.flags.extend([of_tests, of_views, of_mapping].concat());
     Ok(out)
+}
+
+/// Both, on the threads of the pool where this runs in one.
+fn side_by_side<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnce() -> B + Send) -> (A, B) {
+    if rayon::current_thread_index().is_some() { rayon::join(a, b) } else { (a(), b()) }
 }
 
 fn quantities(covariance: &NamedCovariance, keys: &Keys) -> Vec<KeyQuantity> {

@@ -32,12 +32,13 @@ mod windows;
 pub use joint::calibrate_rig;
 pub use labels::{OpenImage, OpenLabels};
 
-use crate::bundle::{Adjustment, Model, State};
+use crate::bundle::{Adjustment, Iteration, Model, State};
 use crate::camera::{INTRINSICS, Intrinsics, Radial};
 use crate::conic::Ellipse;
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
 use crate::target::DotId;
+use rayon::prelude::*;
 
 /// Pose of the target in a camera's solver frame, and its shape, mm.
 type Pose = (Motion<Cam, Target>, [f64; 3]);
@@ -96,6 +97,18 @@ struct Mono {
     poses: Vec<Option<Pose>>,
     /// Root mean square contour distance, px.
     rms_px: f64,
+}
+
+/// Told of every iteration from any thread; returns false to stop.
+type Told<'a> = &'a (dyn Fn(&Iteration) -> bool + Sync);
+
+/// Pieces of work that know nothing of each other, on the threads of the pool where this runs in one; results in their order.
+fn side_by_side<T: Sync, R: Send>(of: &[T], work: impl Fn(&T) -> R + Sync + Send) -> Vec<R> {
+    if rayon::current_thread_index().is_some() {
+        of.par_iter().map(work).collect()
+    } else {
+        of.iter().map(work).collect()
+    }
 }
 
 fn rms_of(model: &Model, state: &State) -> Option<f64> {

@@ -240,18 +240,28 @@ pub fn minimise_damped<P: Problem>(
     damping: f64,
     observe: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Outcome<P::State> {
-    let mut state = start;
-    let Some(mut equations) = problem.linearise(&state) else {
-        return Outcome {
-            state,
+    match problem.linearise(&start) {
+        Some(equations) => minimise_from(problem, (start, equations), options, damping, observe),
+        None => Outcome {
+            state: start,
             cost: f64::INFINITY,
             decrement: f64::INFINITY,
             iterations: 0,
             damping,
             termination: Termination::BadStart,
             equations: None,
-        };
-    };
+        },
+    }
+}
+
+/// The same where the normal equations at the start are at hand.
+pub fn minimise_from<P: Problem>(
+    problem: &P,
+    (mut state, mut equations): (P::State, NormalEquations),
+    options: &Options,
+    damping: f64,
+    observe: &mut dyn FnMut(&Iteration) -> bool,
+) -> Outcome<P::State> {
     let mut radius = Damping { mu: damping, growth: GROWTH, bent: false };
     let mut iterations = 1;
     let (mut left, termination) = loop {

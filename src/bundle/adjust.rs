@@ -8,12 +8,13 @@
 use super::assemble::{self, SeenImage};
 use super::by_disc::ByDisc;
 use super::facts;
+use super::image_map::MappedNormal;
 use super::layout::{self, Places};
-use super::model::Model;
+use super::model::{ImageObservations, Model};
 use super::outline;
 use super::part;
 use super::points;
-use super::residuals::{DiscResidual, residuals};
+use super::residuals::{self, DiscResidual, ImageResiduals};
 use super::retraction;
 use super::state::State;
 use crate::solve::{self, Gradient, Iteration, NormalEquations, Posterior, Problem, Step, Termination};
@@ -75,7 +76,7 @@ pub struct Adjustment {
 
 /// The least-squares problem of a model, for solvers and tests of other makes.
 pub fn problem(model: &Model) -> impl Problem<State = State> + '_ {
-    Bundle { model, places: Places::of(model), by: None }
+    Bundle::with_views(model)
 }
 
 /// The problem with one block per view, or where that is less work one per disc.
@@ -91,6 +92,40 @@ impl<'a> Bundle<'a> {
         let places = Places::of(model);
         let by = ByDisc::of(model, &places);
         Self { model, places, by }
+    }
+
+    /// The same with one block per view in any case.
+    pub(super) fn with_views(model: &'a Model) -> Self {
+        Self { model, places: Places::of(model), by: None }
+    }
+
+    /// What [`Problem::linearise`] gives, from the equations of images that were formed before at the same state.
+    pub(super) fn summed<'n>(
+        &self,
+        images: impl Iterator<Item = &'n (usize, MappedNormal)>,
+        state: &State,
+    ) -> Option<NormalEquations> {
+        let of_images = match &self.by {
+            Some(by) => assemble::summed_by_disc(by, images),
+            None => assemble::summed(&self.places, images),
+        };
+        self.with_facts(of_images, state)
+    }
+
+    /// Equations of the images as the solver wants them.
+    fn with_facts(&self, mut e: NormalEquations, state: &State) -> Option<NormalEquations> {
+        let scales = self.scales(state);
+        match &self.by {
+            Some(by) => {
+                by.drop_unseen(&mut e, &scales, unseen);
+                facts::linearise_by_disc(self.model, (&self.places, by), state, &mut e)?;
+            }
+            None => {
+                drop_unseen(&mut e, &scales);
+                facts::linearise(self.model, &self.places, state, &mut e)?;
+            }
+        }
+        Some(e)
     }
 
     /// Equations with one block per view.
@@ -111,17 +146,11 @@ impl Problem for Bundle<'_> {
         Some(assemble::cost(self.model, state)? + facts::cost(self.model, &self.places, state)?)
     }
     fn linearise(&self, state: &State) -> Option<NormalEquations> {
-        let scales = self.scales(state);
-        if let Some(by) = &self.by {
-            let mut e = assemble::linearise_by_disc(self.model, &self.places, by, state)?;
-            by.drop_unseen(&mut e, &scales, unseen);
-            facts::linearise_by_disc(self.model, (&self.places, by), state, &mut e)?;
-            return Some(e);
-        }
-        let mut e = assemble::linearise(self.model, &self.places, state, None)?;
-        drop_unseen(&mut e, &scales);
-        facts::linearise(self.model, &self.places, state, &mut e)?;
-        Some(e)
+        let of_images = match &self.by {
+            Some(by) => assemble::linearise_by_disc(self.model, &self.places, by, state)?,
+            None => assemble::linearise(self.model, &self.places, state, None)?,
+        };
+        self.with_facts(of_images, state)
     }
     fn scales(&self, state: &State) -> Step {
         let scales = layout::scales(self.model, &self.places, state);
@@ -242,12 +271,16 @@ pub fn adjust_owned(
         iterations += out.iterations;
         let stopped = matches!(out.termination, Termination::Cancelled | Termination::BadStart);
         let changed = round < options.rounds && !stopped && {
-            let set_aside = set_outliers_aside(&mut model, &out.state, options, &mut outliers);
+            let mut all = residuals::of_each_image(&model, &out.state);
+            let set_aside = set_outliers_aside(&mut model, &mut all, options, &mut outliers);
             if round == 0 {
                 ovality_mm = outline::whiten(&mut model, &out.state);
             }
             let oval = round == 0 && ovality_mm.is_some();
-            rescale(&mut model, &out.state, out.equations.as_ref()) || set_aside || oval
+            if oval {
+                all = residuals::of_each_image(&model, &out.state);
+            }
+            rescale(&mut model, &all, &out.state, out.equations.as_ref()) || set_aside || oval
         };
         if !changed {
             return Adjustment {
@@ -280,9 +313,15 @@ fn unknowns_paid(model: &Model, state: &State, posterior: &Posterior, c: usize) 
 }
 
 /// Scales the sigmas of each camera to what the residuals show; true where a scale changed by more than 3 %.
-fn rescale(model: &mut Model, state: &State, equations: Option<&NormalEquations>) -> bool {
+fn rescale(
+    model: &mut Model,
+    all: &[Option<ImageResiduals>],
+    state: &State,
+    equations: Option<&NormalEquations>,
+) -> bool {
     let Some(posterior) = equations.map(solve::posterior) else { return false };
-    let scales: Vec<f64> = (0..model.cameras.len()).map(|c| scale_of_camera(model, state, &posterior, c)).collect();
+    let scales: Vec<f64> =
+        (0..model.cameras.len()).map(|c| scale_of_camera(model, all, (state, &posterior), c)).collect();
     let mut changed = false;
     for image in &mut model.images {
         let scale = scales[image.camera];
@@ -293,10 +332,15 @@ fn rescale(model: &mut Model, state: &State, equations: Option<&NormalEquations>
 }
 
 /// Root of the larger significant variance factor of a camera, relative to the given sigmas.
-fn scale_of_camera(model: &Model, state: &State, posterior: &Posterior, c: usize) -> f64 {
+fn scale_of_camera(
+    model: &Model,
+    all: &[Option<ImageResiduals>],
+    (state, posterior): (&State, &Posterior),
+    c: usize,
+) -> f64 {
     let (mut edge_chi2, mut edge_dof, mut disc_chi2, mut disc_dof) = (0.0, 0.0, 0.0, 0.0);
-    for image in model.images.iter().filter(|i| i.camera == c) {
-        let Some(r) = residuals(model, state, image) else { continue };
+    for (image, r) in model.images.iter().zip(all).filter(|(i, _)| i.camera == c) {
+        let Some(r) = r else { continue };
         let unscale = image.sigma_scale * image.sigma_scale;
         for disc in &r.discs {
             disc_chi2 += disc.chi2 * unscale;
@@ -323,37 +367,44 @@ fn variance_factor(chi2: f64, dof: f64) -> f64 {
 }
 
 /// Takes out discs that lie off by more than the limit; never more than a fifth of an image.
-fn set_outliers_aside(model: &mut Model, state: &State, options: &AdjustOptions, outliers: &mut Vec<Outlier>) -> bool {
+///
+/// `all` are the residuals of the images; those of the discs taken out leave with them.
+fn set_outliers_aside(
+    model: &mut Model,
+    all: &mut [Option<ImageResiduals>],
+    options: &AdjustOptions,
+    outliers: &mut Vec<Outlier>,
+) -> bool {
     let mut found = false;
     for c in 0..model.cameras.len() {
-        let all: Vec<(usize, Vec<DiscResidual>)> = model
+        let mut own: Vec<(&mut ImageObservations, &mut Vec<DiscResidual>)> = model
             .images
-            .iter()
-            .enumerate()
-            .filter(|(_, i)| i.camera == c)
-            .filter_map(|(k, i)| residuals(model, state, i).map(|r| (k, r.discs)))
+            .iter_mut()
+            .zip(all.iter_mut())
+            .filter(|(i, _)| i.camera == c)
+            .filter_map(|(i, r)| r.as_mut().map(|r| (i, &mut r.discs)))
             .collect();
-        let mut sizes: Vec<f64> = all.iter().flat_map(|(_, d)| d.iter().map(DiscResidual::distance_px)).collect();
+        let mut sizes: Vec<f64> = own.iter().flat_map(|(_, d)| d.iter().map(DiscResidual::distance_px)).collect();
         if sizes.len() < 20 {
             continue;
         }
         sizes.sort_by(f64::total_cmp);
         // Median of a two-dimensional normal distance is 1.1774 sigma.
         let limit = (options.outlier_sigmas * sizes[sizes.len() / 2] / 1.1774).max(0.2);
-        for (k, discs) in all {
-            let bad: Vec<&DiscResidual> = discs.iter().filter(|d| d.distance_px() > limit).collect();
+        for (image, discs) in &mut own {
+            let is_bad = |d: &DiscResidual| d.distance_px() > limit;
+            let bad: Vec<Outlier> = discs
+                .iter()
+                .filter(|d| is_bad(d))
+                .map(|d| Outlier { view: image.view, camera: c, disc: d.disc, distance_px: d.distance_px() })
+                .collect();
             if bad.is_empty() || bad.len() * 5 > discs.len() {
                 continue;
             }
             found = true;
-            let image = &mut model.images[k];
-            outliers.extend(bad.iter().map(|d| Outlier {
-                view: image.view,
-                camera: c,
-                disc: d.disc,
-                distance_px: d.distance_px(),
-            }));
             image.discs.retain(|d| !bad.iter().any(|b| b.disc == d.disc));
+            discs.retain(|d| !bad.iter().any(|b| b.disc == d.disc));
+            outliers.extend(bad);
         }
     }
     found

@@ -196,7 +196,7 @@ pub(super) fn columns(model: &Model, places: &Places, c: usize) -> Columns {
 const THREADED: usize = 4000;
 const PAIR: usize = 60;
 
-fn threaded(images: &[&ImageObservations]) -> bool {
+pub(super) fn threaded(images: &[&ImageObservations]) -> bool {
     let points = |i: &&ImageObservations| -> usize {
         i.pairs.len() * PAIR + i.discs.iter().map(|d| d.edge.u_px.len()).sum::<usize>() + i.points.disc.len()
     };
@@ -293,6 +293,21 @@ fn each_image(
     Some(())
 }
 
+/// View and equations of each image, in their order.
+pub(super) fn of_each_image(model: &Model, places: &Places, state: &State) -> Option<Vec<(usize, MappedNormal)>> {
+    let wanted: Vec<&ImageObservations> = model.images.iter().collect();
+    let cameras = cameras(model, state)?;
+    let of = |scratch: &mut Scratch, o: &&ImageObservations| {
+        linearised(model, places, state, &SeenImage::through(model, state, o, cameras[o.camera]), scratch)?;
+        Some((o.view, std::mem::take(&mut scratch.normal)))
+    };
+    if threaded(&wanted) {
+        return wanted.par_iter().map_init(Scratch::default, of).collect();
+    }
+    let mut scratch = Scratch::default();
+    wanted.iter().map(|o| of(&mut scratch, o)).collect()
+}
+
 /// Normal equations of all images, or of those of one camera, without facts. Summed in the order of the images.
 pub(super) fn linearise(
     model: &Model,
@@ -304,6 +319,24 @@ pub(super) fn linearise(
     each_image(model, places, state, camera, |view, n| add_mapped(&mut equations, view, n, places.offsets))?;
     mirror(&mut equations);
     Some(equations)
+}
+
+/// Those of images at hand.
+pub(super) fn summed<'a>(places: &Places, images: impl Iterator<Item = &'a (usize, MappedNormal)>) -> NormalEquations {
+    let mut equations = NormalEquations::zeros(&places.layout());
+    images.for_each(|(view, n)| add_mapped(&mut equations, *view, n, places.offsets));
+    mirror(&mut equations);
+    equations
+}
+
+/// Those of images at hand with one block per disc.
+pub(super) fn summed_by_disc<'a>(
+    by: &ByDisc,
+    images: impl Iterator<Item = &'a (usize, MappedNormal)>,
+) -> NormalEquations {
+    let mut equations = NormalEquations::zeros(&by.layout());
+    images.for_each(|(view, n)| by.add(&mut equations, *view, n));
+    equations
 }
 
 /// Those of all images with one block per disc.

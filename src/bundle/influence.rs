@@ -1,7 +1,8 @@
 //! What the adjustment would be without one view: predicted from the normal equations, and adjusted anew.
 //!
 //! At the minimum the gradient of all views is zero, so without view v it is minus that of v, and one Newton step of the remaining
-//! equations gives the new estimate; their inverse its covariance. Estimates with and without a view differ by
+//! equations gives the new estimate; their inverse its covariance. What each image puts into the equations is formed once for all views
+//! (where every disc is estimated, and that would be much memory, once for each view). Estimates with and without a view differ by
 //! ```text
 //! d = x_without - x,    Cov(d) = C_without - C
 //! ```
@@ -10,12 +11,16 @@
 //! Source: Cook and Weisberg, "Residuals and influence in regression" (1982); Hausman, "Specification tests in econometrics" (1978)
 //! for the difference of covariances.
 
-use super::adjust::{AdjustOptions, Adjustment, adjust, problem};
+use super::adjust::{AdjustOptions, Adjustment, Bundle, adjust};
+use super::assemble;
+use super::image_map::MappedNormal;
 use super::layout::Places;
 use super::model::Model;
 use super::posterior::{self, Natural};
 use super::state::State;
-use crate::solve::{Iteration, Prediction, Problem, predict};
+use crate::solve::{
+    FIRST_DAMPING, Iteration, NormalEquations, Options, Outcome, Prediction, Problem, minimise_from, predict,
+};
 use nalgebra::DMatrix;
 
 /// Functions of named parameters (lists of name and coefficient) by the global unknowns; parts that belong to views are left out.
@@ -42,17 +47,67 @@ pub fn natural_of(model: &Model, state: &State) -> Option<Natural> {
 }
 
 fn without(model: &Model, views: &[usize]) -> Model {
-    let mut out = model.clone();
-    out.images.retain(|i| !views.contains(&i.view));
-    out
+    let Model { cameras, target, views: all, facts, images, loss } = model;
+    let images = images.iter().filter(|i| !views.contains(&i.view)).cloned().collect();
+    let (cameras, target) = (cameras.clone(), target.clone());
+    Model { cameras, target, views: all.clone(), facts: facts.clone(), images, loss: *loss }
 }
 
-/// Change and covariance of `rows` (functions x global unknowns) without the images of a view; facts about it stay. `None` where
-/// nothing can be said.
-pub fn predicted_without_view(adjustment: &Adjustment, view: usize, rows: &DMatrix<f64>) -> Option<Prediction> {
-    let model = without(&adjustment.model, &[view]);
-    let equations = problem(&model).linearise(&adjustment.state)?;
-    predict(&equations, rows)
+/// Most numbers kept of all images together.
+const KEPT: usize = 4_000_000;
+
+/// An adjustment, ready to be asked what it would be without one of its views.
+pub struct ViewsLeftOut<'a> {
+    adjustment: &'a Adjustment,
+    /// View and equations of each image at the estimate; none where they are too large to be kept.
+    images: Option<Vec<(usize, MappedNormal)>>,
+}
+
+impl<'a> ViewsLeftOut<'a> {
+    /// Of an adjustment at its minimum.
+    pub fn of(adjustment: &'a Adjustment) -> Self {
+        let (model, state) = (&adjustment.model, &adjustment.state);
+        let places = Places::of(model);
+        // An image touches some thirty unknowns, and those of its discs where each is estimated.
+        let of_disc = if places.offsets.is_some() { 4 * 30 + 20 } else { 0 };
+        let numbers: usize = model.images.iter().map(|i| 500 + of_disc * (i.discs.len() + i.points.disc.len())).sum();
+        let images = if numbers <= KEPT { assemble::of_each_image(model, &places, state) } else { None };
+        Self { adjustment, images }
+    }
+
+    /// Normal equations of the images at hand without those of a view.
+    fn summed(&self, bundle: &Bundle<'_>, view: usize) -> Option<NormalEquations> {
+        let images = self.images.as_ref()?.iter().filter(|(v, _)| *v != view);
+        bundle.summed(images, &self.adjustment.state)
+    }
+
+    /// Change and covariance of `rows` (functions x global unknowns) without the images of a view; facts about it stay. `None` where
+    /// nothing can be said.
+    pub fn predicted(&self, view: usize, rows: &DMatrix<f64>) -> Option<Prediction> {
+        let Adjustment { model, state, .. } = self.adjustment;
+        let equations = match self.images {
+            // Beside its images a model without a view is the same.
+            Some(_) => self.summed(&Bundle::with_views(model), view)?,
+            None => Bundle::with_views(&without(model, &[view])).linearise(state)?,
+        };
+        predict(&equations, rows)
+    }
+
+    /// State and Newton decrement of the adjustment without the images of a view, from its estimate, with its sigmas and outliers, and
+    /// why it ended. The state has no meaning for that view itself. `observe` sees each iteration and returns false to cancel.
+    pub fn readjusted(
+        &self,
+        view: usize,
+        options: &Options,
+        observe: &mut dyn FnMut(&Iteration) -> bool,
+    ) -> Option<Outcome<State>> {
+        let model = without(&self.adjustment.model, &[view]);
+        let bundle = Bundle::of(&model);
+        let state = &self.adjustment.state;
+        let equations = self.summed(&bundle, view).or_else(|| bundle.linearise(state))?;
+        let start = (state.clone(), equations);
+        Some(minimise_from(&bundle, start, options, FIRST_DAMPING, observe))
+    }
 }
 
 /// The adjustment without the images of some views, from its estimate, with its sigmas and outliers. The result has no meaning for
@@ -67,7 +122,55 @@ pub fn readjusted_without_views(
     adjust(&model, adjustment.state.clone(), &AdjustOptions { rounds: 0, ..*options }, observe)
 }
 
-/// Covariance of `rows` (functions x global unknowns) at the minimum itself, as [`predicted_without_view`] gives it without a view.
+/// Covariance of `rows` (functions x global unknowns) at the minimum itself, as [`ViewsLeftOut::predicted`] gives it without a view.
 pub fn predicted_with_all_views(adjustment: &Adjustment, rows: &DMatrix<f64>) -> Option<Prediction> {
     predict(adjustment.equations.as_ref()?, rows)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bundle::rig_scene::Scene;
+
+    fn adjusted(per_view: bool, points: bool) -> Adjustment {
+        let scene = Scene::build(4, per_view, true, points).with_noise(4);
+        let options = AdjustOptions { rounds: 0, ..AdjustOptions::default() };
+        adjust(&scene.model, scene.truth.clone(), &options, &mut |_| true)
+    }
+
+    /// To the bit, for either order of the unknowns.
+    #[test]
+    fn equations_without_a_view_are_those_of_a_model_without_it() {
+        for (per_view, points) in [(false, false), (true, false), (false, true)] {
+            let adjustment = adjusted(per_view, points);
+            let all = ViewsLeftOut::of(&adjustment);
+            let full = Bundle::with_views(&adjustment.model).linearise(&adjustment.state).unwrap();
+            for view in 0..adjustment.model.views.len() {
+                let model = without(&adjustment.model, &[view]);
+                assert!(model.images.len() < adjustment.model.images.len());
+                for bundle in [Bundle::of(&model), Bundle::with_views(&model)] {
+                    let wanted = bundle.linearise(&adjustment.state).unwrap();
+                    assert_eq!(all.summed(&bundle, view).unwrap(), wanted);
+                    assert_ne!(wanted, full);
+                }
+            }
+        }
+    }
+
+    /// The same minimum as an adjustment that forms all equations anew, and the prediction nearly there.
+    #[test]
+    fn a_view_is_left_out_as_by_an_adjustment_without_it() {
+        let adjustment = adjusted(false, false);
+        let all = ViewsLeftOut::of(&adjustment);
+        let options = AdjustOptions { rounds: 0, ..AdjustOptions::default() };
+        for view in 0..adjustment.model.views.len() {
+            let out = all.readjusted(view, &options.solve, &mut |_| true).unwrap();
+            let wanted = readjusted_without_views(&adjustment, &[view], &options, &mut |_| true);
+            assert!(out.decrement < options.solve.decrement && wanted.decrement < options.solve.decrement);
+            assert!((out.cost - wanted.cost).abs() < 1e-9 * wanted.cost, "{} {}", out.cost, wanted.cost);
+            for (a, b) in out.state.cameras.iter().zip(&wanted.state.cameras) {
+                assert!((a.f_px / b.f_px - 1.0).abs() < 1e-6, "{} {}", a.f_px, b.f_px);
+            }
+        }
+    }
 }

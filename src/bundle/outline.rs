@@ -16,12 +16,13 @@
 //! `tau^2 = mean of |x|^2 / 2 - k tr (B^T B)^-1 / 2` with x the least-squares (a, b) of a contour, and taken for zero where it is no
 //! more than chance.
 
-use super::assemble::SeenImage;
+use super::assemble::{SeenImage, threaded};
 use super::contour::SeenCircle;
 use super::edges::Feet;
-use super::model::{DiscObservation, Model};
+use super::model::{DiscObservation, ImageObservations, Model};
 use super::state::State;
 use nalgebra::{Matrix2, Vector2};
+use rayon::prelude::*;
 
 /// What whitens the residuals of one contour.
 #[derive(Debug, Clone, PartialEq)]
@@ -107,15 +108,18 @@ impl Harmonic {
 /// Estimates the ovality from the residuals and whitens every contour for it; its standard deviation tau, mm, or `None`
 /// where the outlines are round as far as their noise shows (and nothing is changed).
 pub(super) fn whiten(model: &mut Model, state: &State) -> Option<f64> {
-    let mut all = Vec::new();
-    for (k, image) in model.images.iter().enumerate() {
+    let of_image = |(k, image): (usize, &ImageObservations)| {
         let seen_image = SeenImage::of(model, state, image)?;
-        for (d, seen) in image.discs.iter().enumerate() {
-            if let Some(h) = Harmonic::of(&seen_image.circle(seen.disc), seen) {
-                all.push((k, d, h));
-            }
-        }
-    }
+        let own = image.discs.iter().enumerate();
+        let own = own.filter_map(|(d, seen)| Some((k, d, Harmonic::of(&seen_image.circle(seen.disc), seen)?)));
+        Some(own.collect::<Vec<_>>())
+    };
+    let all: Option<Vec<Vec<_>>> = if threaded(&model.images.iter().collect::<Vec<_>>()) {
+        model.images.par_iter().enumerate().map(of_image).collect()
+    } else {
+        model.images.iter().enumerate().map(of_image).collect()
+    };
+    let all: Vec<(usize, usize, Harmonic)> = all?.into_iter().flatten().collect();
     let chi2 = all.iter().fold([0.0, 0.0], |a, (_, _, h)| [a[0] + h.rest[0], a[1] + h.rest[1]]);
     let (n, factor) = (all.len() as f64, chi2[0] / chi2[1]);
     let half_square = all.iter().map(|(_, _, h)| 0.5 * h.oval_mm.norm_squared()).sum::<f64>() / n;

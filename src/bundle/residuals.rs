@@ -5,11 +5,12 @@
 //! sense (observed minus predicted position), and the three numbers' chi-square tells departures of whole discs from
 //! scatter along the contour.
 
-use super::assemble::SeenImage;
+use super::assemble::{SeenImage, threaded};
 use super::edges::Feet;
 use super::model::{DiscObservation, ImageObservations, Model};
 use super::state::State;
 use nalgebra::{Matrix3, Vector2, Vector3};
+use rayon::prelude::*;
 
 /// Residuals of the edge points of one disc, structure of arrays.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -61,6 +62,16 @@ pub fn residuals(model: &Model, state: &State, observations: &ImageObservations)
     let discs: Option<Vec<DiscResidual>> =
         observations.discs.iter().map(|seen| disc_residual(&image, seen, observations.sigma_scale)).collect();
     Some(ImageResiduals { discs: discs? })
+}
+
+/// [`residuals`] of every image.
+pub(super) fn of_each_image(model: &Model, state: &State) -> Vec<Option<ImageResiduals>> {
+    let images: Vec<&ImageObservations> = model.images.iter().collect();
+    if threaded(&images) {
+        images.par_iter().map(|o| residuals(model, state, o)).collect()
+    } else {
+        images.iter().map(|o| residuals(model, state, o)).collect()
+    }
 }
 
 fn disc_residual(image: &SeenImage, seen: &DiscObservation, scale: f64) -> Option<DiscResidual> {

@@ -82,15 +82,18 @@ impl Results<'_> {
             .zip(self.overlays)
             .map(|(i, shapes)| OverlayInput { view: i.view, camera: i.camera, image: i.image.view(), shapes })
             .collect();
-        let overlays: Vec<Result<Vec<u8>>> =
-            threads::pool(threads)?.install(|| inputs.par_iter().map(|i| overlay_png(&i.image, i.shapes)).collect());
-        let mut out = Output::default();
-        out.add("calibration.json", self.record.to_json()?);
-        if let Some(residuals) = self.residuals {
-            out.add("residuals.csv", residuals_csv(self.record, residuals));
-        }
         let none = ResidualTable::default();
-        out.add("report.html", write_html(self.record, &inputs, self.residuals.unwrap_or(&none))?);
+        let overlays = || inputs.par_iter().map(|i| overlay_png(&i.image, i.shapes)).collect::<Vec<Result<Vec<u8>>>>();
+        let page = || write_html(self.record, &inputs, self.residuals.unwrap_or(&none));
+        let tables = || (self.record.to_json(), self.residuals.map(|r| residuals_csv(self.record, r)));
+        let pool = threads::pool(threads)?;
+        let ((page, tables), overlays) = pool.install(|| rayon::join(|| rayon::join(page, tables), overlays));
+        let mut out = Output::default();
+        out.add("calibration.json", tables.0?);
+        if let Some(residuals) = tables.1 {
+            out.add("residuals.csv", residuals);
+        }
+        out.add("report.html", page?);
         for (input, png) in inputs.iter().zip(overlays) {
             out.add(format!("overlay_{:02}_{}.png", input.view, self.record.cameras[input.camera].name), png?);
         }

@@ -127,11 +127,15 @@ pub(crate) fn noise(view: &GrayView) -> f32 {
 /// The same of bytes, whose differences are few enough to be counted.
 fn noise_of_bytes(grey: &[u8], view: &GrayView, step: usize) -> f32 {
     let mut counts = vec![0usize; 8 * 255 + 1];
+    // All differences down, for vectors, then those across that are wanted.
+    let mut down = vec![0i16; view.width()];
     for v in (1..view.height() - 1).step_by(step) {
         let [a, b, c] = [v - 1, v, v + 1].map(|v| &grey[v * view.stride()..][..view.width()]);
-        for u in (1..view.width() - 1).step_by(step) {
-            let sum = |r: &[u8]| i32::from(r[u - 1]) - 2 * i32::from(r[u]) + i32::from(r[u + 1]);
-            counts[(sum(a) - 2 * sum(b) + sum(c)).unsigned_abs() as usize] += 1;
+        for (u, d) in down.iter_mut().enumerate() {
+            *d = i16::from(a[u]) - 2 * i16::from(b[u]) + i16::from(c[u]);
+        }
+        for d in down.windows(3).step_by(step) {
+            counts[usize::from((d[0] - 2 * d[1] + d[2]).unsigned_abs())] += 1;
         }
     }
     let middle = counts.iter().sum::<usize>() / 2;
@@ -154,13 +158,13 @@ pub(crate) fn range(view: &GrayView) -> f32 {
     let step = (count / 100_000).max(1) | 1;
     if let Samples::U8(s) = view.samples() {
         let mut counts = vec![0; 256];
-        let (mut row, mut u) = (0, 0);
-        for _ in (0..count).step_by(step) {
-            counts[usize::from(s[row + u])] += 1;
-            u += step;
-            while u >= width {
-                (row, u) = (row + view.stride(), u - width);
-            }
+        // Every so many pixels of all rows on end.
+        let mut first = 0;
+        for row in s.chunks(view.stride()).take(view.height()) {
+            let here = &row[..width];
+            here.iter().skip(first).step_by(step).for_each(|x| counts[usize::from(*x)] += 1);
+            let left = (width + step - 1).saturating_sub(first) / step;
+            first = first + left * step - width;
         }
         let number: usize = counts.iter().sum();
         let cut = number / 1000;

@@ -25,8 +25,9 @@ const MEAN_RADIUS: usize = 4;
 const FIELD_SHIFT: i32 = 5;
 /// Units that the noise must have at least.
 const LEAST_NOISE: f32 = 4.0;
-/// Pixels that are tested for starts together.
+/// Pixels that are tested for starts together, and parts of them that are looked into.
 const STRIDE: usize = 64;
+const PART: usize = 8;
 
 /// One level of the pyramid. Rows of `S` and `F` take turns in one piece of memory, in the order in which they are made: those of `F`
 /// come when the four rows of `S` below are there.
@@ -154,6 +155,14 @@ impl Kernel for Pass<'_> {
     }
 }
 
+/// Room for another row. An iterator that appends would be compiled without vectors of the machine's width.
+#[inline(always)]
+fn next_row(data: &mut Vec<u16>, width: usize) -> &mut [u16] {
+    let at = data.len();
+    data.resize(at + width, 0);
+    &mut data[at..]
+}
+
 /// The binomial.
 struct Blur {
     /// Rows of a source that has to be widened, in a ring; the row that comes next.
@@ -197,8 +206,12 @@ impl Blur {
             },
             Rows::Finer(finer) => {
                 let row = |k: usize, out: &mut [u16]| {
-                    let from = finer.smooth_row(2 * k);
-                    for (o, x) in out.iter_mut().zip(from.chunks(2)) {
+                    // Whole pairs in a plain loop, for vectors; of an odd row its last pixel besides.
+                    let pairs = finer.smooth_row(2 * k).chunks_exact(2);
+                    if let ([last], Some(o)) = (pairs.remainder(), out.last_mut()) {
+                        *o = *last;
+                    }
+                    for (o, x) in out.iter_mut().zip(pairs) {
                         *o = x[0];
                     }
                 };
@@ -219,7 +232,9 @@ impl Blur {
         repeat_ends(&mut self.narrow, 2);
         let c = &self.narrow;
         let (a, b, c, d, e) = (&c[..n], &c[1..=n], &c[2..n + 2], &c[3..n + 3], &c[4..n + 4]);
-        out.extend((0..n).map(|i| a[i] + e[i] + 4 * (b[i] + d[i]) + 6 * c[i]));
+        for (i, o) in next_row(out, n).iter_mut().enumerate() {
+            *o = a[i] + e[i] + 4 * (b[i] + d[i]) + 6 * c[i];
+        }
     }
 
     /// Sixteen bits: sums of 32, rounded.
@@ -238,7 +253,9 @@ impl Blur {
         repeat_ends(&mut self.wide, 2);
         let c = &self.wide;
         let (a, b, c, d, e) = (&c[..n], &c[1..=n], &c[2..n + 2], &c[3..n + 3], &c[4..n + 4]);
-        out.extend((0..n).map(|i| ((a[i] + e[i] + 4 * (b[i] + d[i]) + 6 * c[i] + 128) >> 8) as u16));
+        for (i, o) in next_row(out, n).iter_mut().enumerate() {
+            *o = ((a[i] + e[i] + 4 * (b[i] + d[i]) + 6 * c[i] + 128) >> 8) as u16;
+        }
     }
 }
 
@@ -303,16 +320,30 @@ fn find_starts(level: &Whole, v: usize, least: u16, starts: &mut Vec<u32>) {
         let m = end - from;
         let (s, t) = (&smooth[from..end], &smooth[from + 1..end + 1]);
         let (f, g) = (&field[from..end], &field[from + 1..end + 1]);
-        // A plain loop, for vectors: where most stretches show nothing, which place it is need not be asked.
-        let mut any = 0;
-        for i in 0..m {
-            any |= start(s[i], t[i], f[i], g[i], least);
+        // Plain loops, for vectors: most stretches show nothing, and of the others most parts.
+        if any_start([s, t, f, g], least) == 0 {
+            continue;
         }
-        if any != 0 {
-            let found = (0..m).filter(|i| start(s[*i], t[*i], f[*i], g[*i], least) != 0);
-            starts.extend(found.map(|i| (v * level.width + from + i) as u32));
+        for part in (0..m).step_by(PART) {
+            let part = part..(part + PART).min(m);
+            if any_start([s, t, f, g].map(|x| &x[part.clone()]), least) != 0 {
+                let found = part.filter(|i| start(s[*i], t[*i], f[*i], g[*i], least) != 0);
+                starts.extend(found.map(|i| (v * level.width + from + i) as u32));
+            }
         }
     }
+}
+
+/// Not zero where a line starts anywhere in a stretch.
+#[inline(always)]
+fn any_start([s, t, f, g]: [&[u16]; 4], least: u16) -> u16 {
+    let n = s.len();
+    let (t, f, g) = (&t[..n], &f[..n], &g[..n]);
+    let mut any = 0;
+    for i in 0..n {
+        any |= start(s[i], t[i], f[i], g[i], least);
+    }
+    any
 }
 
 /// Not zero where two neighbours differ by more than `least` and a line runs between them.

@@ -22,8 +22,8 @@
 
 use super::{Subject, Watch};
 use crate::bundle::{
-    AdjustOptions, Adjustment, Prediction, SolveOptions, Termination, named_rows, predicted_with_all_views,
-    predicted_without_view, readjusted_without_views, symmetric_eigen,
+    AdjustOptions, Adjustment, Prediction, SolveOptions, Termination, ViewsLeftOut, named_rows,
+    predicted_with_all_views, readjusted_without_views, symmetric_eigen,
 };
 use crate::error::{Result, Unusable};
 use crate::sheet::Parameter;
@@ -116,9 +116,10 @@ fn disagreements(a: &Adjustment, functions: &[Vec<(String, f64)>], watch: &Watch
         Some((predicted_with_all_views(a, &rows)?, rows))
     };
     let Some((full, rows)) = full() else { return Ok(vec![]) };
+    let without = ViewsLeftOut::of(a);
     let one = |v: &usize| {
         watch.check()?;
-        Ok(predicted_without_view(a, *v, &rows).and_then(|p| disagreement(*v, &full, &p)))
+        Ok(without.predicted(*v, &rows).and_then(|p| disagreement(*v, &full, &p)))
     };
     let all: Result<Vec<Option<Disagreement>>> = seen(a).par_iter().map(one).collect();
     Ok(all?.into_iter().flatten().collect())

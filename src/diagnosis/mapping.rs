@@ -7,12 +7,13 @@
 //! e_i = misplacement of point i in a camera,  e' = e - (shift, turn) fitted to all points of both cameras,  C' = P D C D^T P^T
 //! ```
 
-use super::keys::{derivative, still};
+use super::keys::still;
 use crate::bundle::{NamedCovariance, Natural, ParameterKnowledge};
 use crate::camera::INTRINSICS;
 use crate::record::{MappingMap, MappingSigma, MappingUncertainty, Record};
 use crate::sheet::{Parameter, PointUncertainty, SheetUncertainty, StereoSheet};
 use nalgebra::{DMatrix, DVector, Vector2};
+use rayon::prelude::*;
 
 /// Points along the longer and the shorter side of what both cameras see.
 const COLUMNS: usize = 19;
@@ -73,17 +74,21 @@ pub(super) fn mapping_uncertainty(
     let mut points = field.points.clone();
     let n = points.len() as f64;
     points.push([points.iter().map(|p| p[0]).sum::<f64>() / n, points.iter().map(|p| p[1]).sum::<f64>() / n]);
-    let placed = places(covariance, names, &stereo, &points)?;
-    let all: Vec<(MappingSigma, PointUncertainty)> = points
+    // Never on threads of nobody's pool.
+    let at: Option<Vec<PointUncertainty>> = if rayon::current_thread_index().is_some() {
+        points.par_iter().map(|p| uncertainty.at(*p)).collect()
+    } else {
+        points.iter().map(|p| uncertainty.at(*p)).collect()
+    };
+    let at = at?;
+    let placed = places(covariance, names, (&points, &at), uncertainty.names_at())?;
+    let all: Vec<MappingSigma> = points
         .iter()
-        .zip(&placed)
-        .filter_map(|(p, placed_mm)| {
-            let u = uncertainty.at(*p)?;
-            Some((sigmas(&stereo, *p, *placed_mm, &u)?, u))
-        })
+        .zip(placed.iter().zip(&at))
+        .filter_map(|(p, (placed_mm, u))| sigmas(&stereo, *p, *placed_mm, u))
         .collect();
     let (middle, over) = all.split_last()?;
-    let over: Vec<&MappingSigma> = over.iter().map(|(m, _)| m).collect();
+    let over: Vec<&MappingSigma> = over.iter().collect();
     let undetermined = undetermined(&over);
     flags.extend(undetermined.iter().cloned());
     let largest = largest(&over)?;
@@ -94,7 +99,7 @@ pub(super) fn mapping_uncertainty(
             100.0 * largest.out_of_plane_gain
         ));
     }
-    Some(MappingUncertainty { middle: middle.0.clone(), largest, map: map(&field, &over), undetermined })
+    Some(MappingUncertainty { middle: middle.clone(), largest, map: map(&field, &over), undetermined })
 }
 
 fn field(stereo: &StereoSheet, sizes_px: &[[f64; 2]]) -> Option<Field> {
@@ -139,27 +144,28 @@ fn field(stereo: &StereoSheet, sizes_px: &[[f64; 2]]) -> Option<Field> {
 
 /// Standard deviation (root of the sum over both axes, the larger of both cameras) of the place of every point, mm, beside a common shift
 /// and turn; the last point takes no part in their fit. `NaN` where nothing determines it.
-fn places(covariance: &NamedCovariance, names: &[&str], truth: &StereoSheet, points: &[[f64; 2]]) -> Option<Vec<f64>> {
-    let misplaced = |n: &Natural| {
-        let here = StereoSheet::new([n.cameras[0], n.cameras[1]], n.cam_from_rig[1], n.rig_from_plane.as_ref()?);
-        let mut out = DVector::zeros(4 * points.len());
-        for (i, p) in points.iter().enumerate() {
-            let r = here.response(truth, *p)?;
-            for c in 0..2 {
-                out.fixed_rows_mut::<2>(4 * i + 2 * c).copy_from(&r.misplaced_mm[c]);
-            }
-        }
-        Some(out)
-    };
-    let d = derivative(covariance, names, &misplaced)?;
+fn places(
+    covariance: &NamedCovariance,
+    names: &[&str],
+    (points, at): (&[[f64; 2]], &[PointUncertainty]),
+    own: &[usize],
+) -> Option<Vec<f64>> {
+    let mut d = DMatrix::zeros(4 * points.len(), own.len());
+    for (i, u) in at.iter().enumerate() {
+        d.rows_mut(4 * i, 4).copy_from(u.misplaced_by());
+    }
     let motion = rigid(points);
     let fitted = motion.rows(0, 4 * (points.len() - 1));
     let gram = fitted.tr_mul(&fitted).try_inverse()?;
     let beside = &d - &motion * (gram * fitted.tr_mul(&d.rows(0, fitted.nrows())));
-    let spread = &beside * &covariance.matrix;
+    let spread = &beside * DMatrix::from_fn(own.len(), own.len(), |i, j| covariance.matrix[(own[i], own[j])]);
+    let is_still = |row: usize| {
+        let mut by_name = DVector::zeros(covariance.names.len());
+        own.iter().zip(beside.row(row).iter()).for_each(|(i, x)| by_name[*i] = *x);
+        still(&by_name, covariance, names)
+    };
     let sigma = |row: usize| {
-        let own = beside.row(row).transpose();
-        if still(&own, covariance, names) { spread.row(row).dot(&beside.row(row)).max(0.0).sqrt() } else { f64::NAN }
+        if is_still(row) { spread.row(row).dot(&beside.row(row)).max(0.0).sqrt() } else { f64::NAN }
     };
     let of = |i: usize| {
         let [a, b] = [0, 2].map(|c| sigma(4 * i + c).hypot(sigma(4 * i + c + 1)));

@@ -3,10 +3,7 @@
 use super::culprit::{Culprit, culprits};
 use super::keys::Keys;
 use super::{FALSE_ALARMS, FELT_SIGMAS, Subject, Watch, digits, listed};
-use crate::bundle::{
-    AdjustOptions, Prediction, SolveOptions, Termination, named_rows, natural_of, predicted_without_view,
-    readjusted_without_views,
-};
+use crate::bundle::{Prediction, SolveOptions, Termination, ViewsLeftOut, named_rows, natural_of};
 use crate::error::{Result, Unusable};
 use crate::record::ViewInfluence;
 use crate::stats::normal_beyond;
@@ -41,7 +38,9 @@ pub(super) fn views(
     let Some(rows) = named_rows(s.adjustment, &keys.rows) else { return Ok(vec![]) };
     let full = s.covariance.propagate(&keys.rows);
     let seen: Vec<usize> = (0..model.views.len()).filter(|v| model.images.iter().any(|i| i.view == *v)).collect();
-    let left: Result<Vec<Option<Left>>> = seen.par_iter().map(|v| left_out(s, keys, &rows, *v, watch)).collect();
+    let without = ViewsLeftOut::of(s.adjustment);
+    let left: Result<Vec<Option<Left>>> =
+        seen.par_iter().map(|v| left_out(s, (keys, &rows), (&without, *v), watch)).collect();
     let tests = (seen.len() * keys.list.len()) as f64;
     let mut out: Vec<ViewInfluence> =
         seen.into_iter().zip(left?).filter_map(|(v, left)| Some(influence(keys, &full, v, &left?, tests))).collect();
@@ -99,21 +98,28 @@ fn contradiction(v: &ViewInfluence) -> String {
     )
 }
 
-fn left_out(s: &Subject<'_>, keys: &Keys, rows: &DMatrix<f64>, view: usize, watch: &Watch<'_>) -> Result<Option<Left>> {
+fn left_out(
+    s: &Subject<'_>,
+    (keys, rows): (&Keys, &DMatrix<f64>),
+    (without, view): (&ViewsLeftOut<'_>, usize),
+    watch: &Watch<'_>,
+) -> Result<Option<Left>> {
     watch.check()?;
-    let Some(prediction) = predicted_without_view(s.adjustment, view, rows) else { return Ok(None) };
+    let Some(prediction) = without.predicted(view, rows) else { return Ok(None) };
     // Where something is lost there is no minimum to go to.
     let lost = prediction.determined.iter().zip(&keys.determined).any(|(now, before)| *before && !*now);
     if lost || s.adjustment.model.views.len() > MOST_ADJUSTED {
         return Ok(Some(Left { adjusted: None, prediction }));
     }
-    let options = AdjustOptions { solve: SolveOptions { decrement: 1e-3, iterations: 40 }, rounds: 0, ..*s.options };
-    let other = readjusted_without_views(s.adjustment, &[view], &options, &mut |i| watch.goes_on(i));
+    let options = SolveOptions { decrement: 1e-3, iterations: 40 };
+    let Some(other) = without.readjusted(view, &options, &mut |i| watch.goes_on(i)) else {
+        return Ok(Some(Left { adjusted: None, prediction }));
+    };
     if other.termination == Termination::Cancelled {
         return Err(Unusable::Cancelled.into());
     }
     let adjusted = || {
-        let natural = natural_of(&other.model, &other.state).filter(|_| other.decrement < 0.1)?;
+        let natural = natural_of(&s.adjustment.model, &other.state).filter(|_| other.decrement < 0.1)?;
         Some(keys.values(&natural)? - keys.values(&s.covariance.natural)?)
     };
     Ok(Some(Left { adjusted: adjusted(), prediction }))

@@ -11,7 +11,7 @@ use crate::bundle::{
     AdjustOptions, Adjustment, Iteration, Model, NamedCovariance, Termination, adjust_tangents, named_covariance,
 };
 use crate::detect::pattern::Relabelling;
-use crate::diagnosis::{Findings, Subject, diagnose};
+use crate::diagnosis::{Subject, diagnose};
 use crate::error::{Error, Result, Unusable};
 use crate::record::{Record, ResidualTable};
 use crate::report::OverlayShapes;
@@ -51,7 +51,6 @@ pub(super) struct Solved<'a> {
     /// The same state against the contours, for residuals.
     pub(super) contours: &'a Model,
     pub(super) covariance: &'a NamedCovariance,
-    pub(super) findings: &'a Findings,
     /// What the images do not decide about the labels.
     pub(super) undecided: &'a [String],
 }
@@ -114,7 +113,6 @@ fn run(
         sizes_px: &sizes,
         options: &options.adjust,
     };
-    let findings = diagnose(&subject, &told)?;
     let solved = Solved {
         job,
         images: &images,
@@ -122,12 +120,12 @@ fn run(
         adjustment: &adjustment,
         contours: &contours,
         covariance: &covariance,
-        findings: &findings,
         undecided: &undecided,
     };
-    let (residuals, overlays, fits) = residual_rows(&solved)?;
-    let sheet = sheet_part(&solved)?;
-    let mut record = record(&solved, &fits, sheet)?;
+    let described = || (residual_rows(&solved), sheet_part(&solved));
+    let (findings, (rows, sheet)) = rayon::join(|| diagnose(&subject, &told), described);
+    let (findings, (residuals, overlays, fits)) = (findings?, rows?);
+    let mut record = record(&solved, &fits, &findings, sheet?)?;
     if job.sheet != SheetFrame::default() && record.sheet.is_some() {
         record.provenance.options.insert("sheet frame".into(), job.sheet.words());
     }

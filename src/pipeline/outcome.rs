@@ -4,6 +4,7 @@ use super::calibrate::Solved;
 use super::residual_rows::ImageFit;
 use crate::bundle::{Fact, Observed, ParameterKnowledge, TargetShape, Termination};
 use crate::camera::{Camera, INTRINSIC_NAMES, WINDOW_STEP_NAMES, Window};
+use crate::diagnosis::Findings;
 use crate::error::{Error, Result};
 use crate::record::{
     self, CameraSigma, Covariance, Effective, Fit, ImageFile, Known, Parameter, PlacedCamera, Pose, PoseSigma,
@@ -17,7 +18,7 @@ use std::collections::BTreeMap;
 const OUTLIER_LIMIT: f64 = 0.05;
 
 /// Everything but the sheet, and the sheet.
-pub(super) fn record(s: &Solved, fits: &[ImageFit], sheet: Option<Sheet>) -> Result<Record> {
+pub(super) fn record(s: &Solved, fits: &[ImageFit], findings: &Findings, sheet: Option<Sheet>) -> Result<Record> {
     let cameras: Vec<record::Camera> = (0..s.job.cameras.len())
         .map(|c| camera(s, fits, c))
         .collect::<Option<_>>()
@@ -31,8 +32,8 @@ pub(super) fn record(s: &Solved, fits: &[ImageFit], sheet: Option<Sheet>) -> Res
         target: target(s),
         scale: Some(scale(s)),
         views: (0..s.job.views.len()).map(|v| view(s, fits, v)).collect(),
-        fit: fit(s, fits),
-        mapping_uncertainty: s.findings.mapping.clone(),
+        fit: fit(s, fits, findings),
+        mapping_uncertainty: findings.mapping.clone(),
         provenance: provenance(s),
         covariance: Covariance {
             names: s.covariance.names.clone(),
@@ -280,7 +281,7 @@ fn view(s: &Solved, fits: &[ImageFit], v: usize) -> View {
     out
 }
 
-fn fit(s: &Solved, fits: &[ImageFit]) -> Fit {
+fn fit(s: &Solved, fits: &[ImageFit], findings: &Findings) -> Fit {
     let Observed { observations, facts, unknowns } = s.adjustment.model.counts();
     let all = total(fits.iter());
     let degrees_of_freedom = (observations + facts).saturating_sub(unknowns);
@@ -303,7 +304,7 @@ fn fit(s: &Solved, fits: &[ImageFit]) -> Fit {
             adjustment.decrement
         ));
     }
-    flags.extend(s.findings.flags.iter().cloned());
+    flags.extend(findings.flags.iter().cloned());
     flags.extend(s.undecided.iter().cloned());
     flags.extend(s.images.iter().flat_map(|i| i.warnings.iter().map(|w| format!("{}: {w}", i.name))));
     let scales = adjustment.model.images.iter().map(|i| i.sigma_scale);
@@ -334,8 +335,8 @@ fn fit(s: &Solved, fits: &[ImageFit]) -> Fit {
         .into(),
         sigma_scale: scales.fold(1.0, f64::max),
         parameters: parameters(s),
-        near_null: s.findings.near_null.clone(),
-        diagnosis: Some(s.findings.diagnosis.clone()),
+        near_null: findings.near_null.clone(),
+        diagnosis: Some(findings.diagnosis.clone()),
     }
 }
 

@@ -6,7 +6,7 @@ use super::mono::{calibrate_camera, thinned_model};
 use super::print::labels_by_print;
 use super::starts::{best_start, joint_start};
 use super::windows::set_windows;
-use super::{Mono, Pose, RigProblem, RigSolution, rms_of};
+use super::{Mono, Pose, RigProblem, RigSolution, Told, rms_of, side_by_side};
 use crate::bundle::{
     AdjustOptions, Fact, Iteration, Model, PlanePosition, SolveOptions, State, Termination, ViewPlace, ViewState,
     adjust,
@@ -16,6 +16,8 @@ use crate::error::{Error, Insufficient, Result, Unusable};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::rigid::Motion;
 use nalgebra::{Matrix3, Vector3};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A common adjustment that fits worse than this times the cameras alone (and than 0.3 px) is a contradiction.
 const CONTRADICTION: f64 = 5.0;
@@ -23,29 +25,51 @@ const CONTRADICTION: f64 = 5.0;
 const AS_GOOD: f64 = 30.0;
 
 /// Told of every iteration; returns false to stop.
-pub(super) type Observe<'a> = &'a mut dyn FnMut(&Iteration) -> bool;
+type Observe<'a> = &'a mut (dyn FnMut(&Iteration) -> bool + Send);
+
+/// Hands iterations from several threads to one observer, which is not asked again once it has said no.
+struct Asked<'a> {
+    observe: Mutex<Observe<'a>>,
+    stopped: AtomicBool,
+}
+
+impl Asked<'_> {
+    fn goes_on(&self, iteration: &Iteration) -> bool {
+        let ask = || self.observe.lock().is_ok_and(|mut observe| observe(iteration));
+        let on = !self.stopped.load(Ordering::Relaxed) && ask();
+        if !on {
+            self.stopped.store(true, Ordering::Relaxed);
+        }
+        on
+    }
+}
 
 /// Calibrates one or two cameras.
 ///
 /// # Errors
 /// [`Insufficient`] where views are missing, degenerate or contradict each other (with the view or camera named),
 /// [`Unusable::NotConverged`] where the adjustment does not reach its minimum, [`Unusable::Cancelled`] where `observe` stopped it.
+///
+/// Within a thread pool cameras and starts are tried side by side; the result is the same to the bit.
 pub fn calibrate_rig(problem: &RigProblem, options: &AdjustOptions, observe: Observe<'_>) -> Result<RigSolution> {
     let mut problem = problem.clone();
     order_pairs(&mut problem);
-    let count = problem.model.cameras.len();
-    let monos: Vec<Mono> = (0..count).map(|c| calibrate_camera(&problem, c, observe)).collect::<Result<_>>()?;
+    let asked = Asked { observe: Mutex::new(observe), stopped: AtomicBool::new(false) };
+    let told = |i: &Iteration| asked.goes_on(i);
+    let cameras: Vec<usize> = (0..problem.model.cameras.len()).collect();
+    let monos = side_by_side(&cameras, |c| calibrate_camera(&problem, *c, &told));
+    let monos: Vec<Mono> = monos.into_iter().collect::<Result<_>>()?;
     let mut undecided = vec![];
-    let mut start = if count == 1 {
+    let mut start = if monos.len() == 1 {
         single_start(&problem, &monos[0])?
     } else {
-        let (decided, start) = common_start(&problem, &monos, options, observe, &mut undecided)?;
+        let (decided, start) = common_start(&problem, &monos, options, &told, &mut undecided)?;
         problem = decided;
         start
     };
     labels_by_print(&mut problem, &mut start);
-    let start = best_start(&problem, start, options, observe);
-    let adjustment = adjust(&problem.model, start, options, observe);
+    let start = best_start(&problem, start, options, &told);
+    let adjustment = adjust(&problem.model, start, options, &mut |i| told(i));
     match adjustment.termination {
         Termination::Converged => {}
         Termination::Cancelled => return Err(Unusable::Cancelled.into()),
@@ -90,7 +114,7 @@ fn common_start(
     problem: &RigProblem,
     monos: &[Mono],
     options: &AdjustOptions,
-    observe: Observe<'_>,
+    told: Told<'_>,
     undecided: &mut Vec<String>,
 ) -> Result<(RigProblem, State)> {
     let all = choices(problem, &votes(problem, &monos[0].poses, &monos[1].poses, false));
@@ -100,7 +124,7 @@ fn common_start(
         let state = pair_start(&labelled, monos, &agreed)?;
         starts.push((labelled, agreed, state));
     }
-    let best = if starts.len() > 1 { cheapest(&starts, undecided, observe) } else { 0 };
+    let best = if starts.len() > 1 { cheapest(&starts, undecided, told) } else { 0 };
     let Some((labelled, agreed, state)) = (!starts.is_empty()).then(|| starts.swap_remove(best)) else {
         return Err(Insufficient::Degenerate(
             "no view was seen by both cameras; at least one view needs an image of each camera".into(),
@@ -113,8 +137,8 @@ fn common_start(
     // A weak pose of one camera alone is no contradiction: let the common adjustment decide, quickly first.
     let quick = AdjustOptions { solve: SolveOptions { decrement: 1e-1, iterations: 100 }, rounds: 0, ..*options };
     let alone = monos.iter().map(|m| m.rms_px).fold(0.0, f64::max);
-    let mut fits = |model: &Model, state: State| {
-        let trial = adjust(model, state, &quick, observe).state;
+    let fits = |model: &Model, state: State| {
+        let trial = adjust(model, state, &quick, &mut |i| told(i)).state;
         rms_of(model, &trial).is_some_and(|r| r < (CONTRADICTION * alone).max(0.3)).then_some(trial)
     };
     let light = fits(&thinned_model(&labelled.model), State { offsets_mm: vec![], ..state.clone() });
@@ -125,21 +149,21 @@ fn common_start(
 }
 
 /// The start with the labels that the common adjustment fits best, the first where others fit as well.
-fn cheapest(starts: &[(RigProblem, Agreed, State)], undecided: &mut Vec<String>, observe: Observe<'_>) -> usize {
+fn cheapest(starts: &[(RigProblem, Agreed, State)], undecided: &mut Vec<String>, told: Told<'_>) -> usize {
     let quick =
         AdjustOptions { solve: SolveOptions { decrement: 1e-1, iterations: 40 }, rounds: 0, outlier_sigmas: 6.0 };
-    let mut chi2: Vec<(f64, f64)> = vec![];
-    for (problem, _, state) in starts {
+    let tried = side_by_side(starts, |(problem, _, state)| {
         let model = thinned_model(&problem.model);
         let counts = model.counts();
         let state = State { offsets_mm: vec![], ..state.clone() };
-        let trial = adjust(&model, state, &quick, observe);
-        chi2.push((2.0 * trial.cost, (counts.observations as f64).max(1.0)));
-        // Whoever stopped it stops the adjustment that follows as well.
-        if trial.termination == Termination::Cancelled {
-            return 0;
-        }
+        let trial = adjust(&model, state, &quick, &mut |i| told(i));
+        (trial.termination, (2.0 * trial.cost, (counts.observations as f64).max(1.0)))
+    });
+    // Whoever stopped it stops the adjustment that follows as well.
+    if tried.iter().any(|(t, _)| *t == Termination::Cancelled) {
+        return 0;
     }
+    let chi2: Vec<(f64, f64)> = tried.into_iter().map(|(_, chi2)| chi2).collect();
     let least = chi2.iter().map(|c| c.0).fold(f64::INFINITY, f64::min);
     // Too few observations never make a factor below one.
     let unit = chi2.iter().filter(|c| c.0 == least).map(|c| (least / c.1).max(1.0)).fold(1.0, f64::max);

@@ -1,7 +1,6 @@
 //! One camera alone: candidates in closed form, each adjusted a little, the best adjusted to the end.
 
-use super::joint::Observe;
-use super::{CameraStart, Mono, RigProblem, rms_of};
+use super::{CameraStart, Mono, RigProblem, Told, rms_of};
 use crate::bundle::{
     AdjustOptions, Adjustment, CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, PointObservations,
     SolveOptions, State, TargetShape, Termination, ViewModel, ViewPlace, ViewState, adjust,
@@ -39,8 +38,8 @@ struct SeededImage {
 /// Calibrates camera `c` of the problem alone; scale as in the problem's first guess.
 ///
 /// # Errors
-/// Too few views, discs that no circle pair or lattice explains, no start that converges; stopped by `observe`.
-pub(super) fn calibrate_camera(problem: &RigProblem, c: usize, observe: Observe<'_>) -> Result<Mono> {
+/// Too few views, discs that no circle pair or lattice explains, no start that converges; stopped by `told`.
+pub(super) fn calibrate_camera(problem: &RigProblem, c: usize, told: Told<'_>) -> Result<Mono> {
     let name = &problem.model.cameras[c].name;
     let seeds = seeds(problem, c)?;
     let known_f = !problem.model.cameras[c].free[0]
@@ -64,7 +63,7 @@ pub(super) fn calibrate_camera(problem: &RigProblem, c: usize, observe: Observe<
     let mut best: Option<Adjustment> = None;
     for pinhole in &candidates {
         let Some(state) = mono_start(problem, c, &seeds, pinhole) else { continue };
-        let trial = adjust(&model, state, &quick, observe);
+        let trial = adjust(&model, state, &quick, &mut |i| told(i));
         if trial.termination == Termination::Cancelled {
             return Err(Unusable::Cancelled.into());
         }
@@ -83,7 +82,7 @@ pub(super) fn calibrate_camera(problem: &RigProblem, c: usize, observe: Observe<
     })?;
     let fine =
         AdjustOptions { solve: SolveOptions { decrement: 1e-2, iterations: 100 }, rounds: 0, outlier_sigmas: 6.0 };
-    let done = adjust(&model, best.state, &fine, observe);
+    let done = adjust(&model, best.state, &fine, &mut |i| told(i));
     if done.termination == Termination::Cancelled {
         return Err(Unusable::Cancelled.into());
     }

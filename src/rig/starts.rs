@@ -16,9 +16,9 @@
 //! to their noise; where two come out nearly equal and apart, all edge points decide. The order and the arithmetic are fixed, so
 //! the choice is the same in every run.
 
-use super::RigProblem;
 use super::mono::lightened;
-use crate::bundle::{AdjustOptions, Adjustment, Iteration, Model, SolveOptions, State, Termination, adjust};
+use super::{RigProblem, Told, side_by_side};
+use crate::bundle::{AdjustOptions, Adjustment, Model, SolveOptions, State, Termination, adjust};
 use crate::camera::{Camera, Intrinsics};
 
 /// A start whose chi-square exceeds its degrees of freedom by more than this many standard deviations has rivals.
@@ -79,7 +79,7 @@ fn untilted(problem: &RigProblem, c: usize, now: &Intrinsics) -> Intrinsics {
 const HELD_ITERATIONS: usize = 30;
 
 /// The state after an adjustment with the axis points held, where a tilt can follow them.
-fn held(light: &Model, start: State, observe: &mut dyn FnMut(&Iteration) -> bool) -> State {
+fn held(light: &Model, start: State, told: Told<'_>) -> State {
     let mut model = light.clone();
     let mut any = false;
     for camera in model.cameras.iter_mut().filter(|c| c.uses_pinhole_frame() && c.free[6..9].contains(&true)) {
@@ -94,7 +94,7 @@ fn held(light: &Model, start: State, observe: &mut dyn FnMut(&Iteration) -> bool
         rounds: 0,
         ..AdjustOptions::default()
     };
-    adjust(&model, start, &brief, observe).state
+    adjust(&model, start, &brief, &mut |i| told(i)).state
 }
 
 /// The given start and the others, each once.
@@ -125,38 +125,35 @@ fn is_explained(model: &Model, trial: &Adjustment) -> bool {
 }
 
 /// The start that leads to the lowest cost, already near its minimum.
-pub(super) fn best_start(
-    problem: &RigProblem,
-    given: State,
-    options: &AdjustOptions,
-    observe: &mut dyn FnMut(&Iteration) -> bool,
-) -> State {
+pub(super) fn best_start(problem: &RigProblem, given: State, options: &AdjustOptions, told: Told<'_>) -> State {
     let light = lightened(&problem.model);
     let quick = |decrement: f64, iterations: usize| AdjustOptions {
         solve: SolveOptions { decrement, iterations },
         rounds: 0,
         ..*options
     };
-    let mut tried: Vec<Adjustment> = vec![];
-    let all = starts(problem, given.clone());
+    let try_from = |start: State| adjust(&light, start, &quick(0.3, 40), &mut |i| told(i));
+    // Whoever stops it stops the adjustment that follows as well.
+    let cancelled = |t: &Adjustment| t.termination == Termination::Cancelled;
     // The given one twice: as it is, then with the axis points held.
-    let order = [0].into_iter().chain(0..all.len());
-    for (n, k) in order.enumerate() {
-        let last = k > 0 && k + 1 == all.len();
-        let start = if n == 0 || last { all[k].clone() } else { held(&light, all[k].clone(), observe) };
-        let trial = adjust(&light, start, &quick(0.3, 40), observe);
-        // Whoever stopped it stops the adjustment that follows as well.
-        if trial.termination == Termination::Cancelled {
-            return given;
-        }
-        let done = tried.is_empty() && is_explained(&light, &trial);
-        if trial.cost.is_finite() {
-            tried.push(trial);
-        }
-        if done {
-            break;
-        }
+    let first = try_from(given.clone());
+    if cancelled(&first) {
+        return given;
     }
+    let explained = first.cost.is_finite() && is_explained(&light, &first);
+    let mut tried = vec![first];
+    if !explained {
+        let all = starts(problem, given.clone());
+        let order: Vec<usize> = (0..all.len()).collect();
+        tried.extend(side_by_side(&order, |&k| {
+            let last = k > 0 && k + 1 == all.len();
+            try_from(if last { all[k].clone() } else { held(&light, all[k].clone(), told) })
+        }));
+    }
+    if tried.iter().any(cancelled) {
+        return given;
+    }
+    tried.retain(|t| t.cost.is_finite());
     // A stable sort: of equal costs the earlier start.
     tried.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     let Some(least) = tried.first().map(|t| t.cost) else { return given };
@@ -170,6 +167,7 @@ pub(super) fn best_start(
     if apart.len() == 1 {
         return apart.swap_remove(0).state;
     }
-    let all = apart.into_iter().take(2).map(|t| adjust(&problem.model, t.state, &quick(0.1, 40), observe));
-    all.min_by(|a, b| a.cost.total_cmp(&b.cost)).map_or(given, |t| t.state)
+    apart.truncate(2);
+    let all = side_by_side(&apart, |t| adjust(&problem.model, t.state.clone(), &quick(0.1, 40), &mut |i| told(i)));
+    all.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).map_or(given, |t| t.state)
 }

@@ -34,7 +34,7 @@ use crate::bundle::{NamedCovariance, symmetric_eigen};
 use crate::camera::Camera;
 use crate::frames::{Cam, Rig, Sheet};
 use crate::rigid::Motion;
-use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix4xX, SMatrix, SVector, Vector2, Vector3};
 
 /// Numbers of a [`Response`]: disparity (2, px), place seen by the first and by the second camera (2 + 2, mm), M by rows (9).
 pub const RESPONSES: usize = 15;
@@ -45,6 +45,16 @@ pub struct StereoSheet {
     cameras: [Camera; 2],
     cam_from_rig: [Motion<Cam, Rig>; 2],
     rig_from_sheet: Motion<Rig, Sheet>,
+    cam_from_sheet: [Motion<Cam, Sheet>; 2],
+    sheet_from_cam: [Motion<Sheet, Cam>; 2],
+}
+
+/// A point of the true sheet, as the true calibration has it.
+#[derive(Debug, Clone, Copy)]
+struct TruePoint {
+    pixels: [Vector2<f64>; 2],
+    by_displacement: SMatrix<f64, 4, 3>,
+    places: [Vector2<f64>; 2],
 }
 
 /// What a calibration makes of a displacement at one point of the true sheet.
@@ -86,8 +96,14 @@ impl StereoSheet {
     pub fn new(cameras: [Camera; 2], second_from_rig: Motion<Cam, Rig>, rig_from_plane: &Motion<Rig, Sheet>) -> Self {
         let axis: Vector3<f64> = rig_from_plane.rotation.column(2).into_owned();
         let geometry = plane_geometry(axis, axis.dot(&rig_from_plane.translation_mm), None, &Placement::default());
-        let rig_from_sheet = geometry.estimate.rig_from_sheet;
-        Self { cameras, cam_from_rig: [Motion::identity(), second_from_rig], rig_from_sheet }
+        Self::placed(cameras, [Motion::identity(), second_from_rig], geometry.estimate.rig_from_sheet)
+    }
+
+    /// With the frame of the sheet as it is.
+    fn placed(cameras: [Camera; 2], cam_from_rig: [Motion<Cam, Rig>; 2], rig_from_sheet: Motion<Rig, Sheet>) -> Self {
+        let cam_from_sheet = cam_from_rig.map(|m| m * rig_from_sheet);
+        let sheet_from_cam = cam_from_sheet.map(|m| m.inverse());
+        Self { cameras, cam_from_rig, rig_from_sheet, cam_from_sheet, sheet_from_cam }
     }
 
     /// The first two cameras and the common plane of an adjustment; `None` where it has no second camera or no plane.
@@ -110,8 +126,7 @@ impl StereoSheet {
 
     /// Point of the sheet that camera `c` sees at a pixel, mm; `None` where its ray does not meet the sheet.
     pub fn point_at(&self, c: usize, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
-        let cam_from_sheet = self.cam_from_rig[c] * self.rig_from_sheet;
-        let sheet_from_cam = cam_from_sheet.inverse();
+        let sheet_from_cam = &self.sheet_from_cam[c];
         let (center, along) = if self.cameras[c].window().is_some() {
             let sight = self.cameras[c].line_of_sight(pixel).ok()?;
             (sheet_from_cam.apply(&sight.from_mm), sheet_from_cam.rotation * sight.direction)
@@ -125,7 +140,7 @@ impl StereoSheet {
 
     /// Image of a point of the sheet frame and its derivative by a displacement there.
     fn image(&self, c: usize, p: &Vector3<f64>) -> Option<(Vector2<f64>, SMatrix<f64, 2, 3>)> {
-        let cam_from_sheet = self.cam_from_rig[c] * self.rig_from_sheet;
+        let cam_from_sheet = &self.cam_from_sheet[c];
         let (pixel, dq_dp) = self.cameras[c].image_of_point(&cam_from_sheet.apply(p)).ok()?;
         Some((pixel, dq_dp * cam_from_sheet.rotation))
     }
@@ -145,31 +160,39 @@ impl StereoSheet {
     /// What this calibration makes of displacements at a point of the sheet of `truth` (x, y in its sheet frame, mm); `None` where a
     /// camera does not see the point, or both see it along one line.
     pub fn response(&self, truth: &StereoSheet, point_mm: [f64; 2]) -> Option<Response> {
-        let pixels = truth.pixels(point_mm)?;
-        let (a_true, places_true) = truth.by_displacement(&pixels)?;
-        let (a, places) = self.by_displacement(&pixels)?;
+        self.response_to(&truth.true_point(point_mm)?)
+    }
+
+    fn true_point(&self, point_mm: [f64; 2]) -> Option<TruePoint> {
+        let pixels = self.pixels(point_mm)?;
+        let (by_displacement, places) = self.by_displacement(&pixels)?;
+        Some(TruePoint { pixels, by_displacement, places })
+    }
+
+    fn response_to(&self, truth: &TruePoint) -> Option<Response> {
+        let (a, places) = self.by_displacement(&truth.pixels)?;
         let normal = a.tr_mul(&a);
-        let measured_from_true = normal.try_inverse()? * a.tr_mul(&a_true);
+        let measured_from_true = normal.try_inverse()? * a.tr_mul(&truth.by_displacement);
         let (across, _) = self.image(1, &places[0].push(0.0))?;
         Some(Response {
-            disparity_px: across - pixels[1],
-            misplaced_mm: [places[0] - places_true[0], places[1] - places_true[1]],
+            disparity_px: across - truth.pixels[1],
+            misplaced_mm: [places[0] - truth.places[0], places[1] - truth.places[1]],
             measured_from_true,
         })
     }
 
     /// The calibration after a change of one number.
     fn stepped(&self, parameter: Parameter, h: f64) -> Option<Self> {
-        let mut out = *self;
+        let (mut cameras, [first, mut second]) = (self.cameras, self.cam_from_rig);
         match parameter {
-            Parameter::Intrinsic(c, k) => out.cameras[c] = stepped_camera(&out.cameras[c], k, h)?,
-            Parameter::Window(c, k) => out.cameras[c] = stepped_window(&out.cameras[c], k, h)?,
-            Parameter::Motion(k) => out.cam_from_rig[1] = stepped_motion(&out.cam_from_rig[1], k, h),
+            Parameter::Intrinsic(c, k) => cameras[c] = stepped_camera(&cameras[c], k, h)?,
+            Parameter::Window(c, k) => cameras[c] = stepped_window(&cameras[c], k, h)?,
+            Parameter::Motion(k) => second = stepped_motion(&second, k, h),
             Parameter::Sheet(k) => {
-                return Some(Self::new(out.cameras, out.cam_from_rig[1], &stepped_motion(&self.rig_from_sheet, k, h)));
+                return Some(Self::new(cameras, second, &stepped_motion(&self.rig_from_sheet, k, h)));
             }
         }
-        Some(out)
+        Some(Self::placed(cameras, [first, second], self.rig_from_sheet))
     }
 
     /// A change small enough to be straight and large enough to be felt.
@@ -184,6 +207,10 @@ impl StereoSheet {
 pub struct SheetUncertainty {
     stereo: StereoSheet,
     parameters: Vec<Parameter>,
+    /// Their places in the covariance it was made of.
+    names_at: Vec<usize>,
+    /// For each of them a step, and the calibration after it and after the opposite one.
+    steps: Vec<(f64, Option<[StereoSheet; 2]>)>,
     covariance: DMatrix<f64>,
     null_directions: DMatrix<f64>,
 }
@@ -197,12 +224,25 @@ impl SheetUncertainty {
         let own: Vec<(usize, Parameter)> =
             named.filter_map(|(i, n)| Some((i, Parameter::of(n, camera_names)?))).collect();
         let null = &covariance.null_directions;
-        Some(Self {
-            stereo,
-            covariance: DMatrix::from_fn(own.len(), own.len(), |i, j| covariance.matrix[(own[i].0, own[j].0)]),
-            null_directions: DMatrix::from_fn(own.len(), null.ncols(), |i, j| null[(own[i].0, j)]),
-            parameters: own.into_iter().map(|(_, p)| p).collect(),
-        })
+        let matrix = DMatrix::from_fn(own.len(), own.len(), |i, j| covariance.matrix[(own[i].0, own[j].0)]);
+        let null = DMatrix::from_fn(own.len(), null.ncols(), |i, j| null[(own[i].0, j)]);
+        let (names_at, parameters) = own.into_iter().unzip();
+        Some(Self { names_at, ..Self::made_of(stereo, parameters, matrix, null) })
+    }
+
+    /// With parameters of no names.
+    fn made_of(
+        stereo: StereoSheet,
+        parameters: Vec<Parameter>,
+        covariance: DMatrix<f64>,
+        null_directions: DMatrix<f64>,
+    ) -> Self {
+        let stepped = |p: &Parameter| {
+            let h = stereo.step_of(*p);
+            (h, stereo.stepped(*p, h).zip(stereo.stepped(*p, -h)).map(<[StereoSheet; 2]>::from))
+        };
+        let steps = parameters.iter().map(stepped).collect();
+        Self { stereo, parameters, names_at: vec![], steps, covariance, null_directions }
     }
 
     /// The calibration itself.
@@ -212,23 +252,29 @@ impl SheetUncertainty {
 
     /// Uncertainty at a point of the sheet (x, y in the sheet frame, mm); `None` where [`StereoSheet::response`] is.
     pub fn at(&self, point_mm: [f64; 2]) -> Option<PointUncertainty> {
+        let truth = self.stereo.true_point(point_mm)?;
         let mut derivative = DMatrix::zeros(RESPONSES, self.parameters.len());
-        for (k, parameter) in self.parameters.iter().enumerate() {
-            let h = self.stereo.step_of(*parameter);
-            let at = |h: f64| Some(self.stereo.stepped(*parameter, h)?.response(&self.stereo, point_mm)?.numbers());
-            derivative.set_column(k, &((at(h)? - at(-h)?) / (2.0 * h)));
+        for (k, (h, stepped)) in self.steps.iter().enumerate() {
+            let [more, less] = stepped.as_ref()?.each_ref().map(|s| Some(s.response_to(&truth)?.numbers()));
+            derivative.set_column(k, &((more? - less?) / (2.0 * h)));
         }
         let c = &derivative * &self.covariance * derivative.transpose();
         let mut felt = derivative.map(f64::abs);
-        for (k, parameter) in self.parameters.iter().enumerate() {
-            felt.column_mut(k).add_scalar_mut(ROUNDING / STILL / self.stereo.step_of(*parameter));
+        for (k, (h, _)) in self.steps.iter().enumerate() {
+            felt.column_mut(k).add_scalar_mut(ROUNDING / STILL / h);
         }
         let terms = felt * self.null_directions.map(f64::abs);
         Some(PointUncertainty {
             covariance: SMatrix::from_fn(|i, j| c[(i, j)]),
             moved: &derivative * &self.null_directions,
             terms,
+            misplaced_by: derivative.fixed_rows::<4>(2).into_owned(),
         })
+    }
+
+    /// Places, in the names of the covariance it was made of, of the parameters that anything here depends on.
+    pub(crate) fn names_at(&self) -> &[usize] {
+        &self.names_at
     }
 }
 
@@ -239,12 +285,14 @@ impl SheetUncertainty {
     /// With D the derivatives of all disparities, P the projector onto what the six movements of the plane do to them (rank 3), the
     /// rest is `(1 - P) D` times the error of the calibration. `None` where a point is not seen or nothing determines the rest.
     pub fn disparity_after_refit_px(&self, points_mm: &[[f64; 2]]) -> Option<f64> {
+        let truth: Option<Vec<TruePoint>> = points_mm.iter().map(|p| self.stereo.true_point(*p)).collect();
+        let truth = truth?;
         let by = |parameter: Parameter| -> Option<DVector<f64>> {
             let h = self.stereo.step_of(parameter);
             let at = |h: f64| {
                 let stepped = self.stereo.stepped(parameter, h)?;
-                let one = |p: &[f64; 2]| Some(stepped.response(&self.stereo, *p)?.disparity_px);
-                let all: Option<Vec<Vector2<f64>>> = points_mm.iter().map(one).collect();
+                let all: Option<Vec<Vector2<f64>>> =
+                    truth.iter().map(|p| Some(stepped.response_to(p)?.disparity_px)).collect();
                 Some(DVector::from_iterator(2 * points_mm.len(), all?.iter().flat_map(|d| [d.x, d.y])))
             };
             Some((at(h)? - at(-h)?) / (2.0 * h))
@@ -285,6 +333,7 @@ pub struct PointUncertainty {
     moved: DMatrix<f64>,
     /// The sum of the magnitudes of what moves it.
     terms: DMatrix<f64>,
+    misplaced_by: Matrix4xX<f64>,
 }
 
 /// A number that moves by less than this part of what moves it stands still along an undetermined direction: weak directions leave
@@ -304,6 +353,12 @@ impl PointUncertainty {
             moved.abs() <= STILL * terms
         });
         still.then(|| row.dot(&(self.covariance * row)).max(0.0).sqrt())
+    }
+
+    /// Derivatives of the misplacement by both cameras (x, y of the first, x, y of the second) by the parameters at
+    /// [`SheetUncertainty::names_at`], mm per unit.
+    pub(crate) fn misplaced_by(&self) -> &Matrix4xX<f64> {
+        &self.misplaced_by
     }
 
     fn root_of_two(&self, first: usize) -> Option<f64> {
@@ -392,9 +447,10 @@ mod tests {
     #[test]
     fn scale_is_no_gain() {
         let truth = symmetric(8000.0, 0.7);
-        let mut larger = truth;
-        larger.cam_from_rig[1].translation_mm *= 1.01;
-        larger.rig_from_sheet.translation_mm *= 1.01;
+        let (mut motions, mut sheet) = (truth.cam_from_rig, truth.rig_from_sheet);
+        motions[1].translation_mm *= 1.01;
+        sheet.translation_mm *= 1.01;
+        let larger = StereoSheet::placed(truth.cameras, motions, sheet);
         let r = larger.response(&truth, [5.0, 3.0]).unwrap();
         assert!((r.in_plane_scale() - 1.01).abs() < 1e-12);
         assert!((r.relative_gain() - 1.0).abs() < 1e-12);
@@ -412,7 +468,7 @@ mod tests {
             vec![Parameter::Intrinsic(0, 0), Parameter::Motion(1), Parameter::Sheet(1), Parameter::Sheet(5)];
         let sigmas = [8.0, 2e-4, 3e-4, 0.02];
         let covariance = DMatrix::from_fn(4, 4, |i, j| if i == j { sigmas[i] * sigmas[i] } else { 0.0 });
-        let u = SheetUncertainty { stereo, parameters, covariance, null_directions: DMatrix::zeros(4, 0) };
+        let u = SheetUncertainty::made_of(stereo, parameters, covariance, DMatrix::zeros(4, 0));
         let got = u.at([3.0, 2.0]).unwrap();
         let moved = |p: Parameter, h: f64| stereo.stepped(p, h).unwrap().response(&stereo, [3.0, 2.0]).unwrap();
         let (mut gain, mut disparity) = (0.0, 0.0);
@@ -438,7 +494,7 @@ mod tests {
         let parameters = vec![Parameter::Sheet(0), Parameter::Sheet(1), Parameter::Sheet(2)];
         let n: Vector3<f64> = stereo.rig_from_sheet.rotation.column(2).into_owned();
         let null_directions = DMatrix::from_column_slice(3, 1, n.as_slice());
-        let turned = SheetUncertainty { stereo, parameters, covariance: DMatrix::zeros(3, 3), null_directions };
+        let turned = SheetUncertainty::made_of(stereo, parameters, DMatrix::zeros(3, 3), null_directions);
         let at = turned.at([3.0, 2.0]).unwrap();
         assert_eq!((at.disparity_px(), at.relative_gain()), (Some(0.0), Some(0.0)));
     }
