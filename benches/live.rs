@@ -104,9 +104,12 @@ impl Work {
         let found = calibrate(&self.job, &load, &options, &mut told).unwrap();
         let computed = now();
         let to = self.to.path();
-        std::fs::write(to.join("calibration.json"), found.record.to_json().unwrap()).unwrap();
-        std::fs::write(to.join("residuals.csv"), residuals_csv(&found.record, &found.residuals)).unwrap();
-        drop(found);
+        // As the program does it.
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let json = || std::fs::write(to.join("calibration.json"), found.record.to_json().unwrap()).unwrap();
+        let csv = || std::fs::write(to.join("residuals.csv"), residuals_csv(&found.record, &found.residuals)).unwrap();
+        pool.install(|| rayon::join(csv, json));
+        drop((pool, found));
         let written = now();
         let passed = |a: [f64; 2], b: [f64; 2]| [b[0] - a[0], b[1] - a[1]];
         [passed(begin, seen), passed(seen, computed), passed(computed, written)]

@@ -14,7 +14,7 @@ use crate::detect::rows::ByRow;
 use crate::detect::shared_light::SharedLight;
 use crate::detect::trace::{Line, Tracer};
 use crate::detect::whole::{self, Rows, Whole};
-use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason, Shape};
+use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason, Shape, several_threads};
 use crate::error::{Invalid, Result};
 use crate::frames::Pixel;
 use crate::image::GrayView;
@@ -120,11 +120,6 @@ fn refine_all<'a>(
     }
 }
 
-/// Whether the caller runs in a pool of more than one thread.
-fn several_threads() -> bool {
-    rayon::current_thread_index().is_some() && rayon::current_num_threads() > 1
-}
-
 fn check_options(o: &DetectOptions) -> Result<()> {
     let positive = [
         ("min_semi_minor_px", o.min_semi_minor_px),
@@ -160,45 +155,55 @@ fn rejection(c: &Candidate, reason: RejectionReason) -> Rejection {
 
 /// Follows and judges the zero lines of every pyramid level.
 fn look(view: &GrayView, noise: f32, options: &DetectOptions) -> Seen {
-    let mut seen = Seen::default();
     let range = plane::range(view);
     let quantum = 0.3;
     let mut noise = noise.max(quantum * range.min(1.0));
+    let mut gradients = vec![];
     // Whole numbers are faster; floats hold whatever there is.
-    let (mut finer, mut halved);
-    let mut rows = whole::rows(view, noise);
-    let mut source = Source::View(view);
-    let mut starts = Vec::new();
+    let rows = whole::rows(view, noise);
     for level in 0..LEVELS {
         if (view.width() - 1) >> level < 11 || (view.height() - 1) >> level < 11 {
             break;
         }
         // Central difference over 1.5 px of the smoothed image: its noise is about 0.18 of a pixel's.
-        let gradient = (5.0 * 0.18 * noise).max(0.008 * range);
-        if let Some(given) = rows {
-            finer = Whole::new(given, gradient, &mut starts);
-            follow(&finer, &starts, gradient, level, options, &mut seen);
-            rows = Some(Rows::Finer(&finer));
-        } else {
-            let floats = Floats::new(source, gradient, &mut starts);
-            follow(&floats, &starts, gradient, level, options, &mut seen);
-            halved = floats.smoothed().halved();
-            source = Source::Plane(&halved);
-        }
+        gradients.push((5.0 * 0.18 * noise).max(0.008 * range));
         noise *= 0.273;
+    }
+    match rows {
+        Some(rows) => {
+            look_at(&gradients, options, |finer, k| Whole::new(finer.map_or(rows, Rows::Finer), gradients[k]))
+        }
+        None => look_at(&gradients, options, |finer: Option<&Floats>, k| {
+            let halved = finer.map(|finer| finer.smoothed().halved());
+            Floats::new(halved.as_ref().map_or(Source::View(view), Source::Plane), gradients[k])
+        }),
+    }
+}
+
+/// One level after the other, each made from the finer one, within a pool while the lines of that are followed.
+fn look_at<L: Level + Send + Sync>(
+    gradients: &[f32],
+    options: &DetectOptions,
+    make: impl Fn(Option<&L>, usize) -> L + Sync,
+) -> Seen {
+    let mut seen = Seen::default();
+    let mut next = (!gradients.is_empty()).then(|| make(None, 0));
+    for (level, gradient) in gradients.iter().enumerate() {
+        let Some(on) = next.take() else { break };
+        let mut follow = || follow(&on, *gradient, level as u32, options, &mut seen);
+        let coarser = || (level + 1 < gradients.len()).then(|| make(Some(&on), level + 1));
+        next = if several_threads() {
+            rayon::join(follow, coarser).1
+        } else {
+            follow();
+            coarser()
+        };
     }
     seen
 }
 
 /// Follows and judges the lines of one level from where they start. Within a pool they are judged side by side.
-fn follow(
-    on: &(impl Level + Sync),
-    starts: &[u32],
-    gradient: f32,
-    level: u32,
-    options: &DetectOptions,
-    seen: &mut Seen,
-) {
+fn follow(on: &(impl Level + Sync), gradient: f32, level: u32, options: &DetectOptions, seen: &mut Seen) {
     let (mut line, mut lines) = (Line::default(), Vec::new());
     let mut tracer = Tracer::new(on);
     let strength = Strength { gradient: f64::from(gradient) };
@@ -210,7 +215,7 @@ fn follow(
         by_row.near(e.center_px, reach).any(|k| finer[k].1 == bright && same_place(&finer[k].0, e))
     };
     let judged = |line: &Line| judge(line, on, strength, level, options, &known);
-    for start in starts {
+    for start in on.starts() {
         let (u, v) = (*start as usize % on.width(), *start as usize / on.width());
         if !tracer.fresh(u, v) {
             continue;

@@ -2,6 +2,8 @@
 
 /// Smoothed grey levels and the field whose zero lines are the first guess of contours.
 pub(crate) trait Level {
+    /// Places `v * width + u`, row by row, where a line runs between `u` and `u + 1` and the grey level changes by more than the least gradient.
+    fn starts(&self) -> &[u32];
     /// Width, px.
     fn width(&self) -> usize;
     /// Height, px.
@@ -13,7 +15,7 @@ pub(crate) trait Level {
     fn grey(&self, u_px: f64, v_px: f64) -> f64 {
         let (width, height) = (self.width(), self.height());
         let (u, v) = (u_px.clamp(0.0, width as f64 - 1.001), v_px.clamp(0.0, height as f64 - 1.001));
-        let (i, j) = (u as usize, v as usize);
+        let (i, j) = (u as u32 as usize, v as u32 as usize);
         let (fu, fv) = (u - i as f64, v - j as f64);
         let [[a, b], [c, d]] = self.square(i, j);
         (1.0 - fv) * ((1.0 - fu) * a + fu * b) + fv * ((1.0 - fu) * c + fu * d)

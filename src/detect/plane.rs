@@ -299,9 +299,13 @@ impl BoxMean {
 pub(crate) struct Floats {
     smooth: Plane,
     field: Plane,
+    starts: Vec<u32>,
 }
 
 impl Level for Floats {
+    fn starts(&self) -> &[u32] {
+        &self.starts
+    }
     fn width(&self) -> usize {
         self.field.width
     }
@@ -319,12 +323,10 @@ impl Level for Floats {
 }
 
 impl Floats {
-    /// Makes a level; `starts` takes the places `v * width + u` where a line runs between `u` and `u + 1` and the grey level changes by more than
-    /// `gradient`, row by row.
-    pub(crate) fn new(source: Source, gradient: f32, starts: &mut Vec<u32>) -> Self {
-        starts.clear();
+    /// Makes a level; lines start where the grey level changes by more than `gradient`.
+    pub(crate) fn new(source: Source, gradient: f32) -> Self {
         let (smooth, field) = smooth_and_field(source);
-        let mut steep = Vec::new();
+        let (mut steep, mut starts) = (Vec::new(), Vec::new());
         for v in 0..field.height - 1 {
             // Gradients are rare, zeros of the field are everywhere: the noise crosses zero all the time.
             lanes::run(Steep { row: smooth.row(v), gradient, found: &mut steep });
@@ -332,7 +334,7 @@ impl Floats {
             let crossed = steep.iter().filter(|u| (row[**u] > 0.0) != (row[**u + 1] > 0.0));
             starts.extend(crossed.map(|u| (v * field.width + u) as u32));
         }
-        Self { smooth, field }
+        Self { smooth, field, starts }
     }
 
     /// The smoothed image.

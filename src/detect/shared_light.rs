@@ -31,8 +31,9 @@ const TOLD: f64 = 4.0;
 /// Rounds of leaving out what is no level (marks, dirt), and their limit in standard deviations.
 const ROUNDS: usize = 4;
 const CLIP: f64 = 4.0;
-/// Directions in which the ground is looked at.
-const DIRECTIONS: usize = 24;
+/// Directions in which levels are looked at: every 30 degrees, opposite ones in pairs.
+const DIRECTIONS: [[f64; 2]; 6] = [[1.0, 0.0], [ROOT, 0.5], [0.5, ROOT], [0.0, 1.0], [-0.5, ROOT], [-ROOT, 0.5]];
+const ROOT: f64 = 0.866_025_403_784_438_6;
 /// Coefficients.
 const N: usize = 10;
 
@@ -156,12 +157,16 @@ fn ground(view: &GrayView, c: &Candidate) -> Option<f64> {
 
 /// Mean over an ellipse that lies in the image: opposite places, so that a slope leaves the level of the centre.
 fn mean_on(view: &GrayView, e: &Ellipse) -> Option<f64> {
-    let turn = std::f64::consts::TAU / DIRECTIONS as f64;
+    let (sin, cos) = e.angle_rad.sin_cos();
     let mut sum = 0.0;
-    for k in 0..DIRECTIONS {
-        sum += grey(view, e.point(k as f64 * turn))?;
+    for [x, y] in DIRECTIONS {
+        let (p, q) = (x * e.semi_major_px, y * e.semi_minor_px);
+        let (du, dv) = (cos * p - sin * q, sin * p + cos * q);
+        for sign in [1.0, -1.0] {
+            sum += grey(view, Pixel::new(e.center_px.u_px + sign * du, e.center_px.v_px + sign * dv))?;
+        }
     }
-    Some(sum / DIRECTIONS as f64)
+    Some(sum / (2 * DIRECTIONS.len()) as f64)
 }
 
 #[cfg(test)]

@@ -47,7 +47,7 @@ impl<'a, L: Level> Tracer<'a, L> {
     pub(crate) fn follow(&mut self, u: usize, v: usize, line: &mut Line) {
         line.u.clear();
         line.v.clear();
-        self.push_crossing(u, v, TOP, line);
+        self.push_crossing((u, v), TOP, &self.level.corners(u, v), line);
         line.closed = self.walk((u, v), TOP, (u, v), line);
         if !line.closed {
             line.u.reverse();
@@ -69,11 +69,12 @@ impl<'a, L: Level> Tracer<'a, L> {
             if u + 1 >= self.level.width() || v + 1 >= self.level.height() {
                 return false;
             }
-            let exit = self.exit(u, v, entry);
+            let corner = self.level.corners(u, v);
+            let exit = exit(&corner, entry);
             match exit {
                 TOP if (u, v) == home => return true,
                 BOTTOM if (u, v + 1) == home => return true,
-                _ => self.push_crossing(u, v, exit, line),
+                _ => self.push_crossing((u, v), exit, &corner, line),
             }
             match exit {
                 TOP if v > 0 => v -= 1,
@@ -86,44 +87,47 @@ impl<'a, L: Level> Tracer<'a, L> {
         }
     }
 
-    /// The side through which the line that came in by `entry` leaves.
-    fn exit(&self, u: usize, v: usize, entry: u8) -> u8 {
-        let corner = self.level.corners(u, v);
-        let positive = corner.map(|x| x > 0.0);
-        let crossed = |side: u8| positive[side as usize] != positive[(side as usize + 1) % 4];
-        if (0..4).all(crossed) {
-            // A saddle: the mean decides which diagonal is connected.
-            let top_left_cut_off = positive[0] != (corner.iter().sum::<f32>() > 0.0);
-            return match (top_left_cut_off, entry) {
-                (true, TOP) => LEFT,
-                (true, LEFT) => TOP,
-                (true, RIGHT) => BOTTOM,
-                (true, _) => RIGHT,
-                (false, TOP) => RIGHT,
-                (false, RIGHT) => TOP,
-                (false, BOTTOM) => LEFT,
-                (false, _) => BOTTOM,
-            };
-        }
-        (0..4).find(|side| *side != entry && crossed(*side)).unwrap_or(entry)
-    }
-
-    fn push_crossing(&mut self, u: usize, v: usize, side: u8, line: &mut Line) {
-        let (a, b) = match side {
-            TOP => ((u, v), (u + 1, v)),
-            RIGHT => ((u + 1, v), (u + 1, v + 1)),
-            BOTTOM => ((u, v + 1), (u + 1, v + 1)),
-            _ => ((u, v), (u, v + 1)),
+    /// Appends the crossing of a side of the cell (u, v), whose corners have these values.
+    #[inline]
+    fn push_crossing(&mut self, (u, v): (usize, usize), side: u8, corner: &[f32; 4], line: &mut Line) {
+        let [top_left, top_right, bottom_right, bottom_left] = *corner;
+        let between = |a: f32, b: f32| a / (a - b);
+        let (x, y) = (u as f32, v as f32);
+        let (at, lattice_row) = match side {
+            TOP => ((x + between(top_left, top_right), y), Some(v)),
+            RIGHT => ((x + 1.0, y + between(top_right, bottom_right)), None),
+            BOTTOM => ((x + between(bottom_left, bottom_right), y + 1.0), Some(v + 1)),
+            _ => ((x, y + between(top_left, bottom_left)), None),
         };
-        if a.1 == b.1 {
-            let i = a.1 * self.level.width() + a.0;
+        if let Some(row) = lattice_row {
+            let i = row * self.level.width() + u;
             self.visited[i / 64] |= 1 << (i % 64);
         }
-        let (fa, fb) = (self.level.field(a.0, a.1), self.level.field(b.0, b.1));
-        let t = fa / (fa - fb);
-        line.u.push(a.0 as f32 + t * (b.0 as f32 - a.0 as f32));
-        line.v.push(a.1 as f32 + t * (b.1 as f32 - a.1 as f32));
+        line.u.push(at.0);
+        line.v.push(at.1);
     }
+}
+
+/// The side of a cell with these corners through which the line that came in by `entry` leaves.
+#[inline]
+fn exit(corner: &[f32; 4], entry: u8) -> u8 {
+    let positive = corner.map(|x| x > 0.0);
+    let crossed = |side: u8| positive[side as usize] != positive[(side as usize + 1) % 4];
+    if (0..4).all(crossed) {
+        // A saddle: the mean decides which diagonal is connected.
+        let top_left_cut_off = positive[0] != (corner.iter().sum::<f32>() > 0.0);
+        return match (top_left_cut_off, entry) {
+            (true, TOP) => LEFT,
+            (true, LEFT) => TOP,
+            (true, RIGHT) => BOTTOM,
+            (true, _) => RIGHT,
+            (false, TOP) => RIGHT,
+            (false, RIGHT) => TOP,
+            (false, BOTTOM) => LEFT,
+            (false, _) => BOTTOM,
+        };
+    }
+    (0..4).find(|side| *side != entry && crossed(*side)).unwrap_or(entry)
 }
 
 /// Twice the signed area of a closed line, px^2.

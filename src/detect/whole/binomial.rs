@@ -1,0 +1,117 @@
+//! The binomial blur of rows of whole numbers.
+
+use super::Rows;
+use crate::detect::plane::repeat_ends;
+use crate::image::Samples;
+use crate::lanes::{Kernel, Lanes};
+
+/// Blurs rows from `first` on, as many as `out` has room for.
+pub(super) struct Smooth<'a> {
+    pub(super) rows: Rows<'a>,
+    pub(super) first: usize,
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) out: &'a mut [u16],
+}
+
+impl Kernel for Smooth<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let mut blur = Blur::new(self.width, self.first.saturating_sub(2));
+        for (k, out) in self.out.chunks_exact_mut(self.width).enumerate() {
+            blur.row(self.rows, self.first + k, self.height, out);
+        }
+    }
+}
+
+struct Blur {
+    /// Rows of a source that has to be widened, in a ring; the row that comes next.
+    ring: [Vec<u16>; 5],
+    next: usize,
+    narrow: Vec<u16>,
+    wide: Vec<u32>,
+}
+
+impl Blur {
+    fn new(width: usize, next: usize) -> Self {
+        let ring = std::array::from_fn(|_| vec![0; width]);
+        Self { ring, next, narrow: vec![0; width + 4], wide: vec![0; width + 4] }
+    }
+
+    /// Row `v` of the blurred image.
+    #[inline(always)]
+    fn row(&mut self, rows: Rows, v: usize, height: usize, out: &mut [u16]) {
+        let last = height - 1;
+        let near = [v.saturating_sub(2), v.saturating_sub(1), v, (v + 1).min(last), (v + 2).min(last)];
+        match rows {
+            Rows::Samples(view, shift) => match view.samples() {
+                Samples::U8(s) => {
+                    self.of_bytes(near.map(|k| &s[k * view.stride()..][..view.width()]), out);
+                }
+                Samples::U16(s) => {
+                    let row = |k: usize, out: &mut [u16]| {
+                        let from = &s[k * view.stride()..][..view.width()];
+                        for (o, x) in out.iter_mut().zip(from) {
+                            *o = *x << shift;
+                        }
+                    };
+                    self.of_wide(row, near, out);
+                }
+                // `rows` makes none of these.
+                Samples::F32(_) => {}
+            },
+            Rows::Finer(finer) => {
+                let row = |k: usize, out: &mut [u16]| {
+                    // Whole pairs in a plain loop, for vectors; of an odd row its last pixel besides.
+                    let pairs = finer.smooth_row(2 * k).chunks_exact(2);
+                    if let ([last], Some(o)) = (pairs.remainder(), out.last_mut()) {
+                        *o = *last;
+                    }
+                    for (o, x) in out.iter_mut().zip(pairs) {
+                        *o = x[0];
+                    }
+                };
+                self.of_wide(row, near, out);
+            }
+        }
+    }
+
+    /// Bytes: every sum fits 16 bits, and the last one is the result in units of 1/256.
+    #[inline(always)]
+    fn of_bytes(&mut self, r: [&[u8]; 5], out: &mut [u16]) {
+        let n = self.narrow.len() - 4;
+        let (r0, r1, r2, r3, r4) = (&r[0][..n], &r[1][..n], &r[2][..n], &r[3][..n], &r[4][..n]);
+        for (i, c) in self.narrow[2..n + 2].iter_mut().enumerate() {
+            let (outer, inner) = (u16::from(r0[i]) + u16::from(r4[i]), u16::from(r1[i]) + u16::from(r3[i]));
+            *c = outer + 4 * inner + 6 * u16::from(r2[i]);
+        }
+        repeat_ends(&mut self.narrow, 2);
+        let c = &self.narrow;
+        let (a, b, c, d, e) = (&c[..n], &c[1..=n], &c[2..n + 2], &c[3..n + 3], &c[4..n + 4]);
+        for (i, o) in out[..n].iter_mut().enumerate() {
+            *o = a[i] + e[i] + 4 * (b[i] + d[i]) + 6 * c[i];
+        }
+    }
+
+    /// Sixteen bits: sums of 32, rounded.
+    #[inline(always)]
+    fn of_wide(&mut self, row: impl Fn(usize, &mut [u16]), near: [usize; 5], out: &mut [u16]) {
+        while self.next <= near[4] {
+            row(self.next, &mut self.ring[self.next % 5]);
+            self.next += 1;
+        }
+        let n = self.wide.len() - 4;
+        let [r0, r1, r2, r3, r4] = near.map(|k| &self.ring[k % 5][..n]);
+        for (i, c) in self.wide[2..n + 2].iter_mut().enumerate() {
+            let (outer, inner) = (u32::from(r0[i]) + u32::from(r4[i]), u32::from(r1[i]) + u32::from(r3[i]));
+            *c = outer + 4 * inner + 6 * u32::from(r2[i]);
+        }
+        repeat_ends(&mut self.wide, 2);
+        let c = &self.wide;
+        let (a, b, c, d, e) = (&c[..n], &c[1..=n], &c[2..n + 2], &c[3..n + 3], &c[4..n + 4]);
+        for (i, o) in out[..n].iter_mut().enumerate() {
+            *o = ((a[i] + e[i] + 4 * (b[i] + d[i]) + 6 * c[i] + 128) >> 8) as u16;
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! The field in stretches of rows near edges, and where lines start.
+
+use crate::lanes::{Kernel, Lanes};
+use std::ops::Range;
+
+/// Pixels of a stretch.
+pub(super) const STRETCH: usize = 32;
+/// Half width of the window of the local mean, px.
+const R: usize = 4;
+/// Binary digits of the field that are dropped.
+const FIELD_SHIFT: i32 = 5;
+/// Parts of a stretch that are looked into.
+const PART: usize = 8;
+/// Where no stretch is kept.
+const NONE: u32 = u32::MAX;
+
+/// A smoothed image, row by row.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Smoothed<'a> {
+    pub(super) data: &'a [u16],
+    pub(super) width: usize,
+    pub(super) height: usize,
+}
+
+impl Smoothed<'_> {
+    #[inline(always)]
+    fn row(&self, v: usize) -> &[u16] {
+        &self.data[v * self.width..][..self.width]
+    }
+
+    /// The field at any pixel.
+    pub(super) fn field(&self, u: usize, v: usize) -> i16 {
+        let mut sum = 0;
+        for j in v.saturating_sub(R)..=v + R {
+            // Rows and columns beyond the border are those at the border.
+            let row = self.row(j.min(self.height - 1));
+            let inner: u32 = (u.saturating_sub(R)..=u + R).map(|i| u32::from(row[i.min(self.width - 1)])).sum();
+            let before = R.saturating_sub(u) as u32 * u32::from(row[0]);
+            sum += (inner + before) * if j == 0 { 1 + R.saturating_sub(v) as u32 } else { 1 };
+        }
+        in_units(self.row(v)[u], sum)
+    }
+}
+
+/// The field from a smoothed grey level and the sum of those around it.
+#[inline(always)]
+fn in_units(own: u16, sum: u32) -> i16 {
+    let x = 81 * i32::from(own) - sum as i32;
+    ((x + (1 << (FIELD_SHIFT - 1))) >> FIELD_SHIFT).clamp(-32_768, 32_767) as i16
+}
+
+/// What is known of some rows: stretches of the field that are kept, where each is, and where lines start.
+#[derive(Debug, Default)]
+pub(super) struct Band {
+    field: Vec<[i16; STRETCH]>,
+    /// Row by row, for each stretch its place in `field`.
+    places: Vec<u32>,
+    /// Places `v * width + u`.
+    pub(super) starts: Vec<u32>,
+}
+
+impl Band {
+    /// A stretch, counted row by row, where it is kept.
+    #[inline]
+    pub(super) fn stretch(&self, index: usize) -> Option<&[i16; STRETCH]> {
+        self.field.get(self.places[index] as usize)
+    }
+
+    /// One below the other.
+    pub(super) fn joined(bands: &[Self]) -> Self {
+        let room = |of: fn(&Self) -> usize| bands.iter().map(of).sum();
+        let mut all = Self {
+            field: Vec::with_capacity(room(|b| b.field.len())),
+            places: Vec::with_capacity(room(|b| b.places.len())),
+            starts: Vec::with_capacity(room(|b| b.starts.len())),
+        };
+        for band in bands {
+            let first = all.field.len() as u32;
+            all.places.extend(band.places.iter().map(|p| if *p == NONE { NONE } else { p + first }));
+            all.field.extend_from_slice(&band.field);
+            all.starts.extend_from_slice(&band.starts);
+        }
+        all
+    }
+}
+
+/// Finds what there is of some rows; a line may start where neighbours differ by more than `least`.
+pub(super) struct Find<'a> {
+    pub(super) on: Smoothed<'a>,
+    pub(super) rows: Range<usize>,
+    pub(super) least: u16,
+}
+
+impl Kernel for Find<'_> {
+    type Output = Band;
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> Band {
+        let Self { on, rows, least } = self;
+        let count = on.width.div_ceil(STRETCH);
+        let most = count * rows.len();
+        let mut out = Band { field: Vec::with_capacity(most / 2), places: Vec::with_capacity(most), starts: vec![] };
+        let mut sums = Sums::new(&on, rows.start);
+        // Which stretches are steep, of three rows in a ring.
+        let mut steep = [0; 3].map(|_| vec![false; count]);
+        for v in rows.start.saturating_sub(1)..=rows.start {
+            find_steep(on.row(v), least, &mut steep[v % 3]);
+        }
+        for v in rows {
+            match v + 1 < on.height {
+                true => find_steep(on.row(v + 1), least, &mut steep[(v + 1) % 3]),
+                false => steep[(v + 1) % 3].fill(false),
+            }
+            sums.next_row(&on);
+            let first = out.places.len();
+            for k in 0..count {
+                let wanted = steep[0][k] | steep[1][k] | steep[2][k];
+                out.places.push(if wanted { out.field.len() as u32 } else { NONE });
+                if wanted {
+                    let mut border = [0; STRETCH + 1];
+                    out.field.push(sums.field(k, pixels(on.row(v), k, &mut border)));
+                }
+            }
+            if v + 1 < on.height {
+                find_starts(&on, v, (&steep[v % 3], least), first, &mut out);
+            }
+        }
+        out
+    }
+}
+
+/// The pixels of a stretch of a row and one more; beyond the border the last one again.
+#[inline(always)]
+fn pixels<'a>(row: &'a [u16], k: usize, border: &'a mut [u16; STRETCH + 1]) -> &'a [u16; STRETCH + 1] {
+    let inner = &row[k * STRETCH..];
+    if let Some(whole) = inner.first_chunk() {
+        return whole;
+    }
+    border.fill(row[row.len() - 1]);
+    border[..inner.len()].copy_from_slice(inner);
+    border
+}
+
+/// Which stretches of a row hold a pixel that differs from the next by more than `least`.
+#[inline(always)]
+fn find_steep(row: &[u16], least: u16, steep: &mut [bool]) {
+    for (k, steep) in steep.iter_mut().enumerate() {
+        let mut border = [0; STRETCH + 1];
+        let x = pixels(row, k, &mut border);
+        // A plain loop, for vectors.
+        let mut most = 0;
+        for i in 0..STRETCH {
+            most = most.max(x[i].max(x[i + 1]) - x[i].min(x[i + 1]));
+        }
+        *steep = most > least;
+    }
+}
+
+/// Sums of nine rows, carried along from row to row; four columns repeat the border in front, and behind those that fill the last stretch.
+struct Sums {
+    columns: Vec<u32>,
+    next: usize,
+}
+
+impl Sums {
+    /// To begin with row `v`.
+    #[inline(always)]
+    fn new(on: &Smoothed<'_>, v: usize) -> Self {
+        let mut columns = vec![0; on.width.next_multiple_of(STRETCH) + 2 * R];
+        for j in 0..=2 * R {
+            // The rows of the one before.
+            let row = on.row((v + j).saturating_sub(R + 1).min(on.height - 1));
+            columns[R..].iter_mut().zip(row).for_each(|(c, x)| *c += u32::from(*x));
+        }
+        Self { columns, next: v }
+    }
+
+    #[inline(always)]
+    fn next_row(&mut self, on: &Smoothed<'_>) {
+        let (v, last) = (self.next, on.height - 1);
+        let (new, old) = (on.row((v + R).min(last)), on.row(v.saturating_sub(R + 1)));
+        let columns = &mut self.columns[R..R + on.width];
+        for (i, c) in columns.iter_mut().enumerate() {
+            *c = *c + u32::from(new[i]) - u32::from(old[i]);
+        }
+        let (first, last) = (columns[0], columns[on.width - 1]);
+        self.columns[..R].fill(first);
+        self.columns[R + on.width..].fill(last);
+        self.next += 1;
+    }
+
+    /// The field of stretch `k`, of which these are the pixels.
+    #[inline(always)]
+    fn field(&self, k: usize, own: &[u16; STRETCH + 1]) -> [i16; STRETCH] {
+        let c = &self.columns[k * STRETCH..][..STRETCH + 2 * R];
+        let mut out = [0; STRETCH];
+        for i in 0..STRETCH {
+            let sum = c[i] + c[i + 1] + c[i + 2] + c[i + 3] + c[i + 4] + c[i + 5] + c[i + 6] + c[i + 7] + c[i + 8];
+            out[i] = in_units(own[i], sum);
+        }
+        out
+    }
+}
+
+/// Places of row `v` where a line starts; the places of its stretches begin at `first`.
+#[inline(always)]
+fn find_starts(on: &Smoothed<'_>, v: usize, (steep, least): (&[bool], u16), first: usize, out: &mut Band) {
+    let mut hits = [0; STRETCH];
+    for k in (0..steep.len()).filter(|k| steep[*k]) {
+        let Some(field) = out.stretch(first + k) else { continue };
+        let mut border = [0; STRETCH + 1];
+        let x = pixels(on.row(v), k, &mut border);
+        for i in 0..STRETCH - 1 {
+            hits[i] = start(x[i], x[i + 1], field[i], field[i + 1], least);
+        }
+        let (end, i) = ((k + 1) * STRETCH, STRETCH - 1);
+        hits[i] = 0;
+        if end < on.width {
+            let beside = out.stretch(first + k + 1).map(|f| f[0]);
+            hits[i] = start(x[i], x[i + 1], field[i], beside.unwrap_or_else(|| on.field(end, v)), least);
+        }
+        for (part, hits) in hits.chunks_exact(PART).enumerate() {
+            if hits.iter().fold(0, |any, hit| any | hit) != 0 {
+                let at = v * on.width + k * STRETCH + part * PART;
+                out.starts.extend((0..PART).filter(|i| hits[*i] != 0).map(|i| (at + i) as u32));
+            }
+        }
+    }
+}
+
+/// Not zero where two neighbours differ by more than `least` and a line runs between them.
+#[inline(always)]
+fn start(s: u16, t: u16, f: i16, g: i16, least: u16) -> u16 {
+    let steep = (s.max(t) - s.min(t)).saturating_sub(least);
+    if (f > 0) != (g > 0) { steep } else { 0 }
+}
