@@ -230,23 +230,32 @@ fn uneven_light_and_glare() {
     assert_eq!(hidden, 0, "no edge point under the glare");
 }
 
-/// Light that rises by an eighth across the image, too little to be seen on one dot, shifted all of them the same way by 0.0042 px, which
-/// calibrations took for distortion.
+/// Light that rises by an eighth across the image, too little to be seen on one dot, shifted all of them the same way by 0.0042 px (0.0053 px the
+/// smaller ones, which blur fills), which calibrations took for distortion.
 #[test]
 fn light_that_all_dots_stand_in_shifts_none() {
+    for (a, b, blur, seeds) in [(9.0, 7.0, 0.9, 10), (4.4, 3.4, 1.1, 4)] {
+        let (mean, sigma) = mean_shift_of_dots(a, b, blur, seeds);
+        println!("dots of {a} x {b} px: mean shift {mean:.5?} px, of which noise explains {sigma:.5}");
+        assert!(sigma < 1e-3 && mean.iter().all(|x| x.abs() < 4.0 * sigma), "{mean:?}");
+    }
+}
+
+/// Along u and v, of 80 dots in slanted light, in so many images; and its standard deviation by the covariances given.
+fn mean_shift_of_dots(a: f64, b: f64, blur: f64, seeds: u64) -> ([f64; 2], f64) {
     let (pitch, width, height) = (42.0, 420, 336);
     let spots: Vec<Spot> = (0..80)
         .map(|k| {
             let (i, j) = (f64::from(k % 10), f64::from(k / 10));
-            Spot { u: 20.3 + pitch * i + 0.13 * j, v: 21.4 + pitch * j - 0.17 * i, a: 9.0, b: 7.0, phi: 0.4 }
+            Spot { u: 20.3 + pitch * i + 0.13 * j, v: 21.4 + pitch * j - 0.17 * i, a, b, phi: 0.4 }
         })
         .collect();
-    let clean = draw(width, height, 0.9, |u, v, h| {
+    let clean = draw(width, height, blur, |u, v, h| {
         let light = 1.0 + 0.12 * (u / 420.0 - 0.5) - 0.06 * (v / 336.0 - 0.5);
         light * (160.0 - 125.0 * spots.iter().map(|s| s.cover(u, v, h)).fold(0.0, f64::max))
     });
     let (mut shift, mut expected, mut count) = ([0.0; 2], 0.0, 0.0);
-    for seed in 0..10 {
+    for seed in 0..seeds {
         let d = find(&clean, 3.0, 400 + seed);
         assert_eq!(d.discs.len(), 80);
         for disc in &d.discs {
@@ -258,10 +267,7 @@ fn light_that_all_dots_stand_in_shifts_none() {
             count += 1.0;
         }
     }
-    let mean = shift.map(|x| x / count);
-    let sigma = expected.sqrt() / count;
-    println!("mean shift of {count} dots {mean:.5?} px, of which noise explains {sigma:.5}");
-    assert!(sigma < 4e-4 && mean.iter().all(|x| x.abs() < 4.0 * sigma), "{mean:?}");
+    (shift.map(|x| x / count), f64::sqrt(expected) / count)
 }
 
 #[test]

@@ -37,6 +37,7 @@ use crate::detect::light::Side;
 use crate::detect::profile::{Lanes, Profile};
 use crate::detect::refine::{Start, reach_px};
 use crate::detect::rim::Rim;
+use crate::detect::shared_light::in_axes;
 use crate::detect::surface::{At, on_contour};
 use crate::image::GrayView;
 use crate::lanes::{self, Kernel, Lanes as Width};
@@ -66,6 +67,8 @@ pub(crate) struct State {
     pub(crate) expected_blur_px: f64,
     pub(crate) sides: [Side; 2],
     pub(crate) field: Option<Field>,
+    /// Gradients of the light inside and outside that other discs tell, grey/px along u and v; coefficients are beyond them.
+    pub(crate) slopes: [[f64; 2]; 2],
     /// Noise variance inside and outside, grey^2.
     pub(crate) variance: [f64; 2],
     /// Inside minus outside, grey.
@@ -87,6 +90,8 @@ pub(crate) struct Exact {
     rim: Rim,
     count: usize,
     columns: Vec<f64>,
+    /// The slopes expected, in the axes of the ellipse.
+    expected: [[f64; 2]; 2],
     /// Step of the light at each pixel while the light is not known; empty otherwise.
     held: Vec<f64>,
     /// Derivative of the grey value by the distance from the edge, and share of the disc, of each pixel.
@@ -182,18 +187,19 @@ impl Exact {
 
     /// Difference of the light of the two sides on the contour, of the polynomials alone.
     fn step_at(&self, state: &State, c: f64, s: f64) -> f64 {
+        let [inside, outside] = self.expected.map(|[x, y]| x * c + y * s);
         if self.light.is_empty() {
-            return state.step;
+            return state.step + inside - outside;
         }
         let at = 2 * state.field.as_ref().map_or(0, |f| f.waves.len());
         let edge = on_contour(c, s);
         let inner = state.sides[0].count();
         let sum = |c: &[f64]| c.iter().zip(&edge).map(|(c, e)| c * e).sum::<f64>();
-        sum(&self.light[at..at + inner]) - sum(&self.light[at + inner..])
+        sum(&self.light[at..at + inner]) - sum(&self.light[at + inner..]) + inside - outside
     }
 
-    /// The columns of the polynomials of both sides, from column `j` on.
-    fn fill_polynomials(&mut self, state: &State, pixel: &At, root: f64, at: usize, mut j: usize) {
+    /// The columns of the polynomials of both sides, from column `j` on; returns what is expected of their slopes, grey.
+    fn fill_polynomials(&mut self, state: &State, pixel: &At, root: f64, at: usize, mut j: usize) -> f64 {
         let (blurred, bare) = (pixel.polynomials(), pixel.bare());
         for (side, polynomial) in state.sides.iter().enumerate() {
             for m in 0..polynomial.count() {
@@ -202,6 +208,8 @@ impl Exact {
                 j += 1;
             }
         }
+        let [inside, outside] = self.expected;
+        (0..2).map(|i| inside[i] * blurred[2 + i] + outside[i] * (bare[2 + i] - blurred[2 + i])).sum()
     }
 
     fn fill_from_rim(&mut self, state: &State, lanes: &Lanes<LANES>, p: usize, at: usize) {
@@ -217,13 +225,13 @@ impl Exact {
             ..At::default()
         };
         let root = Self::weight(state, seen.inside.clamp(0.0, 1.0)).sqrt();
-        self.fill_polynomials(state, &pixel, root, at, 0);
+        let expected = self.fill_polynomials(state, &pixel, root, at, 0);
         let j = Self::lights(state);
         self.columns[at + j * CHUNK] = root * seen.by_blur;
         for (m, x) in seen.by_geometry.iter().enumerate() {
             self.columns[at + (j + 1 + m) * CHUNK] = root * x;
         }
-        self.columns[at + (j + FIXED) * CHUNK] = root * self.band.grey[p];
+        self.columns[at + (j + FIXED) * CHUNK] = root * (self.band.grey[p] - expected);
         self.response[p] = root * lanes.slope[p % LANES] * self.step_at(state, self.band.cos[p], self.band.sin[p]);
         self.inside[p] = seen.inside;
     }
@@ -264,20 +272,21 @@ impl Exact {
             }
             j += 2;
         }
-        self.fill_polynomials(state, &pixel, root, at, j);
+        let expected = self.fill_polynomials(state, &pixel, root, at, j);
         let j = Self::lights(state);
         let step = if slope.abs() > 1e-9 { response / slope } else { state.step };
         self.columns[at + j * CHUNK] = root * step * lanes.by_blur[l];
         for (m, row) in foot.row.iter().enumerate() {
             self.columns[at + (j + 1 + m) * CHUNK] = root * response * row;
         }
-        self.columns[at + (j + FIXED) * CHUNK] = root * self.band.grey[p];
+        self.columns[at + (j + FIXED) * CHUNK] = root * (self.band.grey[p] - expected);
         self.response[p] = root * response;
         self.inside[p] = pixel.inside;
     }
 
     /// Sets up what all pixels share.
     fn prepare(&mut self, state: &State, frame: &Frame) {
+        self.expected = in_axes(&state.ellipse, state.slopes);
         let n = Self::lights(state) + FIXED + 1;
         self.columns.clear();
         self.columns.resize(n * CHUNK, 0.0);

@@ -25,6 +25,7 @@ use crate::detect::edge_model::{Dense, PRIOR_BLUR_PX};
 use crate::detect::exact::{SLOPE, SMALL, Share};
 use crate::detect::light::Side;
 use crate::detect::refine::reach_px;
+use crate::detect::shared_light::in_axes;
 use crate::image::GrayView;
 use crate::lanes;
 use bent::Bent;
@@ -74,12 +75,9 @@ pub(crate) struct Clean {
 impl Clean {
     /// The light as other discs tell it, in units of the semi-axes; levels and second degree are no one's but its own.
     fn expected_light(&self) -> [f64; LIGHTS + BENDS] {
-        let e = &self.ellipse;
-        let (sin, cos) = e.angle_rad.sin_cos();
         let mut light = [0.0; LIGHTS + BENDS];
-        for (side, [gu, gv]) in self.slopes.into_iter().enumerate() {
-            light[3 * side + 1] = e.semi_major_px * (cos * gu + sin * gv);
-            light[3 * side + 2] = e.semi_minor_px * (cos * gv - sin * gu);
+        for (side, slopes) in in_axes(&self.ellipse, self.slopes).into_iter().enumerate() {
+            light[3 * side + 1..3 * side + 3].copy_from_slice(&slopes);
         }
         light
     }

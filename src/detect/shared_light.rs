@@ -78,6 +78,12 @@ impl SharedLight {
     }
 }
 
+/// Gradients along u and v as coefficients of X and Y, the places in units of the semi-axes of an ellipse, grey.
+pub(crate) fn in_axes(e: &Ellipse, slopes: [[f64; 2]; 2]) -> [[f64; 2]; 2] {
+    let (sin, cos) = e.angle_rad.sin_cos();
+    slopes.map(|[gu, gv]| [e.semi_major_px * (cos * gu + sin * gv), e.semi_minor_px * (cos * gv - sin * gu)])
+}
+
 impl Polynomial {
     /// Robustly; none where the levels do not follow it, or vary no more than by chance.
     fn fit([width, height]: [f64; 2], levels: &[(Pixel, f64)]) -> Option<Self> {

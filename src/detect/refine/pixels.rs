@@ -139,6 +139,7 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
         expected_blur_px: model.expected_blur_px,
         sides,
         field: None,
+        slopes: start.slopes,
         variance: model.variance,
         step: model.step,
     };

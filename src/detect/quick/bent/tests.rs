@@ -116,8 +116,16 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
             smoke: false,
         };
         let (variance, field) = (state.variance, None);
-        let mut plain =
-            State { ellipse: LARGE, blur_px, expected_blur_px: blur_px, sides, field, variance, step: state.step };
+        let mut plain = State {
+            ellipse: LARGE,
+            blur_px,
+            expected_blur_px: blur_px,
+            sides,
+            field,
+            slopes: [[0.0; 2]; 2],
+            variance,
+            step: state.step,
+        };
         let mut exact = Exact::default();
         let keep = vec![true; contour.len()];
         exact.settle(&view, &mut plain, &mut contour, &keep, &start, floor).expect("a fit");
