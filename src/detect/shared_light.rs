@@ -8,7 +8,8 @@
 //! ```
 //!
 //! a few thousandths of a px, alike in every image, which passes for distortion. But the levels of many discs, and of the ground around them,
-//! tell the light of the image: each is a polynomial of the place, `L(x, y) = sum c_ij x^i y^j, i + j <= 3`, and its gradient is what the fit of a single disc expects.
+//! tell the light of the image: each is a polynomial of the place, `L(x, y) = sum c_ij x^i y^j, i + j <= 3`, of few discs a plane, and its gradient is
+//! what the fit of a single disc expects.
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
@@ -24,8 +25,9 @@ use crate::frames::Pixel;
 use crate::image::GrayView;
 use nalgebra::{SMatrix, SVector};
 
-/// Fewer discs tell nothing.
-const LEAST_DISCS: usize = 40;
+/// Discs from which a plane and the whole polynomial are told; fewer tell nothing.
+const LEAST_DISCS: usize = 12;
+const MANY_DISCS: usize = 40;
 /// By how much the polynomial must lessen the variance of the levels: less is noise, or light of another kind.
 const TOLD: f64 = 4.0;
 /// Rounds of leaving out what is no level (marks, dirt), and their limit in standard deviations.
@@ -34,8 +36,9 @@ const CLIP: f64 = 4.0;
 /// Directions in which levels are looked at: every 30 degrees, opposite ones in pairs.
 const DIRECTIONS: [[f64; 2]; 6] = [[1.0, 0.0], [ROOT, 0.5], [0.5, ROOT], [0.0, 1.0], [-0.5, ROOT], [-ROOT, 0.5]];
 const ROOT: f64 = 0.866_025_403_784_438_6;
-/// Coefficients.
+/// Coefficients, and those of a plane, which come first.
 const N: usize = 10;
+const PLANE: usize = 3;
 
 /// What the discs of an image tell of its light.
 #[derive(Debug, Default)]
@@ -47,6 +50,8 @@ pub(crate) struct SharedLight {
 
 #[derive(Debug)]
 struct Polynomial {
+    /// How many coefficients there are; the others are zero.
+    count: usize,
     coefficients: SVector<f64, N>,
     centre: Pixel,
     scale_px: f64,
@@ -88,6 +93,7 @@ impl Polynomial {
     /// Robustly; none where the levels do not follow it, or vary no more than by chance.
     fn fit([width, height]: [f64; 2], levels: &[(Pixel, f64)]) -> Option<Self> {
         let mut fitted = Self {
+            count: PLANE,
             coefficients: SVector::zeros(),
             centre: Pixel::new(0.5 * width, 0.5 * height),
             scale_px: 0.5 * width.max(height),
@@ -97,6 +103,7 @@ impl Polynomial {
             if kept.len() < LEAST_DISCS {
                 return None;
             }
+            fitted.count = if kept.len() < MANY_DISCS { PLANE } else { N };
             let (mut matrix, mut right) = (SMatrix::<f64, N, N>::zeros(), SVector::<f64, N>::zeros());
             for (p, level) in &kept {
                 let [row, ..] = fitted.rows(*p);
@@ -114,7 +121,7 @@ impl Polynomial {
         let n = kept.len() as f64;
         let mean = kept.iter().map(|x| x.1).sum::<f64>() / n;
         let about_mean = kept.iter().map(|x| (x.1 - mean).powi(2)).sum::<f64>() / (n - 1.0);
-        let about_fit = kept.iter().map(|x| fitted.off(x).powi(2)).sum::<f64>() / (n - N as f64);
+        let about_fit = kept.iter().map(|x| fitted.off(x).powi(2)).sum::<f64>() / (n - fitted.count as f64);
         (kept.len() >= LEAST_DISCS && about_mean > TOLD * about_fit).then_some(fitted)
     }
 
@@ -126,12 +133,13 @@ impl Polynomial {
     fn rows(&self, p: Pixel) -> [SVector<f64, N>; 3] {
         let f = 1.0 / self.scale_px;
         let (x, y) = ((p.u_px - self.centre.u_px) * f, (p.v_px - self.centre.v_px) * f);
-        [
+        let mut rows = [
             [1.0, x, y, x * x, x * y, y * y, x * x * x, x * x * y, x * y * y, y * y * y],
             [0.0, f, 0.0, 2.0 * x * f, y * f, 0.0, 3.0 * x * x * f, 2.0 * x * y * f, y * y * f, 0.0],
             [0.0, 0.0, f, 0.0, x * f, 2.0 * y * f, 0.0, x * x * f, 2.0 * x * y * f, 3.0 * y * y * f],
-        ]
-        .map(SVector::from)
+        ];
+        rows.iter_mut().for_each(|row| row[self.count..].fill(0.0));
+        rows.map(SVector::from)
     }
 
     fn gradient(&self, p: Pixel) -> [f64; 2] {
@@ -207,9 +215,12 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_expected_of_even_light_or_of_none_that_a_polynomial_follows() {
+    fn nothing_is_expected_of_even_light_or_where_no_polynomial_follows_it() {
         assert!(Polynomial::fit(SIZE_PX, &levels(|_, _| 150.0)).is_none());
         assert!(Polynomial::fit(SIZE_PX, &levels(|u, v| 150.0 + 20.0 * (0.2 * u + 0.3 * v).sin())).is_none());
-        assert!(Polynomial::fit(SIZE_PX, &levels(|u, _| 150.0 + u)[..30]).is_none(), "too few");
+        assert!(Polynomial::fit(SIZE_PX, &levels(|u, _| 150.0 + u)[..11]).is_none(), "too few");
+        let few = Polynomial::fit(SIZE_PX, &levels(|u, v| 150.0 + 0.3 * u - 0.2 * v)[..24]).expect("a plane");
+        let [gu, gv] = few.gradient(Pixel::new(80.0, 60.0));
+        assert!((gu - 0.3).abs() < 0.01 && (gv + 0.2).abs() < 0.05, "{gu} {gv}");
     }
 }
