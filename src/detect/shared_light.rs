@@ -1,21 +1,19 @@
 //! Light that all discs of one image stand in.
 //!
-//! A small disc cannot tell a slope of the light from a shift of its own: slopes set free cost a third of what the image tells about the
-//! centre of a disc of 6 px, and slopes too weak to be seen on one disc shift it, to first order by
+//! A small disc cannot tell a slope of the light from a shift of its own: with slopes set free the centre of a disc of 6 px is known a third
+//! worse (Fisher information), and slopes too weak to be seen on one disc shift it by a few thousandths of a px, alike in every image, which passes
+//! for distortion. But the levels of many discs, and of the ground around them, tell the light of the image, a polynomial of the place
 //!
 //! ```text
-//! s / step * (sqrt(pi) r (g_in + g_out) - 2 s (g_in - g_out)),
+//! L(x, y) = sum c_ij x^i y^j,   i + j <= 3, of few discs <= 1
 //! ```
 //!
-//! a few thousandths of a px, alike in every image, which passes for distortion. But the levels of many discs, and of the ground around them,
-//! tell the light of the image: each is a polynomial of the place, `L(x, y) = sum c_ij x^i y^j, i + j <= 3`, of few discs a plane, and its gradient is
-//! what the fit of a single disc expects.
+//! on either side, and its gradient is what the fit of a single disc expects.
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
 //! | g_in, g_out | `slopes` | grey/px | gradient of the light inside and outside, along u and v |
 //! | c_ij | `Polynomial::coefficients` | grey | of `x`, `y`, half the longer side of the image from its centre |
-//! | s, r, step | | px, px, grey | blur, radius, inside less outside |
 //!
 //! Where the light is even, or not a polynomial, nothing is expected.
 
