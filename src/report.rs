@@ -20,6 +20,7 @@
 //! Standard deviations are rounded to two significant digits, and values to the same decimal.
 
 mod canvas;
+mod captions;
 mod check_page;
 mod csv;
 mod detection;

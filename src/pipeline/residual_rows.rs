@@ -122,10 +122,8 @@ pub(super) fn found_shapes(image: &SeenImage, labels: &[DotId]) -> OverlayShapes
         let edge = &disc.edge;
         shapes.contours.push(Polyline { u_px: edge.u_px.clone(), v_px: edge.v_px.clone(), closed: true });
         shapes.ellipses.push(disc.ellipse);
-        let e = &disc.ellipse;
-        // Near the centre: inside every disc, however slim and turned.
-        let at_px = [e.center_px.u_px + 4.0, e.center_px.v_px + 4.0];
-        shapes.labels.push(Label { at_px, text: label_text(*label) });
+        let (e, text) = (&disc.ellipse, label_text(*label));
+        shapes.labels.push(Label { at_px: [e.center_px.u_px, e.center_px.v_px], reach_px: e.semi_major_px, text });
     }
     if let [a, b] = image.discs.as_slice() {
         tangent_lines(&image.detection.discs[a.disc], &image.detection.discs[b.disc], &mut shapes);

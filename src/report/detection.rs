@@ -88,10 +88,12 @@ pub fn detection_shapes(detection: &Detection) -> OverlayShapes {
         shapes.contours.push(Polyline { u_px, v_px, closed: true });
         shapes.ellipses.push(disc.ellipse);
         let c = disc.ellipse.center_px;
-        shapes.labels.push(Label { at_px: [c.u_px, c.v_px], text: disc_label(i, disc) });
+        let reach_px = disc.ellipse.semi_major_px;
+        shapes.labels.push(Label { at_px: [c.u_px, c.v_px], reach_px, text: disc_label(i, disc) });
     }
     for s in &detection.shapes {
-        shapes.labels.push(Label { at_px: [s.center_px.u_px, s.center_px.v_px], text: mark(s.mark).to_string() });
+        let (at_px, text) = ([s.center_px.u_px, s.center_px.v_px], mark(s.mark).to_string());
+        shapes.labels.push(Label { at_px, reach_px: s.radius_px, text });
     }
     if let Some((features, b)) = features(detection) {
         shapes.lines = tangent_lines(&b);

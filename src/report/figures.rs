@@ -1,5 +1,6 @@
 //! Overlays inside the HTML: the image shrunk to a JPEG, everything else as SVG lines over it, sharp at any size.
 
+use super::captions;
 use super::grey::{self, Background};
 use super::number::plain;
 use super::overlay::{self, OverlayShapes};
@@ -71,7 +72,7 @@ pub(super) fn overlay_svg(
         data_uri(&ground)?
     );
     let limit_px = overlay::arrow_limit_px(width, height);
-    let (used, outliers, words) = arrow_paths(shapes, figure.factor, limit_px, width as f64);
+    let (used, outliers, mut words) = arrow_paths(shapes, figure.factor, limit_px, width as f64);
     layer(&mut out, figure.id, "help", &polylines(&shapes.lines));
     layer(&mut out, figure.id, "contour", &polylines(&shapes.contours));
     let ellipses: String =
@@ -79,7 +80,11 @@ pub(super) fn overlay_svg(
     layer(&mut out, figure.id, "model", &(polylines(&shapes.predicted) + &ellipses));
     layer(&mut out, figure.id, "arrow", &used);
     layer(&mut out, figure.id, "bad", &(outliers + &crosses(shapes)));
-    texts(&mut out, shapes, width as f64);
+    let silent = texts(&mut out, shapes, (width, height));
+    if silent > 0 {
+        let mark = if words.is_empty() { "" } else { "; " };
+        let _ = write!(words, "{mark}no room for {silent} labels");
+    }
     out.push_str("</svg>");
     Ok((out, words))
 }
@@ -161,33 +166,30 @@ fn arrow_paths(shapes: &OverlayShapes, factor: f64, limit_px: f64, width: f64) -
 fn crosses(shapes: &OverlayShapes) -> String {
     let mut out = String::new();
     for mark in &shapes.rejected {
-        let ([u, v], r) = (mark.at_px, mark.radius_px.clamp(4.0, 60.0));
+        let ([u, v], r) = (mark.at_px, overlay::cross_px(mark, 1.0));
         out.push_str(&path_data([[u - r, v - r], [u + r, v + r]], false));
         out.push_str(&path_data([[u - r, v + r], [u + r, v - r]], false));
     }
     out
 }
 
-fn texts(out: &mut String, shapes: &OverlayShapes, width: f64) {
-    let size = 0.017 * width;
-    let mut write_text = |at: [f64; 2], class: &str, text: &str| {
-        if at[0].is_finite() && at[1].is_finite() {
-            let _ = write!(
-                out,
-                "<text class=\"{class}\" style=\"font-size:{}px;stroke-width:{}px\" x=\"{}\" y=\"{}\">{}</text>",
-                num(size),
-                num(0.16 * size),
-                num(at[0]),
-                num(at[1] + 0.8 * size),
-                escape(text)
-            );
-        }
-    };
-    for l in &shapes.labels {
-        write_text(l.at_px, "o-label", &l.text);
+/// Names and reasons where there is room for them; returns how many had none.
+fn texts(out: &mut String, shapes: &OverlayShapes, (width, height): (usize, usize)) -> usize {
+    // Letters no larger than small discs are, as long as they can be read enlarged.
+    let wide = width as f64;
+    let size = (2.0 * overlay::typical_radius_px([shapes])).clamp(0.008 * wide, 0.017 * wide);
+    let (placed, silent) = captions::arrange(shapes, (width, height), [0.6 * size, size], 1.0);
+    for caption in placed {
+        let _ = write!(
+            out,
+            "<text class=\"{}\" style=\"font-size:{}px;stroke-width:{}px\" x=\"{}\" y=\"{}\">{}</text>",
+            if caption.reason { "o-reason" } else { "o-label" },
+            num(size),
+            num(0.16 * size),
+            num(caption.at_px[0]),
+            num(caption.at_px[1] + 0.8 * size),
+            escape(caption.text)
+        );
     }
-    for m in &shapes.rejected {
-        let r = m.radius_px.clamp(4.0, 60.0);
-        write_text([m.at_px[0] + r + 0.2 * size, m.at_px[1] - 0.5 * size], "o-reason", &m.reason);
-    }
+    silent
 }

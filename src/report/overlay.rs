@@ -1,6 +1,7 @@
 //! The image with what was found in it: contours, ellipses, features, residual arrows, labels, rejected candidates.
 
 use super::canvas::{Canvas, Colour};
+use super::captions;
 use super::grey;
 use super::number::{nice_below, plain};
 use crate::conic::Ellipse;
@@ -88,11 +89,13 @@ impl Marks {
     }
 }
 
-/// Words at a place of the image.
+/// Words about a disc or a mark.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Label {
-    /// Left upper corner, px.
+    /// Its middle, px.
     pub at_px: [f64; 2],
+    /// How far it reaches, px.
+    pub reach_px: f64,
     /// A few characters.
     pub text: String,
 }
@@ -237,13 +240,17 @@ pub fn overlay_png(image: &GrayView<'_>, shapes: &OverlayShapes) -> Result<Vec<u
     let scale = (width.max(height) / 1500 + 1).min(4);
     draw_shapes(&mut canvas, shapes, scale as f64);
     let cut = draw_marks(&mut canvas, &shapes.marks, factor, arrow_limit_px(width, height), scale as f64);
-    for label in &shapes.labels {
-        canvas.text(label.at_px, &label.text, scale, LABEL);
-    }
+    let silent = write_captions(&mut canvas, shapes, (width, height), scale);
+    let mut notes = Vec::new();
     if !shapes.marks.is_empty() && rms_px([&shapes.marks]) > 0.0 {
         let tail = if cut { ", longest cut" } else { "" };
-        let words = format!("arrows: residual x {}{tail}", plain(factor, 3));
-        canvas.text([6.0, height as f64], &words, scale, ARROW);
+        notes.push(format!("arrows: residual x {}{tail}", plain(factor, 3)));
+    }
+    if silent > 0 {
+        notes.push(format!("no room for {silent} labels: see the tables"));
+    }
+    for (line, words) in notes.iter().rev().enumerate() {
+        canvas.text([6.0, height as f64 - (10 * scale * line) as f64], words, scale, ARROW);
     }
     let (width, height, rgb) = canvas.into_rgb();
     encode_png(&rgb, width, height)
@@ -274,11 +281,26 @@ fn draw_shapes(canvas: &mut Canvas, shapes: &OverlayShapes, scale: f64) {
         canvas.chain(&ellipse_points(ellipse), true, scale, MODEL);
     }
     for mark in &shapes.rejected {
-        let ([u, v], r) = (mark.at_px, mark.radius_px.clamp(4.0 * scale, 60.0 * scale));
+        let ([u, v], r) = (mark.at_px, cross_px(mark, scale));
         canvas.chain(&[[u - r, v - r], [u + r, v + r]], false, scale, BAD);
         canvas.chain(&[[u - r, v + r], [u + r, v - r]], false, scale, BAD);
-        canvas.text([u + r + 3.0, v - 4.0 * scale], &mark.reason, scale as usize, BAD);
     }
+}
+
+/// Half the side of the cross on a candidate turned down, px.
+pub(super) fn cross_px(mark: &RejectedMark, scale: f64) -> f64 {
+    mark.radius_px.clamp(4.0 * scale, 60.0 * scale)
+}
+
+/// Writes names and reasons where there is room for them; returns how many had none.
+fn write_captions(canvas: &mut Canvas, shapes: &OverlayShapes, size: (usize, usize), scale: usize) -> usize {
+    // Letters no larger than the discs.
+    let letters = ((typical_radius_px([shapes]) / 4.0) as usize).clamp(1, scale);
+    let (placed, silent) = captions::arrange(shapes, size, [8.0 * letters as f64; 2], scale as f64);
+    for caption in placed {
+        canvas.text(caption.at_px, caption.text, letters, if caption.reason { BAD } else { LABEL });
+    }
+    silent
 }
 
 /// Draws features and arrows; tells whether an arrow was cut.
@@ -403,9 +425,11 @@ mod tests {
         shapes.contours.push(Polyline { u_px: wild.clone(), v_px: wild.clone(), closed: true });
         shapes.marks.push([f64::NAN, 1.0], [1e300, f64::NAN], FeatureKind::Point, true);
         shapes.marks.push([5.0, 1.0], [1e300, 1.0], FeatureKind::Edge, true);
-        shapes
-            .labels
-            .push(Label { at_px: [-50.0, 1e9], text: "a very long label that is wider than the image ☃".into() });
+        shapes.labels.push(Label {
+            at_px: [-50.0, 1e9],
+            reach_px: 3.0,
+            text: "a very long label that is wider than the image ☃".into(),
+        });
         shapes.rejected.push(RejectedMark { at_px: [95.0, 63.0], radius_px: f64::INFINITY, reason: "?".into() });
         assert!(overlay_png(&view, &shapes).is_ok());
     }
