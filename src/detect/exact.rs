@@ -36,7 +36,7 @@ use crate::detect::edge_model::{Dense, PRIOR_BLUR_PX};
 use crate::detect::light::Side;
 use crate::detect::profile::{Lanes, Profile};
 use crate::detect::refine::{Start, reach_px};
-use crate::detect::rim::Rim;
+use crate::detect::rim::{Rim, Seen};
 use crate::detect::shared_light::in_axes;
 use crate::detect::surface::{At, on_contour};
 use crate::image::GrayView;
@@ -158,12 +158,16 @@ impl Exact {
     /// Columns of `LANES` pixels from place `i` on, each times the root of its weight, into `at` of the chunk.
     fn fill(&mut self, state: &State, frame: &Frame, i: usize, at: usize) {
         let lanes = self.profile(state, i);
+        let seen = state.exact_rim().then(|| {
+            let take = |list: &[f64]| std::array::from_fn(|l| list[i + l]);
+            self.rim.seen(&take(&self.band.x), &take(&self.band.y))
+        });
         let lights = Self::lights(state);
         for l in 0..LANES {
             if i + l >= self.count {
                 (0..=lights + FIXED).for_each(|j| self.columns[at + l + j * CHUNK] = 0.0);
-            } else if state.exact_rim() {
-                self.fill_from_rim(state, &lanes, i + l, at + l);
+            } else if let Some(seen) = &seen {
+                self.fill_from_rim(state, &lanes, seen, i + l, at + l);
             } else {
                 self.fill_from_profile(state, frame, &lanes, i + l, at + l);
             }
@@ -212,28 +216,28 @@ impl Exact {
         (0..2).map(|i| inside[i] * blurred[2 + i] + outside[i] * (bare[2 + i] - blurred[2 + i])).sum()
     }
 
-    fn fill_from_rim(&mut self, state: &State, lanes: &Lanes<LANES>, p: usize, at: usize) {
-        let (a, b) = (state.ellipse.semi_major_px, state.ellipse.semi_minor_px);
+    fn fill_from_rim(&mut self, state: &State, lanes: &Lanes<LANES>, seen: &Seen, p: usize, at: usize) {
+        let (a, b, l) = (state.ellipse.semi_major_px, state.ellipse.semi_minor_px, p % LANES);
         let (x, y) = (self.band.x[p], self.band.y[p]);
-        let seen = self.rim.seen(x, y);
+        let (inside, bend) = (seen.inside[l], seen.bend.map(|lanes| lanes[l]));
         let pixel = At {
             place: [x / a, y / b],
             blur_px: state.blur_px,
-            inside: seen.inside,
-            gradient: [seen.gradient[0] / a, seen.gradient[1] / b],
-            bend: [seen.bend[0] / (a * a), seen.bend[1] / (a * b), seen.bend[2] / (b * b)],
+            inside,
+            gradient: [seen.gradient[0][l] / a, seen.gradient[1][l] / b],
+            bend: [bend[0] / (a * a), bend[1] / (a * b), bend[2] / (b * b)],
             ..At::default()
         };
-        let root = Self::weight(state, seen.inside.clamp(0.0, 1.0)).sqrt();
+        let root = Self::weight(state, inside.clamp(0.0, 1.0)).sqrt();
         let expected = self.fill_polynomials(state, &pixel, root, at, 0);
         let j = Self::lights(state);
-        self.columns[at + j * CHUNK] = root * seen.by_blur;
+        self.columns[at + j * CHUNK] = root * seen.by_blur[l];
         for (m, x) in seen.by_geometry.iter().enumerate() {
-            self.columns[at + (j + 1 + m) * CHUNK] = root * x;
+            self.columns[at + (j + 1 + m) * CHUNK] = root * x[l];
         }
         self.columns[at + (j + FIXED) * CHUNK] = root * (self.band.grey[p] - expected);
-        self.response[p] = root * lanes.slope[p % LANES] * self.step_at(state, self.band.cos[p], self.band.sin[p]);
-        self.inside[p] = seen.inside;
+        self.response[p] = root * lanes.slope[l] * self.step_at(state, self.band.cos[p], self.band.sin[p]);
+        self.inside[p] = inside;
     }
 
     fn fill_from_profile(&mut self, state: &State, frame: &Frame, lanes: &Lanes<LANES>, p: usize, at: usize) {

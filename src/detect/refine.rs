@@ -394,10 +394,11 @@ fn accept(
     };
     let shape_px = options.max_edge_rms_px + options.max_edge_rms_ratio * ellipse.semi_minor_px;
     // Noise that explains any scatter says nothing of a shape either: place and size must be known within the same limit.
-    let known = (0..4).all(|i| covariance[(i, i)] > 0.0 && covariance[(i, i)] < shape_px * shape_px);
-    if !known {
-        return Err(not_elliptical(f64::INFINITY, shape_px));
-    }
+    let known = |covariance: &SMatrix<f64, 5, 5>| {
+        let within = (0..4).all(|i| covariance[(i, i)] > 0.0 && covariance[(i, i)] < shape_px * shape_px);
+        within.then_some(()).ok_or_else(|| not_elliptical(f64::INFINITY, shape_px))
+    };
+    known(&covariance)?;
     let limit_px = shape_px.hypot(noise_px2.sqrt());
     if rms_px > limit_px {
         return Err(not_elliptical(rms_px, limit_px));
@@ -406,15 +407,22 @@ fn accept(
         // Rough prints and speckle scatter all edge points alike, sharp or blurred: their variance adds to that of the noise.
         let roughness = roughness_px2(&ellipse, &edge, &feet.distance);
         if roughness > 0.0 {
-            let plain = feet.covariance(&ellipse, &edge.sigma_px);
-            let plain = plain.ok_or_else(|| not_elliptical(f64::INFINITY, shape_px))?;
+            let plain_px = edge.sigma_px.clone();
             edge.sigma_px.iter_mut().for_each(|s| *s = (*s * *s + roughness).sqrt());
-            let rough = match feet.refit(&ellipse, &edge.u_px, &edge.v_px, &edge.sigma_px) {
-                Some(rough) => rough,
-                None => fit_edges(&edge).map(|fit| (fit.ellipse, fit.covariance))?,
+            ellipse = match feet.refit(&ellipse, &edge.u_px, &edge.v_px, &edge.sigma_px) {
+                Some(rough) => rough.0,
+                None => {
+                    let rough = fit_edges(&edge)?.ellipse;
+                    feet.find(&rough, &edge.u_px, &edge.v_px);
+                    rough
+                }
             };
-            ellipse = rough.0;
-            covariance += rough.1 - plain;
+            // Both about the same ellipse: what roughness adds is never less than nothing.
+            let about = |sigma_px: &[f64]| {
+                feet.covariance(&ellipse, sigma_px).ok_or_else(|| not_elliptical(f64::INFINITY, shape_px))
+            };
+            covariance += about(&edge.sigma_px)? - about(&plain_px)?;
+            known(&covariance)?;
         }
     }
     Ok(Disc {

@@ -20,6 +20,8 @@
 //! | - | `Seen` | | what one pixel sees of the disc |
 
 use crate::conic::Frame;
+use crate::detect::band::LANES;
+use crate::lanes::{self, splats};
 
 /// Distance of two nodes over the blur.
 const SPACING: f64 = 0.8;
@@ -44,16 +46,16 @@ pub(crate) struct Rim {
     blur_px: f64,
 }
 
-/// What a pixel sees.
+/// What [`LANES`] pixels see.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Seen {
-    pub(crate) inside: f64,
+    pub(crate) inside: [f64; LANES],
     /// Gradient, 1/px, and second derivatives xx, xy, yy, 1/px^2, in the frame of the axes.
-    pub(crate) gradient: [f64; 2],
-    pub(crate) bend: [f64; 3],
+    pub(crate) gradient: [[f64; LANES]; 2],
+    pub(crate) bend: [[f64; LANES]; 3],
     /// Derivatives of the grey value, the light's difference at each node included.
-    pub(crate) by_geometry: [f64; 5],
-    pub(crate) by_blur: f64,
+    pub(crate) by_geometry: [[f64; LANES]; 5],
+    pub(crate) by_blur: [f64; LANES],
 }
 
 impl Rim {
@@ -84,33 +86,85 @@ impl Rim {
         self.nodes.iter().map(|n| (n.cos, n.sin))
     }
 
-    /// The disc as seen by the pixel at `(x, y)` in the frame of the axes.
-    pub(crate) fn seen(&self, x: f64, y: f64) -> Seen {
-        let s2 = self.blur_px * self.blur_px;
-        let norm = 1.0 / (std::f64::consts::TAU * s2);
+    /// The disc as seen by the pixels at `x`, `y` in the frame of the axes.
+    pub(crate) fn seen(&self, x: &[f64; LANES], y: &[f64; LANES]) -> Seen {
+        lanes::run(Looks { rim: self, x, y })
+    }
+}
+
+/// [`Rim::seen`] as wide as the processor is: each lane a pixel, one node after the other.
+struct Looks<'a> {
+    rim: &'a Rim,
+    x: &'a [f64; LANES],
+    y: &'a [f64; LANES],
+}
+
+impl lanes::Kernel for Looks<'_> {
+    type Output = Seen;
+    #[inline(always)]
+    fn run<L: lanes::Lanes>(self) -> Seen {
         let mut out = Seen::default();
-        for (node, step) in self.nodes.iter().zip(&self.step) {
-            let (dx, dy) = (node.at[0] - x, node.at[1] - y);
-            let half = (dx * dx + dy * dy) / (2.0 * s2);
-            let across = dx * node.normal[0] + dy * node.normal[1];
-            let gauss = (-half).exp();
-            // (1 - exp(-h)) / h, smooth where the pixel lies on a node.
-            let fill = if half < 1e-4 { 1.0 - 0.5 * half } else { (1.0 - gauss) / half };
-            out.inside += 0.5 * norm * across * fill;
-            let g = norm * gauss;
-            let [nx, ny] = node.normal;
-            out.gradient[0] -= nx * g;
-            out.gradient[1] -= ny * g;
-            out.bend[0] -= nx * dx * g / s2;
-            out.bend[1] -= 0.5 * (nx * dy + ny * dx) * g / s2;
-            out.bend[2] -= ny * dy * g / s2;
-            out.by_blur -= step * across * g / self.blur_px;
-            for (sum, row) in out.by_geometry.iter_mut().zip(&node.row) {
-                *sum -= step * row * g;
-            }
+        for at in (0..LANES).step_by(L::N) {
+            self.look::<L>(at, &mut out);
         }
         out
     }
+}
+
+impl Looks<'_> {
+    #[inline(always)]
+    fn look<L: lanes::Lanes>(&self, at: usize, out: &mut Seen) {
+        let (x, y, zero) = (L::load(&self.x[at..]), L::load(&self.y[at..]), L::splat(0.0));
+        let s = self.rim.blur_px;
+        let by_two_s2 = L::splat(0.5 / (s * s));
+        let (mut inside, mut gradient, mut bend) = (zero, [zero; 2], [zero; 3]);
+        let (mut by_geometry, mut by_blur) = ([zero; 5], zero);
+        for (node, step) in self.rim.nodes.iter().zip(&self.rim.step) {
+            let ([node_x, node_y], [nx, ny]) = (splats::<L, 2>(node.at), splats::<L, 2>(node.normal));
+            let (dx, dy) = (node_x - x, node_y - y);
+            // Above zero, so that (1 - exp(-h)) / h is there on a node as well; 1 - exp loses nothing that counts, since `across` is small too.
+            let half = ((dx * dx + dy * dy) * by_two_s2).at_least(L::splat(1e-8));
+            let across = dx * nx + dy * ny;
+            let gauss = gaussian(half);
+            inside = inside + across * (L::splat(1.0) - gauss) / half;
+            let (gx, gy) = (nx * gauss, ny * gauss);
+            gradient = [gradient[0] - gx, gradient[1] - gy];
+            bend = [bend[0] - gx * dx, bend[1] - (gx * dy + gy * dx), bend[2] - gy * dy];
+            let light = L::splat(*step) * gauss;
+            by_blur = by_blur - across * light;
+            for (k, row) in node.row.iter().enumerate() {
+                by_geometry[k] = by_geometry[k] - L::splat(*row) * light;
+            }
+        }
+        let norm = 1.0 / (std::f64::consts::TAU * s * s);
+        let put = |sum: L, factor: f64, out: &mut [f64; LANES]| (sum * L::splat(factor)).store(&mut out[at..]);
+        put(inside, 0.5 * norm, &mut out.inside);
+        put(gradient[0], norm, &mut out.gradient[0]);
+        put(gradient[1], norm, &mut out.gradient[1]);
+        put(bend[0], norm / (s * s), &mut out.bend[0]);
+        put(bend[1], 0.5 * norm / (s * s), &mut out.bend[1]);
+        put(bend[2], norm / (s * s), &mut out.bend[2]);
+        put(by_blur, norm / s, &mut out.by_blur);
+        for (sum, out) in by_geometry.into_iter().zip(&mut out.by_geometry) {
+            put(sum, norm, out);
+        }
+    }
+}
+
+/// `exp(-h)` for `h >= 0`, error below 1e-11: the series of `exp(-h / 64)`, squared six times; beyond 40 as at 40.
+#[inline(always)]
+fn gaussian<L: lanes::Lanes>(h: L) -> L {
+    let number = |x: f64| L::splat(x);
+    let z = h.at_most(number(40.0)) * number(-1.0 / 64.0);
+    let mut power = number(1.0)
+        + z * (number(1.0)
+            + z * (number(1.0 / 2.0)
+                + z * (number(1.0 / 6.0)
+                    + z * (number(1.0 / 24.0) + z * (number(1.0 / 120.0) + z * number(1.0 / 720.0))))));
+    for _ in 0..6 {
+        power = power * power;
+    }
+    power
 }
 
 #[cfg(test)]
@@ -129,6 +183,15 @@ mod tests {
         rim.set(&Frame::new(e), blur_px);
         rim.step = rim.angles().map(|_| 1.0).collect();
         rim
+    }
+
+    /// What the pixel at one place sees.
+    fn seen(rim: &Rim, x: f64, y: f64) -> Seen {
+        rim.seen(&[x; LANES], &[y; LANES])
+    }
+
+    fn inside(rim: &Rim, x: f64, y: f64) -> f64 {
+        seen(rim, x, y).inside[0]
     }
 
     /// The disc cut into thin strips, each blurred as an interval.
@@ -162,7 +225,7 @@ mod tests {
         for (a, b, s) in [(4.8, 4.0, 1.7), (9.0, 3.0, 1.2), (3.0, 2.5, 2.0)] {
             let rim = rim(&ellipse(a, b), s);
             for (x, y) in [(0.0, 0.0), (1.0, 2.0), (a, 0.0), (a + 2.0, 1.0), (0.3, b), (-3.0, -b - 1.0)] {
-                let (found, truth) = (rim.seen(x, y).inside, by_strips(a, b, s, x, y));
+                let (found, truth) = (inside(&rim, x, y), by_strips(a, b, s, x, y));
                 assert!((found - truth).abs() < 2e-6, "{a} {b} {s} at ({x}, {y}): {found} against {truth}");
             }
         }
@@ -171,15 +234,16 @@ mod tests {
     #[test]
     fn derivatives_are_those_of_the_value() {
         let (e, s, h) = (ellipse(4.8, 4.0), 1.7, 1e-4);
-        let value = |e: &Ellipse, s: f64, x: f64, y: f64| rim(e, s).seen(x, y).inside;
+        let value = |e: &Ellipse, s: f64, x: f64, y: f64| inside(&rim(e, s), x, y);
         for (x, y) in [(3.0, 2.0), (5.5, 0.4), (0.2, -3.9)] {
-            let seen = rim(&e, s).seen(x, y);
+            let at = seen(&rim(&e, s), x, y);
             let by_blur = (value(&e, s + h, x, y) - value(&e, s - h, x, y)) / (2.0 * h);
-            assert!((seen.by_blur - by_blur).abs() < 1e-6);
+            assert!((at.by_blur[0] - by_blur).abs() < 1e-6);
             let by_x = (value(&e, s, x + h, y) - value(&e, s, x - h, y)) / (2.0 * h);
-            assert!((seen.gradient[0] - by_x).abs() < 1e-6);
-            let bend = (rim(&e, s).seen(x, y + h).gradient[0] - rim(&e, s).seen(x, y - h).gradient[0]) / (2.0 * h);
-            assert!((seen.bend[1] - bend).abs() < 1e-6);
+            assert!((at.gradient[0][0] - by_x).abs() < 1e-6);
+            let bend =
+                (seen(&rim(&e, s), x, y + h).gradient[0][0] - seen(&rim(&e, s), x, y - h).gradient[0][0]) / (2.0 * h);
+            assert!((at.bend[1][0] - bend).abs() < 1e-6);
             for i in 0..3 {
                 let moved = |d: f64| {
                     let mut q = to_regular(&e);
@@ -188,7 +252,7 @@ mod tests {
                     value(&ellipse(m.semi_major_px, m.semi_minor_px), s, x - m.center_px.u_px, y - m.center_px.v_px)
                 };
                 let truth = (moved(h) - moved(-h)) / (2.0 * h);
-                assert!((seen.by_geometry[i] - truth).abs() < 1e-6, "{i}: {} against {truth}", seen.by_geometry[i]);
+                assert!((at.by_geometry[i][0] - truth).abs() < 1e-6, "{i}: {} against {truth}", at.by_geometry[i][0]);
             }
         }
     }
@@ -205,7 +269,7 @@ mod tests {
                 for z in [-1.5, -0.5, 0.0, 0.7, 2.0] {
                     let d = z * s;
                     let lanes = profile.at(&[d], &[cos], &[sin]);
-                    let truth = exact.seen(foot.u + d * foot.normal_u, foot.v + d * foot.normal_v).inside;
+                    let truth = inside(&exact, foot.u + d * foot.normal_u, foot.v + d * foot.normal_v);
                     assert!((lanes.inside[0] - truth).abs() < limit, "{a} {b} {s}, z {z}: {} {truth}", lanes.inside[0]);
                     let by = |d: f64, s: f64| Profile { blur_px: s, a, b }.at(&[d], &[cos], &[sin]).inside[0];
                     let slope = (by(d + 1e-4, s) - by(d - 1e-4, s)) / 2e-4;
