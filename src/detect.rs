@@ -3,6 +3,7 @@
 mod band;
 mod candidate;
 mod contour;
+mod correlation;
 mod edge_model;
 mod exact;
 mod find;

@@ -6,9 +6,10 @@ mod render;
 
 use detect_table::{Condition, Light};
 use nalgebra::SVector;
-use render::Random;
 use render::accuracy::{Case, bound, cases};
+use render::{Random, Spot, draw};
 use spivcal::detect::{DetectOptions, Disc, find_discs};
+use spivcal::image::{GrayView, Samples};
 use spivcal::simulate::{Scene, simulate};
 use std::f64::consts::PI;
 
@@ -189,4 +190,62 @@ fn smaller_bubbles(divisor: f64, smoke_length_mm: f64) -> Scene {
         None => line.to_string(),
     };
     Scene::parse(&text.lines().map(line).collect::<Vec<_>>().join("\n"), "scene.toml").unwrap()
+}
+
+/// Noise as neighbours share it after interpolated colours, compression or resampling: each pixel the mean of a few, and for comparison noise of
+/// its own. Sigmas of independent pixels would have z^2 of 2 to 5.
+#[test]
+fn sigmas_are_true_where_neighbours_share_noise() {
+    const SIDE: usize = 12;
+    const PITCH: usize = 40;
+    let size = SIDE * PITCH;
+    let mut random = Random(31);
+    let mut at = |i: usize| (i * PITCH) as f64 + 19.0 + random.uniform();
+    let spots: Vec<Spot> =
+        (0..SIDE * SIDE).map(|k| Spot { u: at(k % SIDE), v: at(k / SIDE), a: 8.0, b: 6.7, phi: 0.4 }).collect();
+    let clean = draw(size, size, 0.9, |u, v, h| {
+        let near = |x: f64| ((x / PITCH as f64) as usize).min(SIDE - 1);
+        220.0 - 150.0 * spots[near(v.max(0.0)) * SIDE + near(u.max(0.0))].cover(u, v, h)
+    });
+    for (kernel, limits) in
+        [(&[1.0][..], 0.8..1.2), (&[1.0, 2.0, 1.0], 0.75..1.4), (&[1.0, 3.0, 4.0, 3.0, 1.0], 0.75..1.5)]
+    {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for _ in 0..3 {
+            let noise = shared_noise(size, kernel, &mut random);
+            let grey: Vec<u8> =
+                clean.grey.iter().zip(noise).map(|(g, n)| (g + 3.0 * n).round().clamp(0.0, 255.0) as u8).collect();
+            let view = GrayView::new(Samples::U8(&grey), size, size, size).unwrap();
+            let discs = find_discs(&view, &DetectOptions::default()).unwrap().discs;
+            assert_eq!(discs.len(), SIDE * SIDE);
+            for d in &discs {
+                let e = &d.ellipse;
+                let near = |x: f64| x as usize / PITCH;
+                let spot = &spots[near(e.center_px.v_px) * SIDE + near(e.center_px.u_px)];
+                let off = [
+                    e.center_px.u_px - spot.u,
+                    e.center_px.v_px - spot.v,
+                    e.semi_major_px - spot.a,
+                    e.semi_minor_px - spot.b,
+                ];
+                sum += (0..4).map(|i| off[i] * off[i] / d.covariance[(i, i)]).sum::<f64>();
+                count += 4.0;
+            }
+        }
+        println!("mean of {} pixels along u and v: z^2 {:.2}", kernel.len(), sum / count);
+        assert!(limits.contains(&(sum / count)), "mean of {} pixels: z^2 {}", kernel.len(), sum / count);
+    }
+}
+
+/// White noise through a filter along u and v, variance 1.
+fn shared_noise(size: usize, kernel: &[f64], random: &mut Random) -> Vec<f64> {
+    let norm = kernel.iter().map(|k| k * k).sum::<f64>().sqrt();
+    let mut noise: Vec<f64> = (0..size * size).map(|_| random.normal()).collect();
+    for step in [1, size] {
+        let at = |i: usize, k: usize| (i + k * step) % (size * size);
+        noise = (0..size * size)
+            .map(|i| kernel.iter().enumerate().map(|(k, w)| w / norm * noise[at(i, k)]).sum())
+            .collect();
+    }
+    noise
 }

@@ -32,6 +32,7 @@ pub(crate) use left::Share;
 use crate::conic::{Ellipse, Frame, from_regular, to_regular};
 use crate::detect::band::{Band, LANES, Reach};
 use crate::detect::contour::Contour;
+use crate::detect::correlation::Allowance;
 use crate::detect::edge_model::{Dense, PRIOR_BLUR_PX};
 use crate::detect::light::Side;
 use crate::detect::profile::{Lanes, Profile};
@@ -73,6 +74,8 @@ pub(crate) struct State {
     pub(crate) variance: [f64; 2],
     /// Inside minus outside, grey.
     pub(crate) step: f64,
+    /// What the noise of neighbours has in common.
+    pub(crate) allow: Allowance,
 }
 
 impl State {

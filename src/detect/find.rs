@@ -7,6 +7,7 @@
 use crate::conic::{Ellipse, Frame};
 use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd};
 use crate::detect::contour::NEIGHBOUR;
+use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::level::Level;
 use crate::detect::plane::{self, Floats, Source, check_finite};
 use crate::detect::refine::{Scratch, Start, reach_px, refine};
@@ -99,6 +100,9 @@ fn refine_all<'a>(
     let around = surroundings(candidates);
     let light = SharedLight::of(view, candidates);
     let wanted: Vec<_> = candidates.iter().zip(&around).filter(|(c, _)| wanted(c.bright, options.polarity)).collect();
+    let smoke = wanted.len() <= MOST_SMOKY;
+    let noise = NoiseCorrelation::of(view, &wanted.iter().map(|w| w.0).collect::<Vec<_>>(), !smoke);
+    let allow = noise.allowance();
     let one = |scratch: &mut Scratch, (candidate, around): &(&'a Candidate, &Surroundings)| {
         let start = Start {
             ellipse: candidate.ellipse,
@@ -108,7 +112,9 @@ fn refine_all<'a>(
             inner_px: around.inner_px,
             neighbours: &around.neighbours,
             slopes: light.slopes(candidate),
-            smoke: wanted.len() <= MOST_SMOKY,
+            noise: &noise,
+            allow,
+            smoke,
         };
         (*candidate, refine(view, &start, options, scratch))
     };

@@ -21,6 +21,7 @@ mod pixels;
 
 use crate::conic::{Ellipse, Frame, from_regular, to_regular};
 use crate::detect::contour::Contour;
+use crate::detect::correlation::Allowance;
 use crate::detect::edge_model::{Dense, PRIOR_BLUR_PX};
 use crate::detect::exact::{SLOPE, SMALL, Share};
 use crate::detect::light::Side;
@@ -70,6 +71,8 @@ pub(crate) struct Clean {
     pub(crate) slopes: [[f64; 2]; 2],
     /// Noise variance inside and outside, grey^2.
     pub(crate) variance: [f64; 2],
+    /// What the noise of neighbours has in common.
+    pub(crate) allow: Allowance,
 }
 
 impl Clean {
@@ -214,14 +217,15 @@ impl Quick {
 
     /// Noise of either side, and whether the light of a large disc bends; none where rows differ more than pixels do.
     fn judge_noise(&mut self, view: &GrayView, state: &mut Clean, floor: f64, round: usize) -> Option<()> {
-        let found = [0, 1].map(|side| self.pixels.sums[side].noise(floor));
+        let found = [0, 1].map(|side| self.pixels.sums[side].noise(floor, &state.allow));
         let level = found.iter().all(Result::is_ok);
         let asked = !level || self.bent.is_some() || round == 1;
         let large = state.ellipse.perimeter_px() > bent::LEAST_CONTOUR_PX;
         let mut found = found.map(|x| x.ok().flatten());
         if asked && large {
             let turn = self.turn(&state.ellipse);
-            let side = |side: usize| Bent::new(view, &self.pixels, side, &turn, floor, state.step.abs()).ok();
+            let side =
+                |side: usize| Bent::new(view, &self.pixels, side, &turn, (floor, &state.allow), state.step.abs()).ok();
             let sides = Bent::of_both(side(0)?, side(1)?);
             // Once bent it stays so, lest rounds take turns.
             if !level || self.bent.is_some() || sides.iter().any(Bent::bends) {
@@ -399,11 +403,12 @@ impl Quick {
     pub(crate) fn clean(&self, state: &Clean) -> bool {
         let squares: f64 = self.shares.iter().map(|s| s.squares).sum();
         let pixels: f64 = self.shares.iter().map(|s| s.pixels).sum();
+        let Allowance { rows, squares: common, .. } = state.allow;
         if squares > pixels * 1.15 + 5.0 * (2.0 * pixels).sqrt() {
             return false;
         }
         let like_noise = |(sum, count): (f64, f64), side: usize| {
-            sum < (count + 3.5 * (2.0 * count + 2.0_f64).sqrt()) * state.variance[side]
+            sum < rows * (count + 3.5 * ((2.0 * count + 2.0_f64) * common).sqrt()) * state.variance[side]
         };
         if let Some(bent) = &self.bent {
             let light = |side| Vector6::from(columns_of(side).map(|k| self.light[of_light(k)]));

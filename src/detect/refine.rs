@@ -18,6 +18,7 @@ mod pixels;
 use crate::conic::{Ellipse, Feet, fit_geometric_from};
 use crate::detect::band::{Band, Reach};
 use crate::detect::contour::Contour;
+use crate::detect::correlation::{Allowance, NoiseCorrelation};
 use crate::detect::edge_model::{EdgeModel, Solution};
 use crate::detect::exact::Exact;
 use crate::detect::light::{self, Light, Side};
@@ -32,6 +33,8 @@ use pixels::{Exactly, clean_disc, fit_exactly};
 
 /// Rounds before a disc is given up.
 const MOST_ROUNDS: usize = 10;
+/// Standard deviation of place and axes beyond which a rough contour is none, in semi-minor axes.
+const MOST_ROUGH: f64 = 0.25;
 /// A change of the geometry below this ends the rounds, px: what is left of it is of third order in the ratio to the blur.
 const STILL_PX: f64 = 0.02;
 
@@ -63,6 +66,9 @@ pub(crate) struct Start<'a> {
     pub(crate) neighbours: &'a [Ellipse],
     /// Gradients of the light inside and outside that the discs around tell, grey/px along u and v.
     pub(crate) slopes: [[f64; 2]; 2],
+    /// What the noise of neighbouring pixels has in common, and what follows from it.
+    pub(crate) noise: &'a NoiseCorrelation,
+    pub(crate) allow: Allowance,
     /// Whether a random field of light may be fitted, which takes thousands of times as long as a clean disc.
     pub(crate) smoke: bool,
 }
@@ -359,6 +365,24 @@ fn sector_edges(s: &Scratch) -> EdgePoints {
     edge
 }
 
+/// Widens the sigmas of edge points by the noise that their pixels have in common; returns by how much that of the ellipse grows, as a variance.
+fn share_noise(e: &Ellipse, edge: &mut EdgePoints, noise: &NoiseCorrelation, blur_px: f64) -> f64 {
+    let (sin, cos) = e.angle_rad.sin_cos();
+    let (mut information, mut widened) = (0.0, 0.0);
+    for i in 0..edge.sigma_px.len() {
+        let (du, dv) = (edge.u_px[i] - e.center_px.u_px, edge.v_px[i] - e.center_px.v_px);
+        let x = (cos * du + sin * dv) / (e.semi_major_px * e.semi_major_px);
+        let y = (cos * dv - sin * du) / (e.semi_minor_px * e.semi_minor_px);
+        let length = x.hypot(y).max(f64::MIN_POSITIVE);
+        let kappa = noise.inflation([(cos * x - sin * y) / length, (sin * x + cos * y) / length], blur_px);
+        let weight = edge.sigma_px[i].powi(-2);
+        information += weight;
+        widened += weight * kappa;
+        edge.sigma_px[i] *= kappa.sqrt();
+    }
+    if information > 0.0 { widened / information } else { 1.0 }
+}
+
 /// Checks the shape and makes a disc of what was found.
 fn accept(
     found: &Found,
@@ -376,7 +400,7 @@ fn accept(
     // What the grey noise explains is no sign of another shape.
     let count = edge.sigma_px.len() as f64;
     let noise_px2 = edge.sigma_px.iter().map(|s| s * s).sum::<f64>() / count;
-    let (mut ellipse, mut covariance, chi2, rms_px) = match &found.covariance {
+    let (mut ellipse, independent, mut chi2, rms_px) = match &found.covariance {
         Some(covariance) => {
             feet.find(e, &edge.u_px, &edge.v_px);
             let (mut chi2, mut squares) = (0.0, 0.0);
@@ -394,14 +418,20 @@ fn accept(
     };
     let shape_px = options.max_edge_rms_px + options.max_edge_rms_ratio * ellipse.semi_minor_px;
     // Noise that explains any scatter says nothing of a shape either: place and size must be known within the same limit.
-    let known = |covariance: &SMatrix<f64, 5, 5>| {
-        let within = (0..4).all(|i| covariance[(i, i)] > 0.0 && covariance[(i, i)] < shape_px * shape_px);
-        within.then_some(()).ok_or_else(|| not_elliptical(f64::INFINITY, shape_px))
+    let unknown = not_elliptical(f64::INFINITY, shape_px);
+    let known = |covariance: &SMatrix<f64, 5, 5>, limit_px: f64| {
+        let within = (0..4).all(|i| covariance[(i, i)] > 0.0 && covariance[(i, i)] < limit_px * limit_px);
+        within.then_some(()).ok_or(unknown)
     };
-    known(&covariance)?;
+    known(&independent, shape_px)?;
     let limit_px = shape_px.hypot(noise_px2.sqrt());
     if rms_px > limit_px {
         return Err(not_elliptical(rms_px, limit_px));
+    }
+    let common = share_noise(&ellipse, &mut edge, start.noise, found.blur_px);
+    let mut covariance = independent * common;
+    if common > 1.0 {
+        chi2 = feet.distance.iter().zip(&edge.sigma_px).map(|(d, sigma)| (d / sigma).powi(2)).sum();
     }
     if chi2 > count - 5.0 {
         // Rough prints and speckle scatter all edge points alike, sharp or blurred: their variance adds to that of the noise.
@@ -418,11 +448,10 @@ fn accept(
                 }
             };
             // Both about the same ellipse: what roughness adds is never less than nothing.
-            let about = |sigma_px: &[f64]| {
-                feet.covariance(&ellipse, sigma_px).ok_or_else(|| not_elliptical(f64::INFINITY, shape_px))
-            };
-            covariance += about(&edge.sigma_px)? - about(&plain_px)?;
-            known(&covariance)?;
+            let about = |sigma_px: &[f64]| feet.covariance(&ellipse, sigma_px).ok_or(unknown);
+            let rough = about(&edge.sigma_px)? - about(&plain_px)?;
+            known(&(independent + rough), shape_px.max(MOST_ROUGH * ellipse.semi_minor_px))?;
+            covariance += rough;
         }
     }
     Ok(Disc {

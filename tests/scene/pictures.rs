@@ -123,7 +123,7 @@ pub fn shapes(camera: usize, view: usize, table: &ResidualTable) -> OverlayShape
         shapes.predicted.push(line(180));
         let centre = eye.project(&rig_from_target(view).apply(&Vector3::new(DISCS[disc].0, 0.0, 0.0)));
         shapes.marks.push(centre, [f64::NAN; 2], FeatureKind::DiscCentre, false);
-        shapes.labels.push(Label { at_px: [centre[0] + 10.0, centre[1] - 10.0], text: format!("{disc},0") });
+        shapes.labels.push(Label { at_px: centre, reach_px: 10.0, text: format!("{disc},0") });
     }
     for i in 0..table.len() {
         let row = table.row(i).unwrap();

@@ -124,13 +124,14 @@ impl Exact {
         (self.within.triples > 12.0).then(|| state.variance[0] * self.within.bends / self.within.triples)
     }
 
-    /// Whether what is left inside looks like light rather than noise: alike from pixel to pixel.
-    pub(crate) fn smoke_left(&self) -> bool {
+    /// Whether what is left inside looks like light rather than noise: more alike from pixel to pixel than noise is.
+    pub(crate) fn smoke_left(&self, state: &State) -> bool {
         let [product, n] = self.neighbours;
         if n < 12.0 {
             return self.misfit() > 2.0;
         }
-        product > 0.25 * n && product > 3.0 * n.sqrt()
+        let beyond = product - state.allow.alike.max(0.0) * n;
+        beyond > 0.25 * n && beyond > 3.0 * (n * state.allow.squares).sqrt()
     }
 
     /// Whether the noise inside is well above that outside, on a disc of too few pixels to show whether they are alike.

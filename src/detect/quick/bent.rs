@@ -17,6 +17,7 @@
 //! | - | `turn` | 6 x 6 | | polynomials from monomials |
 
 use super::pixels::{Pixels, Run, Sums};
+use crate::detect::correlation::Allowance;
 use crate::detect::light::{Fits, Side};
 use crate::image::{GrayView, Samples};
 use nalgebra::{Matrix3, SMatrix, SVector};
@@ -53,7 +54,7 @@ impl Bent {
         pixels: &Pixels,
         side: usize,
         turn: &Matrix3<f64>,
-        floor: f64,
+        (floor, allow): (f64, &Allowance),
         step: f64,
     ) -> Result<Self, ()> {
         let sums = &pixels.sums[side];
@@ -65,7 +66,7 @@ impl Bent {
             return Ok(out);
         }
         let (left, _) = out.fits.left_by(&[0, 1, 2, 3, 4, 5]).ok_or(())?;
-        let variance = sums.noise_about(left, 6.0, floor)?;
+        let variance = sums.noise_about(left, 6.0, floor, allow)?;
         let degrees = out.fits.degrees().ok_or(())?;
         out.side = out.fits.side(&degrees, variance.max(floor), sums.count(), step);
         out.variance = Some(variance);

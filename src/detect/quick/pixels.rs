@@ -2,6 +2,7 @@
 
 use super::columns::Near;
 use crate::conic::Frame;
+use crate::detect::correlation::Allowance;
 use crate::image::{GrayView, Samples};
 use crate::lanes::{Kernel, Lanes};
 use nalgebra::{Matrix3, Vector3};
@@ -52,21 +53,29 @@ impl Sums {
 
     /// Noise variance about a plane, not below `floor`: `Ok(None)` where there are too few pixels, an error where rows differ more than
     /// neighbours do.
-    pub(super) fn noise(&self, floor: f64) -> Result<Option<f64>, ()> {
+    pub(super) fn noise(&self, floor: f64, allow: &Allowance) -> Result<Option<f64>, ()> {
         if self.n < 16.0 {
             return Ok(None);
         }
         let (right, squares) = self.right();
         let x = self.matrix().cholesky().ok_or(())?.solve(&right);
-        self.noise_about((squares - right.dot(&x)).max(0.0), 3.0, floor).map(Some)
+        self.noise_about((squares - right.dot(&x)).max(0.0), 3.0, floor, allow).map(Some)
     }
 
     /// Noise variance about a surface with so many coefficients that leaves these squares.
-    pub(super) fn noise_about(&self, squares: f64, coefficients: f64, floor: f64) -> Result<f64, ()> {
-        let variance = squares / (self.n - coefficients);
+    pub(super) fn noise_about(
+        &self,
+        squares: f64,
+        coefficients: f64,
+        floor: f64,
+        allow: &Allowance,
+    ) -> Result<f64, ()> {
+        // Of noise that neighbours share the coefficients explain more.
+        let variance = squares / (self.n - coefficients * allow.sums).max(0.5 * self.n);
         let pairs = self.pairs.max(1.0);
         let of_neighbours = 0.5 * self.dd / pairs;
-        if variance > of_neighbours.max(floor) * (1.25 + 5.0 * (2.0 / pairs).sqrt()) {
+        let most = allow.over_neighbours() * (1.25 + 5.0 * (2.0 * allow.squares / pairs).sqrt());
+        if variance > of_neighbours.max(floor) * most {
             return Err(());
         }
         Ok(variance)

@@ -3,6 +3,7 @@
 use super::{Found, Scratch, Start, accept, border_px, check_size, median, quantisation};
 use crate::conic::{Ellipse, Frame, covariance_from_regular, from_regular, to_regular};
 use crate::detect::contour::{Contour, NEIGHBOUR};
+use crate::detect::correlation::Allowance;
 use crate::detect::edge_model::EdgeModel;
 use crate::detect::exact::{Exact, Field, MOST_CONTOUR_PX, Share, State};
 use crate::detect::light::{Light, Side};
@@ -41,6 +42,7 @@ pub(super) fn clean_disc(
         step: if start.bright { start.contrast } else { -start.contrast },
         slopes: start.slopes,
         variance: [1.0; 2],
+        allow: start.allow,
     };
     let floor = quantisation(view).max((1e-4 * start.contrast).powi(2));
     s.quick.fit(view, &mut state, outer_px, floor)?;
@@ -66,7 +68,11 @@ pub(super) fn clean_disc(
     let ellipse = from_regular(&(to_regular(&state.ellipse) + change))?;
     let edge = edges(&s.fine, &s.quick.shares, None, &change, s.quick.widen());
     let covariance = Some(covariance_from_regular(&to_regular(&ellipse), s.quick.covariance()));
-    Some(accept(&Found { ellipse, blur_px: state.blur_px, covariance }, edge, &model, start, options, &mut s.feet))
+    let found = Found { ellipse, blur_px: state.blur_px, covariance };
+    let disc = accept(&found, edge, &model, start, options, &mut s.feet);
+    // Where noise is allowed to look like light the longer way has the last word.
+    let sure = disc.is_ok() || start.allow == Allowance::NONE;
+    sure.then_some(disc)
 }
 
 /// Least distance of an ellipse from a contour beside it, px.
@@ -142,12 +148,13 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
         slopes: start.slopes,
         variance: model.variance,
         step: model.step,
+        allow: start.allow,
     };
     let before = state.clone();
     let floor = quantisation(view).max((1e-4 * model.step).powi(2));
     s.exact.uncovered();
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-    let mut smoky = nodes || s.exact.smoke_left() || s.exact.louder_inside(&state);
+    let mut smoky = nodes || s.exact.smoke_left(&state) || s.exact.louder_inside(&state);
     let explained = large || s.exact.misfit() < UNEXPLAINED;
     let mut clear = false;
     if start.smoke {
@@ -207,7 +214,7 @@ fn uncover(
     let found = s.exact.uncover(view, &mut state, &mut s.fine, kept, start, floor)?;
     // The skirts of glare look like smoke, but of little of the disc.
     let glare = |exact: &Exact| exact.misfit() < 1.2 && exact.hides_little() && !exact.louder_inside(&state);
-    (!s.exact.smoke_left() && (!smoky || glare(&s.exact))).then_some((state, found))
+    (!s.exact.smoke_left(&state) && (!smoky || glare(&s.exact))).then_some((state, found))
 }
 
 /// Glare on a small disc may bend the whole ellipse so that no sector disagrees more than another: one stretch of the contour after

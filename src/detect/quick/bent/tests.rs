@@ -3,6 +3,7 @@
 use super::*;
 use crate::conic::{Ellipse, Frame, to_regular};
 use crate::detect::contour::Contour;
+use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::exact::{Exact, State};
 use crate::detect::quick::pixels::{Collect, Rings};
 use crate::detect::quick::{Clean, Quick};
@@ -57,7 +58,8 @@ fn sums_over_rows_are_those_over_pixels() {
         assert!(lanes::run(Collect { view: &view, frame: &frame, rings, out: &mut quick.pixels }));
         let pixels = &quick.pixels;
         for side in 0..2 {
-            let bent = Bent::new(&view, pixels, side, &quick.turn(&LARGE), 1e9, 1.0).expect("a surface");
+            let bent =
+                Bent::new(&view, pixels, side, &quick.turn(&LARGE), (1e9, &Allowance::NONE), 1.0).expect("a surface");
             let (mut matrix, mut right) = (SMatrix::<f64, 6, 6>::zeros(), SVector::<f64, 6>::zeros());
             let light = SVector::<f64, 6>::from([3.0, 50.0, -20.0, 30.0, 40.0, -25.0]);
             let mut left = 0.0;
@@ -95,8 +97,15 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
         ellipse.center_px.u_px += 0.3;
         ellipse.semi_minor_px -= 0.2;
         let (blur_px, step) = (0.8, -32_000.0);
-        let mut state =
-            Clean { ellipse, blur_px, expected_blur_px: blur_px, step, slopes: [[0.0; 2]; 2], variance: [1.0; 2] };
+        let mut state = Clean {
+            ellipse,
+            blur_px,
+            expected_blur_px: blur_px,
+            step,
+            slopes: [[0.0; 2]; 2],
+            variance: [1.0; 2],
+            allow: Allowance::NONE,
+        };
         let (mut quick, mut contour) = (Quick::default(), Contour::default());
         quick.fit(&view, &mut state, f64::INFINITY, floor).expect("a clean disc");
         contour.cut(&state.ellipse, &[]);
@@ -113,6 +122,8 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
             inner_px: LARGE.semi_minor_px,
             neighbours: &[],
             slopes: [[0.0; 2]; 2],
+            noise: &NoiseCorrelation::NONE,
+            allow: Allowance::NONE,
             smoke: false,
         };
         let (variance, field) = (state.variance, None);
@@ -125,6 +136,7 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
             slopes: [[0.0; 2]; 2],
             variance,
             step: state.step,
+            allow: Allowance::NONE,
         };
         let mut exact = Exact::default();
         let keep = vec![true; contour.len()];
