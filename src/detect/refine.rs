@@ -5,7 +5,8 @@
 //! 2. Solve for geometry, blur and light together ([`crate::detect::edge_model`]); the light as rich as the image asks.
 //! 3. Drop sectors that disagree (glare, shadow, another object) and solve again from the same sums.
 //! 4. In each sector the shift of the edge along the normal, light and blur held: with residual `r`, weight `w` and response
-//!    `h = d(model)/d(shift)`, `shift = sum w r h / sum w h^2`, `sigma = (sum w h^2)^(-1/2)` (its Fisher information).
+//!    `h = d(model)/d(shift)`, `shift = sum w r h / sum w h^2`, `sigma = (sum w h^2)^(-1/2)` (its Fisher information), times
+//!    the root of what noise that neighbouring pixels share makes of it ([`crate::detect::correlation`]).
 //! 5. The disc's ellipse is the geometric fit through these edge points; where they scatter more than the grey noise says (rough
 //!    prints, speckle), one variance is added to all until chi2 is the number of degrees of freedom. A contour that
 //!    a lens bends smoothly off the ellipse is not rough: low harmonics along the contour are set aside first.

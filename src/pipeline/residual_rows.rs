@@ -155,6 +155,7 @@ fn tangent_lines(a: &Disc, b: &Disc, shapes: &mut OverlayShapes) {
 fn reason(r: &RejectionReason) -> String {
     match r {
         RejectionReason::CutByBorder => "cut by the border".into(),
+        RejectionReason::NotElliptical { rms_px, .. } if !rms_px.is_finite() => "not an ellipse".into(),
         RejectionReason::NotElliptical { rms_px, .. } => format!("not an ellipse ({rms_px:.2} px)"),
         RejectionReason::Overlapping => "overlapping".into(),
         RejectionReason::TooSmall { semi_minor_px } => format!("too small ({semi_minor_px:.1} px)"),

@@ -131,6 +131,9 @@ pub fn reason_kind(reason: RejectionReason) -> &'static str {
 pub fn reason_words(reason: RejectionReason) -> String {
     let kind = reason_kind(reason);
     match reason {
+        RejectionReason::NotElliptical { rms_px, limit_px } if !rms_px.is_finite() => {
+            format!("{kind}: no ellipse fits, or none is known to {limit_px:.2} px")
+        }
         RejectionReason::NotElliptical { rms_px, limit_px } => {
             format!("{kind}: {rms_px:.2} px from its ellipse, at most {limit_px:.2}")
         }

@@ -305,12 +305,25 @@ pub(super) fn target(record: &Record) -> Table {
     table
 }
 
+/// Chi-square over so many degrees of freedom, at least, that says that edge points scatter less than their sigmas.
+const SHARED: f64 = 0.7;
+const MANY_DEGREES: usize = 200;
+
+/// Whether edge points scatter less than their sigmas, which must be true for all points of a contour together.
+pub(super) fn shares_noise(record: &Record) -> bool {
+    let f = &record.fit;
+    f.degrees_of_freedom > MANY_DEGREES && f.chi2 < SHARED * f.degrees_of_freedom as f64
+}
+
 /// How well it fits.
 pub(super) fn fit(record: &Record) -> Table {
     let f = &record.fit;
     let mut table = Table::default();
     table.words("residual rms", format!("{} px", plain(f.rms_px, 3)));
     table.words("chi-square over degrees of freedom", format!("{} / {}", plain(f.chi2, 6), f.degrees_of_freedom));
+    if shares_noise(record) {
+        table.words("which is low, because", "sigmas of edge points hold the noise that neighbouring pixels share");
+    }
     table.words("observations", f.observations.to_string());
     table.words("redundancy", plain(f.redundancy, 4));
     table.words("outliers left out", f.outliers.to_string());

@@ -1,6 +1,7 @@
 //! The record in plain words: what is determined, what is not, what to do next.
 
 use super::number::{count, plain, with_unit};
+use super::tables;
 use crate::record::{Known, Record, View};
 
 /// A parameter whose prior gives more than this share of what is known counts as known from its prior.
@@ -95,7 +96,12 @@ fn scatter(r: &Record) -> String {
             plain(r.fit.sigma_scale, 2)
         )
     } else {
-        format!("that is {} times the scatter expected", plain(misfit(r), 2))
+        let low = if tables::shares_noise(r) {
+            " of independent edge points, whose sigmas hold the noise that neighbouring pixels share"
+        } else {
+            ""
+        };
+        format!("that is {} times the scatter expected{low}", plain(misfit(r), 2))
     }
 }
 
