@@ -1,6 +1,6 @@
 //! Many points near one ellipse: distances, their derivatives, and the fit through points that already lie close.
 
-use super::{Ellipse, Frame, covariance_from_regular, from_regular, to_regular};
+use super::{Ellipse, Frame, covariance_from_regular, from_regular, parameters_by_regular, to_regular};
 use crate::lanes::{self, GROUP, Kernel, Lanes};
 use nalgebra::{SMatrix, SVector};
 
@@ -73,10 +73,13 @@ impl Feet {
         (normal, SVector::from(gradient), chi2)
     }
 
-    /// Covariance of `(u0, v0, a, b, phi)` for points with these sigmas, px, whose feet on `e` were found last.
-    pub(crate) fn covariance(&self, e: &Ellipse, sigma_px: &[f64]) -> Option<SMatrix<f64, 5, 5>> {
-        let (normal, ..) = self.normal_equations(sigma_px);
-        Some(covariance_from_regular(&to_regular(e), &normal.cholesky()?.inverse()))
+    /// By how much the covariance of `(u0, v0, a, b, phi)` grows as the sigmas of the points, px, whose feet on `e` were found last, grow from
+    /// `before_px`: never by a negative variance, as `(J^T W J)^-1` falls with W and both are turned alike.
+    pub(crate) fn growth(&self, e: &Ellipse, sigma_px: &[f64], before_px: &[f64]) -> Option<SMatrix<f64, 5, 5>> {
+        let regular = |sigma_px: &[f64]| Some(self.normal_equations(sigma_px).0.cholesky()?.inverse());
+        let (whole, before) = (regular(sigma_px)?, regular(before_px)?);
+        let by = parameters_by_regular(&to_regular(e), &whole);
+        Some(by * (whole - before) * by.transpose())
     }
 
     /// The ellipse through the points, from `e`, on which their feet were found last, with its covariance; none where a few steps do

@@ -161,10 +161,7 @@ impl Exact {
     /// Columns of `LANES` pixels from place `i` on, each times the root of its weight, into `at` of the chunk.
     fn fill(&mut self, state: &State, frame: &Frame, i: usize, at: usize) {
         let lanes = self.profile(state, i);
-        let seen = state.exact_rim().then(|| {
-            let take = |list: &[f64]| std::array::from_fn(|l| list[i + l]);
-            self.rim.seen(&take(&self.band.x), &take(&self.band.y))
-        });
+        let seen = state.exact_rim().then(|| self.rim.seen(&eight(&self.band.x, i), &eight(&self.band.y, i)));
         let lights = Self::lights(state);
         for l in 0..LANES {
             if i + l >= self.count {
@@ -180,12 +177,8 @@ impl Exact {
     /// The local profile at `LANES` pixels from place `i` on.
     fn profile(&self, state: &State, i: usize) -> Lanes<LANES> {
         let (a, b) = (state.ellipse.semi_major_px, state.ellipse.semi_minor_px);
-        let take = |list: &[f64]| std::array::from_fn(|l| list[i + l]);
-        Profile { blur_px: state.blur_px, a, b }.at::<LANES>(
-            &take(&self.band.distance),
-            &take(&self.band.cos),
-            &take(&self.band.sin),
-        )
+        let Band { distance, cos, sin, .. } = &self.band;
+        Profile { blur_px: state.blur_px, a, b }.at::<LANES>(&eight(distance, i), &eight(cos, i), &eight(sin, i))
     }
 
     fn weight(state: &State, inside: f64) -> f64 {
@@ -544,6 +537,12 @@ impl Exact {
         q += moved;
         Some((from_regular(&q)?, moved, state.blur_px + change[0]))
     }
+}
+
+/// `LANES` numbers of a list from place `i` on.
+#[inline(always)]
+fn eight(list: &[f64], i: usize) -> [f64; LANES] {
+    std::array::from_fn(|l| list[i + l])
 }
 
 /// Adds the products of the first `used` entries of all pairs of columns to the lower triangle.

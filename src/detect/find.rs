@@ -102,7 +102,6 @@ fn refine_all<'a>(
     let wanted: Vec<_> = candidates.iter().zip(&around).filter(|(c, _)| wanted(c.bright, options.polarity)).collect();
     let smoke = wanted.len() <= MOST_SMOKY;
     let noise = NoiseCorrelation::of(view, &wanted.iter().map(|w| w.0).collect::<Vec<_>>(), !smoke);
-    let allow = noise.allowance();
     let one = |scratch: &mut Scratch, (candidate, around): &(&'a Candidate, &Surroundings)| {
         let start = Start {
             ellipse: candidate.ellipse,
@@ -113,7 +112,6 @@ fn refine_all<'a>(
             neighbours: &around.neighbours,
             slopes: light.slopes(candidate),
             noise: &noise,
-            allow,
             smoke,
         };
         (*candidate, refine(view, &start, options, scratch))

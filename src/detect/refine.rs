@@ -19,12 +19,12 @@ mod pixels;
 use crate::conic::{Ellipse, Feet, fit_geometric_from};
 use crate::detect::band::{Band, Reach};
 use crate::detect::contour::Contour;
-use crate::detect::correlation::{Allowance, NoiseCorrelation};
+use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::edge_model::{EdgeModel, Solution};
 use crate::detect::exact::Exact;
 use crate::detect::light::{self, Light, Side};
 use crate::detect::quick::Quick;
-use crate::detect::rough::roughness_px2;
+use crate::detect::rough::{roughen, roughness_px2};
 use crate::detect::sectors::{Lens, Sectors};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::{GrayView, Samples};
@@ -67,9 +67,8 @@ pub(crate) struct Start<'a> {
     pub(crate) neighbours: &'a [Ellipse],
     /// Gradients of the light inside and outside that the discs around tell, grey/px along u and v.
     pub(crate) slopes: [[f64; 2]; 2],
-    /// What the noise of neighbouring pixels has in common, and what follows from it.
+    /// What the noise of neighbouring pixels has in common.
     pub(crate) noise: &'a NoiseCorrelation,
-    pub(crate) allow: Allowance,
     /// Whether a random field of light may be fitted, which takes thousands of times as long as a clean disc.
     pub(crate) smoke: bool,
 }
@@ -368,6 +367,9 @@ fn sector_edges(s: &Scratch) -> EdgePoints {
 
 /// Widens the sigmas of edge points by the noise that their pixels have in common; returns by how much that of the ellipse grows, as a variance.
 fn share_noise(e: &Ellipse, edge: &mut EdgePoints, noise: &NoiseCorrelation, blur_px: f64) -> f64 {
+    if noise.is_none() {
+        return 1.0;
+    }
     let (sin, cos) = e.angle_rad.sin_cos();
     let (mut information, mut widened) = (0.0, 0.0);
     for i in 0..edge.sigma_px.len() {
@@ -394,10 +396,6 @@ fn accept(
     feet: &mut Feet,
 ) -> Result<Disc, RejectionReason> {
     let e = &found.ellipse;
-    let fit_edges = |edge: &EdgePoints| {
-        fit_geometric_from(e, &edge.u_px, &edge.v_px, &edge.sigma_px)
-            .map_err(|_| not_elliptical(f64::INFINITY, e.semi_minor_px))
-    };
     // What the grey noise explains is no sign of another shape.
     let count = edge.sigma_px.len() as f64;
     let noise_px2 = edge.sigma_px.iter().map(|s| s * s).sum::<f64>() / count;
@@ -412,7 +410,8 @@ fn accept(
             (*e, *covariance, chi2, (squares / count).sqrt())
         }
         None => {
-            let plain = fit_edges(&edge)?;
+            let plain = fit_geometric_from(e, &edge.u_px, &edge.v_px, &edge.sigma_px)
+                .map_err(|_| not_elliptical(f64::INFINITY, e.semi_minor_px))?;
             feet.find(&plain.ellipse, &edge.u_px, &edge.v_px);
             (plain.ellipse, plain.covariance, plain.chi2, plain.rms_px)
         }
@@ -438,21 +437,10 @@ fn accept(
         // Rough prints and speckle scatter all edge points alike, sharp or blurred: their variance adds to that of the noise.
         let roughness = roughness_px2(&ellipse, &edge, &feet.distance);
         if roughness > 0.0 {
-            let plain_px = edge.sigma_px.clone();
-            edge.sigma_px.iter_mut().for_each(|s| *s = (*s * *s + roughness).sqrt());
-            ellipse = match feet.refit(&ellipse, &edge.u_px, &edge.v_px, &edge.sigma_px) {
-                Some(rough) => rough.0,
-                None => {
-                    let rough = fit_edges(&edge)?.ellipse;
-                    feet.find(&rough, &edge.u_px, &edge.v_px);
-                    rough
-                }
-            };
-            // Both about the same ellipse: what roughness adds is never less than nothing.
-            let about = |sigma_px: &[f64]| feet.covariance(&ellipse, sigma_px).ok_or(unknown);
-            let rough = about(&edge.sigma_px)? - about(&plain_px)?;
-            known(&(independent + rough), shape_px.max(MOST_ROUGH * ellipse.semi_minor_px))?;
-            covariance += rough;
+            let added;
+            (ellipse, added) = roughen(&ellipse, &mut edge, roughness, feet).ok_or(unknown)?;
+            known(&(independent + added), shape_px.max(MOST_ROUGH * ellipse.semi_minor_px))?;
+            covariance += added;
         }
     }
     Ok(Disc {

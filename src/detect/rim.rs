@@ -47,7 +47,7 @@ pub(crate) struct Rim {
 }
 
 /// What [`LANES`] pixels see.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Seen {
     pub(crate) inside: [f64; LANES],
     /// Gradient, 1/px, and second derivatives xx, xy, yy, 1/px^2, in the frame of the axes.
@@ -93,6 +93,7 @@ impl Rim {
 }
 
 /// [`Rim::seen`] as wide as the processor is: each lane a pixel, one node after the other.
+#[derive(Clone)]
 struct Looks<'a> {
     rim: &'a Rim,
     x: &'a [f64; LANES],
@@ -278,6 +279,27 @@ mod tests {
                     assert!((lanes.by_blur[0] - by_blur).abs() < 5e-3, "{} {by_blur}", lanes.by_blur[0]);
                 }
             }
+        }
+    }
+
+    #[test]
+    fn all_widths_agree_to_the_bit_and_pixels_do_not_look_at_each_other() {
+        let rim = rim(&ellipse(4.8, 4.0), 1.7);
+        let x: [f64; LANES] = std::array::from_fn(|l| 1.3 * l as f64 - 4.8);
+        let y: [f64; LANES] = std::array::from_fn(|l| 4.0 - 0.9 * l as f64);
+        let all = lanes::run_all(&Looks { rim: &rim, x: &x, y: &y });
+        assert!(all.iter().all(|seen| *seen == all[0]));
+        for l in 0..LANES {
+            assert_eq!(all[0].inside[l], inside(&rim, x[l], y[l]));
+        }
+    }
+
+    #[test]
+    fn the_exponential_is_as_good_as_it_says() {
+        for k in 0..4100 {
+            let h = 0.01 * f64::from(k);
+            let off = (gaussian(h) - (-h).exp()).abs();
+            assert!(off < 1e-11, "exp(-{h}) is off by {off}");
         }
     }
 }

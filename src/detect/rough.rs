@@ -1,6 +1,6 @@
 //! How much rougher a contour is than the noise of its grey values explains.
 
-use crate::conic::Ellipse;
+use crate::conic::{Ellipse, Feet, fit_geometric_from};
 use crate::detect::EdgePoints;
 use nalgebra::{SMatrix, SVector};
 
@@ -86,10 +86,36 @@ pub(crate) fn roughness_px2(ellipse: &Ellipse, edge: &EdgePoints, distance: &[f6
     x
 }
 
+/// Adds a variance, px^2, to those of the edge points, whose feet on `e` were found last: the ellipse through them with these sigmas, and what
+/// the variance adds to the covariance of `(u0, v0, a, b, phi)`. Both covariances are about the ellipse that is returned, so that what
+/// is added is positive semidefinite, as `(J^T W J)^-1` is for a smaller W; none where the points fix no ellipse.
+pub(crate) fn roughen(
+    e: &Ellipse,
+    edge: &mut EdgePoints,
+    variance_px2: f64,
+    feet: &mut Feet,
+) -> Option<(Ellipse, SMatrix<f64, 5, 5>)> {
+    let plain_px = edge.sigma_px.clone();
+    edge.sigma_px.iter_mut().for_each(|s| *s = (*s * *s + variance_px2).sqrt());
+    let ellipse = match feet.refit(e, &edge.u_px, &edge.v_px, &edge.sigma_px) {
+        Some((ellipse, _)) => ellipse,
+        None => {
+            let ellipse = fit_geometric_from(e, &edge.u_px, &edge.v_px, &edge.sigma_px).ok()?.ellipse;
+            feet.find(&ellipse, &edge.u_px, &edge.v_px);
+            ellipse
+        }
+    };
+    let added = feet.growth(&ellipse, &edge.sigma_px, &plain_px)?;
+    Some((ellipse, added))
+}
+
 #[cfg(test)]
+#[allow(clippy::expect_used)]
 mod tests {
     use super::*;
+    use crate::conic::{Frame, covariance_from_regular, to_regular};
     use crate::frames::Pixel;
+    use crate::stats::random::Random;
 
     /// Against its definition, with sigmas that are too small in part.
     #[test]
@@ -111,5 +137,44 @@ mod tests {
             assert_eq!(x > 0.0, rough);
             assert!(if rough { (chi2 / freedom - 1.0).abs() < 1e-9 } else { chi2 < freedom }, "{chi2} {freedom}");
         }
+    }
+
+    /// Covariance of `(u0, v0, a, b, phi)` by its definition, foot by foot.
+    fn of(e: &Ellipse, edge: &EdgePoints) -> Option<SMatrix<f64, 5, 5>> {
+        let frame = Frame::new(e);
+        let mut normal = SMatrix::<f64, 5, 5>::zeros();
+        for i in 0..edge.u_px.len() {
+            let row = SVector::from(frame.foot(edge.u_px[i], edge.v_px[i], None).row) / edge.sigma_px[i];
+            normal += row * row.transpose();
+        }
+        Some(covariance_from_regular(&to_regular(e), &normal.cholesky()?.inverse()))
+    }
+
+    /// A few points of half a contour, far off the ellipse: covariances about two ellipses differed by negative variances.
+    #[test]
+    fn roughness_never_makes_an_ellipse_better_known() {
+        let e = Ellipse { center_px: Pixel::new(9.0, 7.0), semi_major_px: 5.0, semi_minor_px: 3.2, angle_rad: 0.4 };
+        let mut random = Random(5);
+        let (mut before, mut fitted) = (0, 0);
+        for _ in 0..300 {
+            let mut edge = EdgePoints::default();
+            for k in 0..8 {
+                let p = e.point(0.45 * f64::from(k));
+                edge.u_px.push(p.u_px + 0.25 * random.gauss());
+                edge.v_px.push(p.v_px + 0.25 * random.gauss());
+                edge.sigma_px.push(0.04);
+            }
+            let mut feet = Feet::default();
+            feet.find(&e, &edge.u_px, &edge.v_px);
+            let of_start = of(&e, &edge);
+            let Some((ellipse, added)) = roughen(&e, &mut edge, 0.003, &mut feet) else { continue };
+            fitted += 1;
+            let whole = of(&ellipse, &edge).expect("a covariance");
+            let least = |m: SMatrix<f64, 5, 5>| m.symmetric_eigenvalues().min() / whole.trace();
+            assert!(least(added) > -1e-9, "{}", least(added));
+            assert!(least(whole - added) > -1e-9);
+            before += usize::from(of_start.is_some_and(|c| (whole - c).diagonal().min() < 0.0));
+        }
+        assert!(fitted > 250 && before > 0, "{fitted} fitted, {before} negative about two ellipses");
     }
 }

@@ -3,7 +3,6 @@
 use super::{Found, Scratch, Start, accept, border_px, check_size, median, quantisation};
 use crate::conic::{Ellipse, Frame, covariance_from_regular, from_regular, to_regular};
 use crate::detect::contour::{Contour, NEIGHBOUR};
-use crate::detect::correlation::Allowance;
 use crate::detect::edge_model::EdgeModel;
 use crate::detect::exact::{Exact, Field, MOST_CONTOUR_PX, Share, State};
 use crate::detect::light::{Light, Side};
@@ -42,7 +41,7 @@ pub(super) fn clean_disc(
         step: if start.bright { start.contrast } else { -start.contrast },
         slopes: start.slopes,
         variance: [1.0; 2],
-        allow: start.allow,
+        allow: start.noise.allow,
     };
     let floor = quantisation(view).max((1e-4 * start.contrast).powi(2));
     s.quick.fit(view, &mut state, outer_px, floor)?;
@@ -71,7 +70,7 @@ pub(super) fn clean_disc(
     let found = Found { ellipse, blur_px: state.blur_px, covariance };
     let disc = accept(&found, edge, &model, start, options, &mut s.feet);
     // Where noise is allowed to look like light the longer way has the last word.
-    let sure = disc.is_ok() || start.allow == Allowance::NONE;
+    let sure = disc.is_ok() || start.noise.is_none();
     sure.then_some(disc)
 }
 
@@ -148,7 +147,7 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
         slopes: start.slopes,
         variance: model.variance,
         step: model.step,
-        allow: start.allow,
+        allow: start.noise.allow,
     };
     let before = state.clone();
     let floor = quantisation(view).max((1e-4 * model.step).powi(2));

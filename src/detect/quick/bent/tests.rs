@@ -123,7 +123,6 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
             neighbours: &[],
             slopes: [[0.0; 2]; 2],
             noise: &NoiseCorrelation::NONE,
-            allow: Allowance::NONE,
             smoke: false,
         };
         let (variance, field) = (state.variance, None);
