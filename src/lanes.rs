@@ -163,11 +163,12 @@ pub(crate) trait Kernel {
     fn run<L: Lanes>(self) -> Self::Output;
 }
 
-/// Runs a kernel as wide as this processor allows.
+/// Runs a kernel as wide as this processor allows; one number at a time with `--cfg spivcal_narrow`, for tools that watch memory and do not
+/// see wide writes (ThreadSanitizer).
 #[inline]
 pub(crate) fn run<K: Kernel>(kernel: K) -> K::Output {
     #[cfg(target_arch = "x86_64")]
-    {
+    if !cfg!(spivcal_narrow) {
         if is_x86_feature_detected!("avx512f") {
             // SAFETY: the processor has the instructions that the function is compiled for.
             return unsafe { x86::in_avx512(kernel) };

@@ -31,12 +31,15 @@
 //! refused where `|a| > 0.75 |v|` (Transtrum and Sethna, "Improvements to the Levenberg-Marquardt algorithm for nonlinear
 //! least-squares minimization", 2012).
 //!
+//! Close to the minimum the gradients of the last steps tell what Gauss-Newton leaves out ([`secant`]).
+//!
 //! This room knows numbers, never cameras. Not for problems whose blocks meet each other directly.
 
 mod factor;
 mod posterior;
 mod reduced;
 mod score;
+mod secant;
 mod tiles;
 
 pub use factor::{SymmetricEigen, symmetric_eigen};
@@ -45,6 +48,7 @@ pub use score::{Prediction, Score, ScoreTests, predict};
 
 use nalgebra::{DMatrix, DVector};
 use reduced::{Reduced, Ridge};
+use secant::Memory;
 
 /// Sizes of the unknowns.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -263,6 +267,7 @@ pub fn minimise_from<P: Problem>(
     observe: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Outcome<P::State> {
     let mut radius = Damping { mu: damping, growth: GROWTH, bent: false };
+    let mut memory = Memory::default();
     let mut iterations = 1;
     let (mut left, termination) = loop {
         let scales = problem.scales(&state);
@@ -280,8 +285,11 @@ pub fn minimise_from<P: Problem>(
         if iterations >= options.iterations {
             break (exact(), Termination::IterationLimit);
         }
-        match accepted_step(problem, &state, (&equations, reduced), &mut radius, &scales) {
-            Some((next, next_equations)) => (state, equations) = (next, next_equations),
+        match accepted_step(problem, &state, (&equations, reduced), (&mut radius, &mut memory), &scales) {
+            Some(next) => {
+                memory.learn((next.step, next.predicted), seen, &equations, &next.equations);
+                (state, equations) = (next.state, next.equations);
+            }
             None => break (exact(), Termination::Stalled),
         }
         iterations += 1;
@@ -313,17 +321,29 @@ fn accepted_step<'a, P: Problem>(
     problem: &P,
     state: &P::State,
     (equations, mut reduced): (&'a NormalEquations, Option<Reduced<'a>>),
-    damping: &mut Damping,
+    (damping, memory): (&mut Damping, &mut Memory),
     scales: &'a Step,
-) -> Option<(P::State, NormalEquations)> {
+) -> Option<Trial<P::State>> {
+    let mut remembered = reduced.as_ref().and_then(|r| memory.step(equations, r));
     while damping.mu < MU_MAX {
-        let tried = reduced.as_ref().and_then(|r| trial_step(problem, state, (equations, r), damping, scales));
+        let with_memory = remembered.is_some();
+        let tried = match remembered.take() {
+            Some((step, predicted)) => judged(problem, state, equations, (step, predicted), damping),
+            None => reduced.as_ref().and_then(|r| {
+                let (step, predicted) = plain_step(problem, state, r, damping, scales)?;
+                judged(problem, state, equations, (step, predicted), damping)
+            }),
+        };
         if let Some(trial) = tried {
             // Nielsen's law, allowed to fall by 100 so that the weak valley is undamped after few good steps.
             let factor = (1.0 - (2.0 * trial.gain - 1.0).powi(3)).clamp(0.01, 2.0);
             *damping =
                 Damping { mu: (damping.mu * factor).max(MU_MIN), growth: GROWTH, bent: trial.gain < STRAIGHT_GAIN };
-            return Some((trial.state, trial.equations));
+            return Some(trial);
+        }
+        if with_memory {
+            memory.clear();
+            continue;
         }
         damping.mu *= damping.growth;
         damping.growth *= 2.0;
@@ -343,16 +363,19 @@ fn length(step: &Step, scales: &Step) -> f64 {
 struct Trial<S> {
     state: S,
     equations: NormalEquations,
+    step: Step,
+    predicted: f64,
     gain: f64,
 }
 
-fn trial_step<P: Problem>(
+/// The damped step, with its acceleration where steps bend, and by how much it should lower the cost; none where it bends too much.
+fn plain_step<P: Problem>(
     problem: &P,
     state: &P::State,
-    (equations, reduced): (&NormalEquations, &Reduced),
+    reduced: &Reduced,
     damping: &Damping,
     scales: &Step,
-) -> Option<Trial<P::State>> {
+) -> Option<(Step, f64)> {
     let velocity = reduced.step();
     let mut step = velocity.clone();
     if damping.bent
@@ -365,7 +388,17 @@ fn trial_step<P: Problem>(
         step.global += &acceleration.global * 0.5;
         step.blocks.iter_mut().zip(&acceleration.blocks).for_each(|(s, a)| *s += a * 0.5);
     }
-    let predicted = reduced.predicted_decrease(&velocity);
+    Some((step, reduced.predicted_decrease(&velocity)))
+}
+
+/// Takes a step that should lower the cost by as much as `predicted`; none where it does not lower it.
+fn judged<P: Problem>(
+    problem: &P,
+    state: &P::State,
+    equations: &NormalEquations,
+    (step, predicted): (Step, f64),
+    damping: &Damping,
+) -> Option<Trial<P::State>> {
     let next = problem.retract(state, &step)?;
     // Most first steps are accepted and want their equations anyway, which hold the cost; after a refusal the cost alone comes first.
     let linearised = if damping.growth > GROWTH { None } else { Some(problem.linearise(&next)?) };
@@ -379,14 +412,14 @@ fn trial_step<P: Problem>(
         if !(gain > 1e-4) {
             return None;
         }
-        return linearise().map(|equations| Trial { state: next, equations, gain });
+        return linearise().map(|equations| Trial { state: next, equations, step, predicted, gain });
     }
     // Below rounding the cost cannot judge a step: the gradient has to. Where residuals bend more than the valley is steep,
     // an undamped step overshoots, and only this notices.
     let next_equations = linearise()?;
     let left = decrement(&next_equations) / decrement(equations);
     // Little may be gained only because the damping still holds the weak valley: it falls, and an overshoot raises it again.
-    (left < 1.0).then_some(Trial { state: next, equations: next_equations, gain: 1.0 })
+    (left < 1.0).then_some(Trial { state: next, equations: next_equations, step, predicted, gain: 1.0 })
 }
 
 /// Newton decrement of normal equations, infinite where they are not positive.

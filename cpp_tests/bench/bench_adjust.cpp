@@ -1,6 +1,6 @@
 // Time of one adjustment: the library against Ceres, with automatic derivatives per observation and with derivatives written
-// by hand, one residual block per image; same cost, same start, one thread each.
-//   bench_adjust DIR EXPORTER ROUNDS NAME...    DIR: problems of `EXPORTER --bench DIR NAME...`; EXPORTER: examples/export_problem
+// by hand, one residual block per image; same cost, same start, as many threads each.
+//   bench_adjust DIR EXPORTER ROUNDS THREADS NAME...    DIR: problems of `EXPORTER --bench DIR NAME...`; EXPORTER: examples/export_problem
 //
 // Ceres eliminates the views (DENSE_SCHUR), or the points where each is estimated (one block per observation then), and starts each foot where it was last. All run until nothing that matters is
 // left: the library to a Newton decrement of 1e-6, Ceres to a relative change of the cost of 1e-10; the excess of
@@ -22,10 +22,12 @@ double median(std::vector<double> x) {
   return x[x.size() / 2];
 }
 
-// Processor time: what else the machine does is not counted.
+int threads = 1;
+
+// Processor time of one thread: what else the machine does is not counted; elapsed time of several.
 double now() {
   timespec t;
-  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
+  clock_gettime(threads == 1 ? CLOCK_PROCESS_CPUTIME_ID : CLOCK_MONOTONIC, &t);
   return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
 }
 
@@ -233,7 +235,7 @@ void solve(const Problem& problem, const Build& build, Solved& s) {
   options.function_tolerance = 1e-10;
   options.gradient_tolerance = 0.0;
   options.parameter_tolerance = 0.0;
-  options.num_threads = 1;
+  options.num_threads = threads;
   options.logging_type = ceres::SILENT;
   auto* order = new ceres::ParameterBlockOrdering;
   for (double* b : blocks) order->AddElementToGroup(b, 1);
@@ -267,7 +269,7 @@ double covariance_seconds(const Problem& problem, Solved& s, bool poses) {
     for (const double* g : global) wanted.push_back({pose, g});
   }
   ceres::Covariance::Options options;
-  options.num_threads = 1;
+  options.num_threads = threads;
   ceres::Covariance covariance(options);
   const double begin = now();
   const bool good = covariance.Compute(wanted, &s.ceres);
@@ -280,7 +282,7 @@ struct Library {
 
 // In a process of its own.
 Library by_library(const std::string& exporter, const std::string& name, int repeats) {
-  const std::string command = exporter + " --time " + name + " " + std::to_string(repeats);
+  const std::string command = exporter + " --time " + name + " " + std::to_string(repeats) + " " + std::to_string(threads);
   FILE* pipe = popen(command.c_str(), "r");
   Library l{};
   const int read = pipe ? std::fscanf(pipe, "%lf %lf %lf %lf %lf %lf %lf %lf", &l.observations, &l.seconds, &l.cost,
@@ -337,10 +339,11 @@ void compare(const std::string& dir, const std::string& exporter, const std::str
 }  // namespace
 
 int main(int argc, char** argv) {
-  if (argc < 5) return std::fprintf(stderr, "bench_adjust DIR EXPORTER ROUNDS NAME...\n"), 2;
+  if (argc < 6) return std::fprintf(stderr, "bench_adjust DIR EXPORTER ROUNDS THREADS NAME...\n"), 2;
+  threads = std::atoi(argv[4]);
   std::printf("Milliseconds, iterations, and times of the library. Last: Ceres's excess of cost; covariance by Ceres (-1000: fails), library; the same of what the views share alone.\n");
   std::printf("%-14s %8s | %-20s | %-20s | %-13s | %9s | %s\n", "problem", "numbers", "Ceres, automatic", "Ceres, by hand",
               "spivcal", "cost", "covariance");
-  for (int k = 4; k < argc; ++k) compare(argv[1], argv[2], argv[k], std::atoi(argv[3]));
+  for (int k = 5; k < argc; ++k) compare(argv[1], argv[2], argv[k], std::atoi(argv[3]));
   return 0;
 }
