@@ -18,14 +18,17 @@ pub(super) struct Caption<'a> {
     pub(super) reason: bool,
 }
 
-/// Names and reasons, in letters of this width and height, with lines of this thickness, px; and how many of them have no room.
+/// Names and reasons, in letters of this width and height, with lines of this thickness, px, beside the notes in the left lower corner; and how
+/// many of them have no room.
 pub(super) fn arrange(
     shapes: &OverlayShapes,
     (width, height): (usize, usize),
+    notes_px: [f64; 2],
     letter_px: [f64; 2],
     line_px: f64,
 ) -> (Vec<Caption<'_>>, usize) {
     let mut room = Room::new(width, height);
+    room.reserve(notes_px);
     room.lines_of(shapes, line_px);
     let names = shapes.labels.iter().map(|l| (l.at_px, l.reach_px, l.text.as_str(), false));
     let reasons = shapes.rejected.iter().map(|m| (m.at_px, cross_px(m, line_px), m.reason.as_str(), true));
@@ -59,6 +62,14 @@ impl Room {
         let (right, bottom) = ((left + width) / CELL, (top + height) / CELL);
         let within = left >= 0.0 && top >= 0.0 && right < self.columns as f64 && bottom < self.rows as f64;
         within.then_some([(left / CELL) as usize, (top / CELL) as usize, right as usize, bottom as usize])
+    }
+
+    /// Nothing else stands in a rectangle in the left lower corner.
+    fn reserve(&mut self, [width, height]: [f64; 2]) {
+        let (columns, rows) = ((width / CELL).ceil() as usize, (height / CELL).ceil() as usize);
+        for row in self.rows.saturating_sub(rows)..self.rows {
+            self.taken[row * self.columns..][..columns.min(self.columns)].fill(true);
+        }
     }
 
     /// A line is drawn along these points.
@@ -146,6 +157,16 @@ mod tests {
     }
 
     #[test]
+    fn nothing_stands_on_the_notes() {
+        for (side, kept) in [(200, 60.0), (40, 60.0)] {
+            let mut room = Room::new(side, 100);
+            room.reserve([kept, 20.0]);
+            assert!(!room.take([4.0, 74.0], [30.0, 8.0]) && room.take([4.0, 66.0], [30.0, 8.0]));
+            assert_eq!(room.take([64.0, 84.0], [40.0, 8.0]), side == 200);
+        }
+    }
+
+    #[test]
     fn what_has_no_room_is_counted() {
         use crate::report::{Label, RejectedMark};
         let mut shapes = OverlayShapes::default();
@@ -154,7 +175,7 @@ mod tests {
             shapes.labels.push(Label { at_px, reach_px: 2.0, text: i.to_string() });
         }
         shapes.rejected.push(RejectedMark { at_px: [100.0, 80.0], radius_px: 5.0, reason: "too faint".into() });
-        let (placed, silent) = arrange(&shapes, (200, 100), [8.0, 8.0], 1.0);
+        let (placed, silent) = arrange(&shapes, (200, 100), [0.0; 2], [8.0, 8.0], 1.0);
         assert_eq!(placed.len() + silent, 41);
         assert!(silent > 0 && placed.iter().filter(|c| c.reason).count() == 1);
         let apart = |a: &Caption, b: &Caption| {

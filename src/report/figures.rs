@@ -178,7 +178,7 @@ fn texts(out: &mut String, shapes: &OverlayShapes, (width, height): (usize, usiz
     // Letters no larger than small discs are, as long as they can be read enlarged.
     let wide = width as f64;
     let size = (2.0 * overlay::typical_radius_px([shapes])).clamp(0.008 * wide, 0.017 * wide);
-    let (placed, silent) = captions::arrange(shapes, (width, height), [0.6 * size, size], 1.0);
+    let (placed, silent) = captions::arrange(shapes, (width, height), [0.0; 2], [0.6 * size, size], 1.0);
     for caption in placed {
         let _ = write!(
             out,

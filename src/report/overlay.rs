@@ -31,6 +31,11 @@ const ARROW_RADIUS: f64 = 0.35;
 /// The longest arrow that is drawn in full, part of the image's diagonal.
 const ARROW_LIMIT: f64 = 0.08;
 
+/// Notes below the picture's left corner: distance of their lines, most lines and most letters in units of the scale.
+const NOTE_PX: usize = 10;
+const NOTES: usize = 2;
+const NOTE_LETTERS: usize = 42;
+
 /// Pictures of more pixels are compressed with more effort: their size on the disk matters more than milliseconds.
 const LARGE_PX: usize = 1_500_000;
 
@@ -250,7 +255,7 @@ pub fn overlay_png(image: &GrayView<'_>, shapes: &OverlayShapes) -> Result<Vec<u
         notes.push(format!("no room for {silent} labels: see the tables"));
     }
     for (line, words) in notes.iter().rev().enumerate() {
-        canvas.text([6.0, height as f64 - (10 * scale * line) as f64], words, scale, ARROW);
+        canvas.text([6.0, height as f64 - (NOTE_PX * scale * (line + 1)) as f64], words, scale, ARROW);
     }
     let (width, height, rgb) = canvas.into_rgb();
     encode_png(&rgb, width, height)
@@ -296,7 +301,8 @@ pub(super) fn cross_px(mark: &RejectedMark, scale: f64) -> f64 {
 fn write_captions(canvas: &mut Canvas, shapes: &OverlayShapes, size: (usize, usize), scale: usize) -> usize {
     // Letters no larger than the discs.
     let letters = ((typical_radius_px([shapes]) / 4.0) as usize).clamp(1, scale);
-    let (placed, silent) = captions::arrange(shapes, size, [8.0 * letters as f64; 2], scale as f64);
+    let notes = [(8 * NOTE_LETTERS * scale) as f64, (NOTE_PX * NOTES * scale) as f64];
+    let (placed, silent) = captions::arrange(shapes, size, notes, [8.0 * letters as f64; 2], scale as f64);
     for caption in placed {
         canvas.text(caption.at_px, caption.text, letters, if caption.reason { BAD } else { LABEL });
     }

@@ -230,6 +230,20 @@ fn add_body(scene: &mut Scene, class: &str, eye: &Eye, reach_mm: f64) {
     }
 }
 
+/// Height of a line of words and width of a letter, about, px.
+const WORD_PX: [f64; 2] = [13.0, 7.0];
+
+/// Where words can stand that cover none of those `written` (middle, baseline and half the width), as near as possible to where they should;
+/// none within three lines leave them out.
+fn free(written: &mut Vec<[f64; 3]>, [x, y]: [f64; 2], text: &str) -> Option<[f64; 2]> {
+    let half = 0.5 * WORD_PX[1] * text.chars().count() as f64;
+    let covers = |y: f64, w: &[f64; 3]| (w[0] - x).abs() < w[2] + half && (w[1] - y).abs() < WORD_PX[0];
+    let lines = [0.0, 1.0, -1.0, 2.0, -2.0, 3.0, -3.0].map(|line| y + WORD_PX[0] * line);
+    let y = lines.into_iter().find(|y| !written.iter().any(|w| covers(*y, w)))?;
+    written.push([x, y, half]);
+    Some([x, y])
+}
+
 fn draw(scene: &Scene, screen: &Screen, size: [f64; 2], title: &str) -> String {
     let points: Vec<[f64; 2]> = scene
         .items
@@ -254,6 +268,7 @@ fn draw(scene: &Scene, screen: &Screen, size: [f64; 2], title: &str) -> String {
         let at = screen.at(p);
         [scale * at[0] + shift[0], scale * at[1] + shift[1]]
     };
+    let mut written: Vec<[f64; 3]> = Vec::new();
     for item in &scene.items {
         match item {
             Item::Chain { class, points, closed } => {
@@ -261,7 +276,9 @@ fn draw(scene: &Scene, screen: &Screen, size: [f64; 2], title: &str) -> String {
             }
             Item::Word { at, text, below_px } => {
                 let [x, y] = place(at);
-                label(&mut out, "word", [x, y + below_px], "middle", text);
+                if let Some(at) = free(&mut written, [x, y + below_px], text) {
+                    label(&mut out, "word", at, "middle", text);
+                }
             }
         }
     }
@@ -318,6 +335,15 @@ mod tests {
         assert_eq!(ray(&c, 0.0, 0.0), plain);
         c.f_px = f64::NAN;
         assert_eq!(ray(&c, 0.0, 0.0), P::z());
+    }
+
+    #[test]
+    fn words_cover_no_others() {
+        let mut written = vec![];
+        let lines: Vec<f64> =
+            (0..9).filter_map(|k| free(&mut written, [100.0 + f64::from(k), 50.0], "12")).map(|p| p[1]).collect();
+        assert_eq!(lines, [50.0, 63.0, 37.0, 76.0, 24.0, 89.0, 11.0], "those beyond three lines are left out");
+        assert_eq!(free(&mut written, [140.0, 50.0], "camera"), Some([140.0, 50.0]), "beside them");
     }
 
     #[test]
