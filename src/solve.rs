@@ -327,14 +327,9 @@ fn accepted_step<'a, P: Problem>(
     let mut remembered = reduced.as_ref().and_then(|r| memory.step(equations, r));
     while damping.mu < MU_MAX {
         let with_memory = remembered.is_some();
-        let tried = match remembered.take() {
-            Some((step, predicted)) => judged(problem, state, equations, (step, predicted), damping),
-            None => reduced.as_ref().and_then(|r| {
-                let (step, predicted) = plain_step(problem, state, r, damping, scales)?;
-                judged(problem, state, equations, (step, predicted), damping)
-            }),
-        };
-        if let Some(trial) = tried {
+        let plain = || plain_step(problem, state, reduced.as_ref()?, damping, scales);
+        let tried = remembered.take().or_else(plain);
+        if let Some(trial) = tried.and_then(|step| judged(problem, state, equations, step, damping)) {
             // Nielsen's law, allowed to fall by 100 so that the weak valley is undamped after few good steps.
             let factor = (1.0 - (2.0 * trial.gain - 1.0).powi(3)).clamp(0.01, 2.0);
             *damping =

@@ -197,6 +197,17 @@ fn the_verdict_follows_the_record() {
     assert_eq!(v.level, Level::Care);
     assert!(v.next[0].contains("3.03 times the noise") && v.next[0].contains("do not allow for it"), "{:?}", v.next);
 
+    // Low for more reasons than one: bubbles full of smoke do not share noise.
+    let mut low = good.clone();
+    low.fit.degrees_of_freedom = 1000;
+    for (chi2, said) in [(690.0, true), (710.0, false)] {
+        low.fit.chi2 = chi2;
+        let v = report::verdict(&low);
+        let told = v.determined.iter().any(|s| s.contains("whole contours (smoke, light, noise"));
+        assert_eq!(told, said, "chi-square {chi2}: {:?}", v.determined);
+        assert_eq!(report::text(&low).contains("which is low, because"), said);
+    }
+
     let mut loose = good.clone();
     loose.fit.nullity = 2;
     let v = report::verdict(&loose);

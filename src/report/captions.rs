@@ -44,14 +44,14 @@ pub(super) fn arrange(
 }
 
 /// Which parts of a picture are free.
-struct Room {
+pub(super) struct Room {
     columns: usize,
     rows: usize,
     taken: Vec<bool>,
 }
 
 impl Room {
-    fn new(width: usize, height: usize) -> Self {
+    pub(super) fn new(width: usize, height: usize) -> Self {
         let count = |size: usize| (size as f64 / CELL).ceil() as usize;
         let (columns, rows) = (count(width), count(height));
         Self { columns, rows, taken: vec![false; columns * rows] }
@@ -129,7 +129,7 @@ impl Room {
     }
 
     /// Left upper corner for a rectangle: in the middle of what it is about, below, above, right or left of it, where there is room first.
-    fn place(&mut self, [x, y]: [f64; 2], reach: f64, size: [f64; 2]) -> Option<[f64; 2]> {
+    pub(super) fn place(&mut self, [x, y]: [f64; 2], reach: f64, size: [f64; 2]) -> Option<[f64; 2]> {
         let (left, top) = (x - 0.5 * size[0], y - 0.5 * size[1]);
         let (above, before) = (y - reach - size[1], x - reach - size[0]);
         let places = [[left, top], [left, y + reach], [left, above], [x + reach, top], [before, top]];

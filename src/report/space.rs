@@ -1,5 +1,6 @@
 //! Cameras, sheet and target poses in space, seen obliquely from behind the cameras (parallel projection).
 
+use super::captions::Room;
 use super::number::{nice_below, plain, with_unit};
 use super::plots::COLOURS;
 use super::svg::{label, line, open, path, path_data};
@@ -230,19 +231,8 @@ fn add_body(scene: &mut Scene, class: &str, eye: &Eye, reach_mm: f64) {
     }
 }
 
-/// Height of a line of words and width of a letter, about, px.
-const WORD_PX: [f64; 2] = [13.0, 7.0];
-
-/// Where words can stand that cover none of those `written` (middle, baseline and half the width), as near as possible to where they should;
-/// none within three lines leave them out.
-fn free(written: &mut Vec<[f64; 3]>, [x, y]: [f64; 2], text: &str) -> Option<[f64; 2]> {
-    let half = 0.5 * WORD_PX[1] * text.chars().count() as f64;
-    let covers = |y: f64, w: &[f64; 3]| (w[0] - x).abs() < w[2] + half && (w[1] - y).abs() < WORD_PX[0];
-    let lines = [0.0, 1.0, -1.0, 2.0, -2.0, 3.0, -3.0].map(|line| y + WORD_PX[0] * line);
-    let y = lines.into_iter().find(|y| !written.iter().any(|w| covers(*y, w)))?;
-    written.push([x, y, half]);
-    Some([x, y])
-}
+/// Width of a letter and height of a line of words, about, px.
+const LETTER_PX: [f64; 2] = [7.0, 13.0];
 
 fn draw(scene: &Scene, screen: &Screen, size: [f64; 2], title: &str) -> String {
     let points: Vec<[f64; 2]> = scene
@@ -268,7 +258,7 @@ fn draw(scene: &Scene, screen: &Screen, size: [f64; 2], title: &str) -> String {
         let at = screen.at(p);
         [scale * at[0] + shift[0], scale * at[1] + shift[1]]
     };
-    let mut written: Vec<[f64; 3]> = Vec::new();
+    let mut room = Room::new(size[0] as usize, size[1] as usize);
     for item in &scene.items {
         match item {
             Item::Chain { class, points, closed } => {
@@ -276,8 +266,11 @@ fn draw(scene: &Scene, screen: &Screen, size: [f64; 2], title: &str) -> String {
             }
             Item::Word { at, text, below_px } => {
                 let [x, y] = place(at);
-                if let Some(at) = free(&mut written, [x, y + below_px], text) {
-                    label(&mut out, "word", at, "middle", text);
+                let [wide, high] = [LETTER_PX[0] * text.chars().count() as f64, LETTER_PX[1]];
+                // Letters stand on the line that is told, and reach a quarter below it.
+                let middle = [x, y + below_px - 0.25 * high];
+                if let Some([left, top]) = room.place(middle, high, [wide, high]) {
+                    label(&mut out, "word", [left + 0.5 * wide, top + 0.75 * high], "middle", text);
                 }
             }
         }
@@ -337,13 +330,23 @@ mod tests {
         assert_eq!(ray(&c, 0.0, 0.0), P::z());
     }
 
+    /// Poses all but on top of each other: their numbers stand beside each other or not at all.
     #[test]
     fn words_cover_no_others() {
-        let mut written = vec![];
-        let lines: Vec<f64> =
-            (0..9).filter_map(|k| free(&mut written, [100.0 + f64::from(k), 50.0], "12")).map(|p| p[1]).collect();
-        assert_eq!(lines, [50.0, 63.0, 37.0, 76.0, 24.0, 89.0, 11.0], "those beyond three lines are left out");
-        assert_eq!(free(&mut written, [140.0, 50.0], "camera"), Some([140.0, 50.0]), "beside them");
+        let mut scene = Scene::default();
+        scene.chain("sheet", [P::new(-50.0, -50.0, 0.0), P::new(50.0, 50.0, 0.0)], false);
+        (0..9).for_each(|k| scene.word(P::new(0.01 * f64::from(k), 0.0, 0.0), 4.0, format!("{}", 10 + k)));
+        let svg = draw(&scene, &Screen::new(&[eye(&camera())]), [560.0, 430.0], "poses");
+        let number = |text: &str, name: &str| -> f64 {
+            text.split(&format!("{name}=\"")).nth(1).and_then(|t| t.split('"').next()).unwrap().parse().unwrap()
+        };
+        let words: Vec<[f64; 2]> =
+            svg.split("<text class=\"word\"").skip(1).map(|t| [number(t, " x"), number(t, " y")]).collect();
+        assert!((3..9).contains(&words.len()), "{words:?}");
+        for (i, a) in words.iter().enumerate() {
+            let apart = |b: &[f64; 2]| (a[0] - b[0]).abs() >= 14.0 || (a[1] - b[1]).abs() >= 13.0;
+            assert!(words[..i].iter().all(apart), "{words:?}");
+        }
     }
 
     #[test]

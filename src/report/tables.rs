@@ -306,13 +306,16 @@ pub(super) fn target(record: &Record) -> Table {
 }
 
 /// Chi-square over so many degrees of freedom, at least, that says that edge points scatter less than their sigmas.
-const SHARED: f64 = 0.7;
+const LOW: f64 = 0.7;
 const MANY_DEGREES: usize = 200;
 
-/// Whether edge points scatter less than their sigmas, which must be true for all points of a contour together.
-pub(super) fn shares_noise(record: &Record) -> bool {
+/// Why edge points scatter less than their sigmas, where they do: these must be true for all points of a contour together.
+pub(super) const HELD_IN_COMMON: &str = "sigmas of edge points also hold what is not known of whole contours (smoke, light, noise that neighbouring pixels share)";
+
+/// Whether edge points scatter less than their sigmas.
+pub(super) fn scatters_little(record: &Record) -> bool {
     let f = &record.fit;
-    f.degrees_of_freedom > MANY_DEGREES && f.chi2 < SHARED * f.degrees_of_freedom as f64
+    f.degrees_of_freedom > MANY_DEGREES && f.chi2 < LOW * f.degrees_of_freedom as f64
 }
 
 /// How well it fits.
@@ -321,8 +324,8 @@ pub(super) fn fit(record: &Record) -> Table {
     let mut table = Table::default();
     table.words("residual rms", format!("{} px", plain(f.rms_px, 3)));
     table.words("chi-square over degrees of freedom", format!("{} / {}", plain(f.chi2, 6), f.degrees_of_freedom));
-    if shares_noise(record) {
-        table.words("which is low, because", "sigmas of edge points hold the noise that neighbouring pixels share");
+    if scatters_little(record) {
+        table.words("which is low, because", HELD_IN_COMMON);
     }
     table.words("observations", f.observations.to_string());
     table.words("redundancy", plain(f.redundancy, 4));

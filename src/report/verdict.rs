@@ -96,11 +96,7 @@ fn scatter(r: &Record) -> String {
             plain(r.fit.sigma_scale, 2)
         )
     } else {
-        let low = if tables::shares_noise(r) {
-            " of independent edge points, whose sigmas hold the noise that neighbouring pixels share"
-        } else {
-            ""
-        };
+        let low = if tables::scatters_little(r) { format!(" ({})", tables::HELD_IN_COMMON) } else { String::new() };
         format!("that is {} times the scatter expected{low}", plain(misfit(r), 2))
     }
 }

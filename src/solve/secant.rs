@@ -79,7 +79,7 @@ impl Memory {
             return;
         }
         let (mut change, after) = (downhill(before), downhill(behind));
-        // s^T H s: the damping, which may balance what is left out, is no curvature.
+        // s^T H s (with an acceleration, or with memory, about): the damping, which may balance what is left out, is no curvature.
         let expected = 2.0 * (dot(&step, &change) - predicted);
         add((&mut change.global, &mut change.blocks), -1.0, (&after.global, &after.blocks));
         let product = dot(&step, &change);
