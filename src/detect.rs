@@ -30,11 +30,6 @@ use crate::frames::Pixel;
 use crate::target::{DotId, MarkKind, Polarity};
 use nalgebra::SMatrix;
 
-/// Whether the caller runs in a pool of more than one thread.
-fn several_threads() -> bool {
-    rayon::current_thread_index().is_some() && rayon::current_num_threads() > 1
-}
-
 /// What to look for. The defaults serve any target; only [`DetectOptions::polarity`] is worth knowing in advance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DetectOptions {

@@ -39,5 +39,6 @@ pub mod simulate;
 pub mod solve;
 pub mod stats;
 pub mod target;
+pub(crate) mod threads;
 
 pub use error::{Error, Result};

@@ -38,7 +38,7 @@ use crate::conic::Ellipse;
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
 use crate::target::DotId;
-use rayon::prelude::*;
+use crate::threads::side_by_side;
 
 /// Pose of the target in a camera's solver frame, and its shape, mm.
 type Pose = (Motion<Cam, Target>, [f64; 3]);
@@ -101,15 +101,6 @@ struct Mono {
 
 /// Told of every iteration from any thread; returns false to stop.
 type Told<'a> = &'a (dyn Fn(&Iteration) -> bool + Sync);
-
-/// Pieces of work that know nothing of each other, on the threads of the pool where this runs in one; results in their order.
-fn side_by_side<T: Sync, R: Send>(of: &[T], work: impl Fn(&T) -> R + Sync + Send) -> Vec<R> {
-    if rayon::current_thread_index().is_some() {
-        of.par_iter().map(work).collect()
-    } else {
-        of.iter().map(work).collect()
-    }
-}
 
 fn rms_of(model: &Model, state: &State) -> Option<f64> {
     let (mut sum, mut n) = (0.0, 0.0);

@@ -24,6 +24,7 @@ use crate::camera::{INTRINSICS, WINDOW_STEPS};
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
 use crate::solve::{Gradient, NormalEquations};
+use crate::threads::{self, OwnMemory};
 use nalgebra::{DVector, Matrix4, SMatrix, SVector, Vector3, Vector4};
 use rayon::prelude::*;
 
@@ -200,22 +201,19 @@ pub(super) fn threaded(images: &[&ImageObservations]) -> bool {
     let points = |i: &&ImageObservations| -> usize {
         i.pairs.len() * PAIR + i.discs.iter().map(|d| d.edge.u_px.len()).sum::<usize>() + i.points.disc.len()
     };
-    rayon::current_num_threads() > 1 && images.iter().map(points).sum::<usize>() >= THREADED
+    threads::several() && images.iter().map(points).sum::<usize>() >= THREADED
 }
 
 /// Cost of all images; `None` where one of them has no meaning. Summed in the order of the images.
 pub(super) fn cost(model: &Model, state: &State) -> Option<f64> {
     let cameras = cameras(model, state)?;
     let images: Vec<&ImageObservations> = model.images.iter().collect();
-    let of = |scratch: &mut Scratch, o: &&ImageObservations| {
-        SeenImage::through(model, state, o, cameras[o.camera]).cost(scratch)
+    let memory = OwnMemory::<Scratch>::new();
+    let of = |o: &&ImageObservations| {
+        memory.with(|scratch| SeenImage::through(model, state, o, cameras[o.camera]).cost(scratch))
     };
-    let each: Option<Vec<f64>> = if threaded(&images) {
-        images.par_iter().map_init(Scratch::default, of).collect()
-    } else {
-        let mut scratch = Scratch::default();
-        images.iter().map(|o| of(&mut scratch, o)).collect()
-    };
+    let each: Option<Vec<f64>> =
+        if threaded(&images) { images.par_iter().map(of).collect() } else { images.iter().map(of).collect() };
     each.map(|c| c.iter().sum())
 }
 
@@ -280,15 +278,18 @@ fn each_image(
         }
         return Some(());
     }
+    let memory = OwnMemory::<Scratch>::new();
+    let mut each: Vec<MappedNormal> = (0..AT_A_TIME.min(wanted.len())).map(|_| MappedNormal::default()).collect();
     for some in wanted.chunks(AT_A_TIME) {
-        let each: Option<Vec<MappedNormal>> = some
-            .par_iter()
-            .map_init(Scratch::default, |scratch, o| {
+        let formed = |(o, normal): (&&ImageObservations, &mut MappedNormal)| {
+            memory.with(|scratch| {
                 of(scratch, o)?;
-                Some(std::mem::take(&mut scratch.normal))
+                std::mem::swap(&mut scratch.normal, normal);
+                Some(())
             })
-            .collect();
-        some.iter().zip(each?).for_each(|(o, n)| add(o.view, &n));
+        };
+        some.par_iter().zip(&mut each).map(formed).collect::<Option<()>>()?;
+        some.iter().zip(&each).for_each(|(o, n)| add(o.view, n));
     }
     Some(())
 }
@@ -297,15 +298,14 @@ fn each_image(
 pub(super) fn of_each_image(model: &Model, places: &Places, state: &State) -> Option<Vec<(usize, MappedNormal)>> {
     let wanted: Vec<&ImageObservations> = model.images.iter().collect();
     let cameras = cameras(model, state)?;
-    let of = |scratch: &mut Scratch, o: &&ImageObservations| {
-        linearised(model, places, state, &SeenImage::through(model, state, o, cameras[o.camera]), scratch)?;
-        Some((o.view, std::mem::take(&mut scratch.normal)))
+    let memory = OwnMemory::<Scratch>::new();
+    let of = |o: &&ImageObservations| {
+        memory.with(|scratch| {
+            linearised(model, places, state, &SeenImage::through(model, state, o, cameras[o.camera]), scratch)?;
+            Some((o.view, std::mem::take(&mut scratch.normal)))
+        })
     };
-    if threaded(&wanted) {
-        return wanted.par_iter().map_init(Scratch::default, of).collect();
-    }
-    let mut scratch = Scratch::default();
-    wanted.iter().map(|o| of(&mut scratch, o)).collect()
+    if threaded(&wanted) { wanted.par_iter().map(of).collect() } else { wanted.iter().map(of).collect() }
 }
 
 /// Normal equations of all images, or of those of one camera, without facts. Summed in the order of the images.
@@ -350,17 +350,14 @@ pub(super) fn linearise_by_disc(model: &Model, places: &Places, by: &ByDisc, sta
 /// points only (facts and tangent features bend little).
 pub(super) fn bend(model: &Model, places: &Places, states: [&State; 3], h: f64) -> Option<Gradient> {
     let all = [cameras(model, states[0])?, cameras(model, states[1])?, cameras(model, states[2])?];
-    let of = |scratch: &mut Scratch, o: &ImageObservations| {
+    let memory = OwnMemory::<Scratch>::new();
+    let of = |o: &&ImageObservations| {
         let seen = [0, 1, 2].map(|k| SeenImage::through(model, states[k], o, all[k][o.camera]));
-        bend_of(model, places, states[1], &seen, (h, scratch))
+        memory.with(|scratch| bend_of(model, places, states[1], &seen, (h, scratch)))
     };
     let images: Vec<&ImageObservations> = model.images.iter().collect();
-    let each: Option<Vec<Bend>> = if threaded(&images) {
-        images.par_iter().map_init(Scratch::default, |scratch, o| of(scratch, o)).collect()
-    } else {
-        let mut scratch = Scratch::default();
-        images.iter().map(|o| of(&mut scratch, o)).collect()
-    };
+    let each: Option<Vec<Bend>> =
+        if threaded(&images) { images.par_iter().map(of).collect() } else { images.iter().map(of).collect() };
     let layout = places.layout();
     let blocks = layout.blocks.iter().map(|d| DVector::zeros(*d)).collect();
     let mut out = Gradient { global: DVector::zeros(layout.global), blocks };

@@ -15,11 +15,12 @@ use crate::detect::rows::ByRow;
 use crate::detect::shared_light::SharedLight;
 use crate::detect::trace::{Line, Tracer};
 use crate::detect::whole::{self, Rows, Whole};
-use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason, Shape, several_threads};
+use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason, Shape};
 use crate::error::{Invalid, Result};
 use crate::frames::Pixel;
 use crate::image::GrayView;
 use crate::target::{MarkKind, Polarity};
+use crate::threads::{self, OwnMemory};
 use rayon::prelude::*;
 
 /// A region with less than this part of the typical contrast is texture.
@@ -102,7 +103,8 @@ fn refine_all<'a>(
     let wanted: Vec<_> = candidates.iter().zip(&around).filter(|(c, _)| wanted(c.bright, options.polarity)).collect();
     let smoke = wanted.len() <= MOST_SMOKY;
     let noise = NoiseCorrelation::of(view, &wanted.iter().map(|w| w.0).collect::<Vec<_>>(), !smoke);
-    let one = |scratch: &mut Scratch, (candidate, around): &(&'a Candidate, &Surroundings)| {
+    let memory = OwnMemory::<Scratch>::new();
+    let one = |(candidate, around): &(&'a Candidate, &Surroundings)| {
         let start = Start {
             ellipse: candidate.ellipse,
             blur_px: candidate.blur_px,
@@ -114,14 +116,9 @@ fn refine_all<'a>(
             noise: &noise,
             smoke,
         };
-        (*candidate, refine(view, &start, options, scratch))
+        (*candidate, memory.with(|scratch| refine(view, &start, options, scratch)))
     };
-    if several_threads() && wanted.len() > 1 {
-        wanted.par_iter().map_init(Scratch::default, one).collect()
-    } else {
-        let mut scratch = Scratch::default();
-        wanted.iter().map(|w| one(&mut scratch, w)).collect()
-    }
+    threads::side_by_side(&wanted, one)
 }
 
 fn check_options(o: &DetectOptions) -> Result<()> {
@@ -196,7 +193,7 @@ fn look_at<L: Level + Send + Sync>(
         let Some(on) = next.take() else { break };
         let mut follow = || follow(&on, *gradient, level as u32, options, &mut seen);
         let coarser = || (level + 1 < gradients.len()).then(|| make(Some(&on), level + 1));
-        next = if several_threads() {
+        next = if threads::several() {
             rayon::join(follow, coarser).1
         } else {
             follow();
@@ -225,7 +222,7 @@ fn follow(on: &(impl Level + Sync), gradient: f32, level: u32, options: &DetectO
             continue;
         }
         tracer.follow(u, v, &mut line);
-        if several_threads() {
+        if threads::several() {
             lines.push(line.clone());
         } else {
             seen.take(judged(&line));

@@ -21,9 +21,9 @@ mod binomial;
 mod stretches;
 
 use crate::detect::level::Level;
-use crate::detect::several_threads;
 use crate::image::{GrayView, Samples};
 use crate::lanes;
+use crate::threads;
 use binomial::Smooth;
 use rayon::prelude::*;
 use stretches::{Band, Find, STRETCH, Smoothed};
@@ -135,7 +135,7 @@ impl Whole {
             }
             Rows::Finer(finer) => (finer.width.div_ceil(2), finer.height.div_ceil(2), finer.per_grey),
         };
-        let shared = several_threads() && width * height >= SHARED;
+        let shared = threads::several() && width * height >= SHARED;
         let smooth = smooth(rows, [width, height], shared);
         // A difference of whole numbers is above a number where it is above its whole part.
         let least = (gradient * per_grey).min(65_535.0) as u16;

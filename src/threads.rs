@@ -1,0 +1,77 @@
+//! Work side by side on the threads of the pool where the caller runs, results in the order of the work; without a pool, one thread.
+
+use rayon::prelude::*;
+use std::sync::{Mutex, TryLockError};
+
+/// Whether the caller runs in a pool of more than one thread.
+pub(crate) fn several() -> bool {
+    rayon::current_thread_index().is_some() && rayon::current_num_threads() > 1
+}
+
+/// Pieces of work that know nothing of each other.
+pub(crate) fn side_by_side<T: Sync, R: Send>(of: &[T], work: impl Fn(&T) -> R + Sync + Send) -> Vec<R> {
+    if several() { of.par_iter().map(work).collect() } else { of.iter().map(work).collect() }
+}
+
+/// Memory that work uses again, one for each thread of the pool where it was made. (Memory made anew wherever rayon divides the work costs more
+/// than the second thread saves: the allocator's locks.)
+pub(crate) struct OwnMemory<S>(Vec<Mutex<S>>);
+
+impl<S: Default> OwnMemory<S> {
+    pub(crate) fn new() -> Self {
+        let threads = if several() { rayon::current_num_threads() } else { 1 };
+        Self((0..threads).map(|_| Mutex::new(S::default())).collect())
+    }
+
+    /// Does a piece of work with the memory of this thread; with new memory where a piece waits for another on the same thread.
+    pub(crate) fn with<R>(&self, work: impl FnOnce(&mut S) -> R) -> R {
+        let own = &self.0[rayon::current_thread_index().unwrap_or(0) % self.0.len()];
+        match own.try_lock() {
+            Ok(mut memory) => work(&mut memory),
+            Err(TryLockError::Poisoned(broken)) => work(&mut broken.into_inner()),
+            Err(TryLockError::WouldBlock) => work(&mut S::default()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rayon::ThreadPoolBuilder;
+
+    /// Results in order, and no more memories than threads.
+    #[test]
+    fn each_thread_uses_one_memory_again() {
+        for threads in [1, 3] {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| {
+                let (own, numbers) = (OwnMemory::<Vec<usize>>::new(), (0..1000).collect::<Vec<usize>>());
+                let out = side_by_side(&numbers, |n| {
+                    own.with(|seen| {
+                        seen.push(*n);
+                        2 * n
+                    })
+                });
+                assert_eq!(out, (0..1000).map(|n| 2 * n).collect::<Vec<_>>());
+                assert_eq!(own.0.len(), threads);
+                let mut all: Vec<usize> = own.0.into_iter().flat_map(|m| m.into_inner().unwrap()).collect();
+                all.sort_unstable();
+                assert_eq!(all, numbers);
+            });
+        }
+    }
+
+    /// Work inside work, and after work that failed.
+    #[test]
+    fn memory_in_use_is_never_waited_for() {
+        let own = OwnMemory::<usize>::new();
+        let inner = own.with(|outer| {
+            *outer = 1;
+            own.with(|inner| *inner)
+        });
+        assert_eq!(inner, 0, "memory of its own");
+        let broken = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| own.with(|_| panic!("broken"))));
+        assert!(broken.is_err());
+        assert_eq!(own.with(|memory| *memory), 1);
+    }
+}
