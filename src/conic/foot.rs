@@ -73,12 +73,18 @@ impl Frame {
         })
     }
 
+    /// A pixel in the frame of the axes.
+    #[inline(always)]
+    pub(crate) fn inside(&self, u: f64, v: f64) -> (f64, f64) {
+        let (du, dv) = (u - self.u0, v - self.v0);
+        (self.cos * du + self.sin * dv, self.cos * dv - self.sin * du)
+    }
+
     /// Closest point by Newton steps on the eccentric angle, held as a unit vector: no trigonometry in the loop. `near` is the answer
     /// for an ellipse close by.
     #[inline]
     pub(crate) fn foot(&self, u: f64, v: f64, near: Option<(f64, f64)>) -> Foot {
-        let (du, dv) = (u - self.u0, v - self.v0);
-        let (x, y) = (self.cos * du + self.sin * dv, self.cos * dv - self.sin * du);
+        let (x, y) = self.inside(u, v);
         let (a, b) = (self.a, self.b);
         let e2 = a * a - b * b;
         let (mut c, mut s) = near.unwrap_or((1.0, 0.0));
@@ -164,10 +170,11 @@ impl Frame {
         let (mut c, mut s) = ([0.0; N], [0.0; N]);
         for i in 0..N {
             let (p, q) = (x[i] * b, y[i] * a);
-            let norm = (p * p + q * q).sqrt();
-            let at_centre = norm == 0.0;
-            c[i] = if at_centre { 0.0 } else { p / norm };
-            s[i] = if at_centre { 1.0 } else { q / norm };
+            let squares = p * p + q * q;
+            let at_centre = squares == 0.0;
+            let inverse = 1.0 / squares.sqrt();
+            c[i] = if at_centre { 0.0 } else { p * inverse };
+            s[i] = if at_centre { 1.0 } else { q * inverse };
         }
         for _ in 0..6 {
             let mut turned = [0.0; N];
@@ -177,8 +184,12 @@ impl Frame {
                 let df = e2 * (c[i] * c[i] - s[i] * s[i]) - ax * c[i] - by * s[i];
                 let t = if df < 0.0 { -f / df } else { 0.0 };
                 let t = t.clamp(-0.5, 0.5);
-                let inverse = 1.0 / (1.0 + t * t).sqrt();
-                (c[i], s[i]) = ((c[i] - t * s[i]) * inverse, (s[i] + t * c[i]) * inverse);
+                // 1 / (1 + t^2)^(1/2) without a root; what the series leaves of large turns goes by a step of Newton's for the length.
+                let t2 = t * t;
+                let inverse = 1.0 - 0.5 * t2 * (1.0 - 0.75 * t2 * (1.0 - (5.0 / 6.0) * t2));
+                let (cos, sin) = ((c[i] - t * s[i]) * inverse, (s[i] + t * c[i]) * inverse);
+                let length = 1.5 - 0.5 * (cos * cos + sin * sin);
+                (c[i], s[i]) = (cos * length, sin * length);
                 turned[i] = t.abs();
             }
             // Not a maximum: the compiler cannot turn one into vectors.

@@ -3,6 +3,8 @@
 use crate::conic::{Ellipse, Frame};
 use crate::detect::contour::{Contour, diamond};
 use crate::image::{GrayView, Samples};
+use crate::lanes::{self, Kernel};
+use std::f64::consts::SQRT_2;
 
 /// Pixels worked on together.
 pub(crate) const LANES: usize = 8;
@@ -47,7 +49,13 @@ impl Band {
         // The parallel curve of an ellipse lies inside the ellipse with both axes grown by this much.
         let bulge = (frame.a + frame.b) / (2.0 * (frame.a * frame.b).sqrt());
         let (outer, inner) = (reach.outer_px * bulge, reach.inner_px * bulge);
-        let (ao, bo) = (frame.a + outer, frame.b + outer);
+        // So does the rectangle around it inside the ellipse around that: less of a flat one.
+        let (box_a, box_b) = (frame.a + reach.outer_px, frame.b + reach.outer_px);
+        let (ao, bo) = if (frame.a + outer) * (frame.b + outer) < 2.0 * box_a * box_b {
+            (frame.a + outer, frame.b + outer)
+        } else {
+            (SQRT_2 * box_a, SQRT_2 * box_b)
+        };
         let (ai, bi) = (frame.a - inner, frame.b - inner);
         let half_height = (ao * frame.sin).hypot(bo * frame.cos);
         let (u_last, v_last) = (view.width() as f64 - 1.0, view.height() as f64 - 1.0);
@@ -134,25 +142,88 @@ impl Band {
             list.resize(n, 0.0);
         }
         self.sector.clear();
-        for at in (0..n).step_by(LANES) {
+        self.sector.resize(n, 0);
+        lanes::run(Measure { band: self, seen, frame, contour, reach });
+    }
+}
+
+/// Foot points of all pixels and what follows from them, as wide as the processor is.
+struct Measure<'a> {
+    band: &'a mut Band,
+    /// Pixels; behind them padding.
+    seen: usize,
+    frame: &'a Frame,
+    contour: &'a Contour,
+    reach: Reach,
+}
+
+impl Kernel for Measure<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: lanes::Lanes>(self) {
+        let Self { band, seen, frame, contour, reach } = self;
+        for at in (0..band.grey.len()).step_by(LANES) {
             let (mut x, mut y) = ([0.0; LANES], [0.0; LANES]);
-            x.copy_from_slice(&self.x[at..at + LANES]);
-            y.copy_from_slice(&self.y[at..at + LANES]);
+            x.copy_from_slice(&band.x[at..at + LANES]);
+            y.copy_from_slice(&band.y[at..at + LANES]);
             let feet = frame.feet(&x, &y);
             for i in 0..LANES {
                 let d = feet.distance[i];
                 let mut kept = at + i < seen && d >= -reach.inner_px && d <= reach.outer_px;
-                let mut sector = 0;
                 if kept {
-                    sector = contour.sector(diamond(feet.cos[i], feet.sin[i]));
+                    let sector = contour.sector(diamond(feet.cos[i], feet.sin[i]));
+                    band.sector[at + i] = sector as u32;
                     kept = d <= contour.outer_px[sector];
                 }
-                self.distance[at + i] = if kept { d } else { f64::NAN };
-                self.sector.push(sector as u32);
+                band.distance[at + i] = if kept { d } else { f64::NAN };
             }
-            self.curvature[at..at + LANES].copy_from_slice(&feet.curvature);
-            self.cos[at..at + LANES].copy_from_slice(&feet.cos);
-            self.sin[at..at + LANES].copy_from_slice(&feet.sin);
+            band.curvature[at..at + LANES].copy_from_slice(&feet.curvature);
+            band.cos[at..at + LANES].copy_from_slice(&feet.cos);
+            band.sin[at..at + LANES].copy_from_slice(&feet.sin);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frames::Pixel;
+
+    const SIZE: usize = 64;
+
+    fn collected(e: &Ellipse, reach_px: f64) -> (Band, Contour) {
+        let grey = vec![7u8; SIZE * SIZE];
+        let view = GrayView::new(Samples::U8(&grey), SIZE, SIZE, SIZE).unwrap();
+        let (mut band, mut contour) = (Band::default(), Contour::default());
+        contour.cut(e, &[]);
+        band.collect(&view, e, &contour, Reach { inner_px: reach_px, outer_px: reach_px });
+        (band, contour)
+    }
+
+    /// Every pixel within the reach, and its foot point as plain numbers have it, to the bit.
+    #[test]
+    fn the_band_holds_what_is_near_and_measures_it_alike_at_any_width() {
+        let e = Ellipse { center_px: Pixel::new(30.3, 33.1), semi_major_px: 14.2, semi_minor_px: 9.7, angle_rad: 0.6 };
+        let (reach_px, frame) = (3.0, Frame::new(&e));
+        let (band, _) = collected(&e, reach_px);
+        let near = (0..SIZE * SIZE)
+            .filter(|i| frame.foot((i % SIZE) as f64, (i / SIZE) as f64, None).distance.abs() < reach_px)
+            .count();
+        assert_eq!(band.distance.iter().filter(|d| d.is_finite()).count(), near);
+        for at in (0..band.len()).step_by(LANES) {
+            let eight = |list: &[f64]| -> [f64; LANES] { list[at..at + LANES].try_into().unwrap() };
+            let feet = frame.feet(&eight(&band.x), &eight(&band.y));
+            let same = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| a.is_nan() || a.to_bits() == b.to_bits());
+            assert!(same(&eight(&band.distance), &feet.distance) && same(&eight(&band.curvature), &feet.curvature));
+            assert!(same(&eight(&band.cos), &feet.cos) && same(&eight(&band.sin), &feet.sin));
+        }
+    }
+
+    /// An ellipse that has all but collapsed: its band was the whole image.
+    #[test]
+    fn the_band_of_a_flat_ellipse_stays_near_it() {
+        let e = Ellipse { center_px: Pixel::new(32.0, 32.0), semi_major_px: 5.0, semi_minor_px: 1e-4, angle_rad: 0.3 };
+        let (band, _) = collected(&e, 4.0);
+        assert!((100..600).contains(&band.len()), "{} pixels", band.len());
     }
 }

@@ -4,6 +4,7 @@
 //! the diamond `|c| + |s| = 1`, which grows from 0 to 4 with the eccentric angle.
 
 use crate::conic::{Ellipse, Frame};
+use crate::lanes::{self, GROUP, Kernel};
 use std::f64::consts::TAU;
 
 /// Length of contour per sector, px.
@@ -46,7 +47,7 @@ pub(crate) struct Contour {
 }
 
 /// Angle on the diamond, 0 to 4.
-#[inline]
+#[inline(always)]
 pub(crate) fn diamond(c: f64, s: f64) -> f64 {
     let x = s / (c.abs() + s.abs());
     if c < 0.0 {
@@ -108,12 +109,8 @@ impl Contour {
             self.end.push(if k + 1 == count { 4.0 } else { diamond(c, s) });
         }
         self.outer_px.resize(count, f64::INFINITY);
-        for neighbour in neighbours {
-            let other = Frame::new(neighbour);
-            for k in 0..count {
-                let gap = other.foot(self.u[k], self.v[k], None).distance;
-                self.outer_px[k] = self.outer_px[k].min(NEIGHBOUR * gap.max(LEAST_GAP_PX));
-            }
+        if !neighbours.is_empty() {
+            lanes::run(Gaps { contour: self, neighbours });
         }
         let cells = 4 * count;
         self.first.clear();
@@ -127,7 +124,7 @@ impl Contour {
     }
 
     /// Sector of an angle on the diamond.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn sector(&self, at: f64) -> usize {
         let cells = self.first.len() - 1;
         let mut k = self.first[((0.25 * at * cells as f64) as usize).min(cells)] as usize;
@@ -178,6 +175,34 @@ impl Contour {
         let cos = 1.0 - 0.5 * d2 * (1.0 - d2 * (1.0 / 12.0) * (1.0 - d2 * (1.0 / 30.0)));
         let (s, c) = self.unit[j - 1];
         (s * cos + c * sin, c * cos - s * sin)
+    }
+}
+
+/// How far the sectors may look for the `neighbours`, as wide as the processor is.
+struct Gaps<'a> {
+    contour: &'a mut Contour,
+    neighbours: &'a [Ellipse],
+}
+
+impl Kernel for Gaps<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: lanes::Lanes>(self) {
+        let Contour { u, v, outer_px, .. } = self.contour;
+        for neighbour in self.neighbours {
+            let other = Frame::new(neighbour);
+            for at in (0..u.len()).step_by(GROUP) {
+                let (mut x, mut y) = ([0.0; GROUP], [0.0; GROUP]);
+                for i in 0..GROUP {
+                    let k = (at + i).min(u.len() - 1);
+                    (x[i], y[i]) = other.inside(u[k], v[k]);
+                }
+                let gap = other.feet(&x, &y).distance;
+                for (outer, gap) in outer_px[at..].iter_mut().zip(gap) {
+                    *outer = outer.min(NEIGHBOUR * gap.max(LEAST_GAP_PX));
+                }
+            }
+        }
     }
 }
 

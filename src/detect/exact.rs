@@ -35,7 +35,7 @@ use crate::detect::contour::Contour;
 use crate::detect::correlation::Allowance;
 use crate::detect::edge_model::{Dense, PRIOR_BLUR_PX};
 use crate::detect::light::Side;
-use crate::detect::profile::{Lanes, Profile};
+use crate::detect::profile::{Lanes, Profile, Profiled};
 use crate::detect::refine::{Start, reach_px};
 use crate::detect::rim::{Rim, Seen};
 use crate::detect::shared_light::in_axes;
@@ -178,7 +178,8 @@ impl Exact {
     fn profile(&self, state: &State, i: usize) -> Lanes<LANES> {
         let (a, b) = (state.ellipse.semi_major_px, state.ellipse.semi_minor_px);
         let Band { distance, cos, sin, .. } = &self.band;
-        Profile { blur_px: state.blur_px, a, b }.at::<LANES>(&eight(distance, i), &eight(cos, i), &eight(sin, i))
+        let profile = Profile { blur_px: state.blur_px, a, b };
+        lanes::run(Profiled { profile, distance: eight(distance, i), cos: eight(cos, i), sin: eight(sin, i) })
     }
 
     fn weight(state: &State, inside: f64) -> f64 {

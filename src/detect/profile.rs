@@ -25,7 +25,9 @@
 //!
 //! Not valid where `eps` exceeds about one half.
 
+use crate::detect::band::LANES;
 use crate::detect::sectors::normal_tails;
+use crate::lanes::{self, Kernel};
 
 /// One disc's part in the profile: what its pixels share.
 #[derive(Debug, Clone, Copy)]
@@ -96,5 +98,43 @@ impl Profile {
             out.narrow[i] = r;
         }
         out
+    }
+}
+
+/// [`Profile::at`] as wide as the processor is.
+#[derive(Clone)]
+pub(crate) struct Profiled {
+    pub(crate) profile: Profile,
+    pub(crate) distance: [f64; LANES],
+    pub(crate) cos: [f64; LANES],
+    pub(crate) sin: [f64; LANES],
+}
+
+impl Kernel for Profiled {
+    type Output = Lanes<LANES>;
+    #[inline(always)]
+    fn run<L: lanes::Lanes>(self) -> Lanes<LANES> {
+        self.profile.at(&self.distance, &self.cos, &self.sin)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_widths_give_the_same_bits() {
+        let angle = [0.1_f64, 0.7, 1.3, 2.0, 2.9, 4.0, 4.4, 6.0];
+        let distance = [-3.0, -1.2, -0.4, 0.0, 0.3, 0.9, 2.0, 4.0];
+        let profile = Profile { blur_px: 0.9, a: 7.0, b: 4.0 };
+        let kernel = Profiled { profile, distance, cos: angle.map(f64::cos), sin: angle.map(f64::sin) };
+        let plain = profile.at(&kernel.distance, &kernel.cos, &kernel.sin);
+        let bits = |p: &Lanes<LANES>| {
+            [p.inside, p.slope, p.by_blur, p.depth, p.density, p.narrow].map(|list| list.map(f64::to_bits))
+        };
+        for wide in lanes::run_all(&kernel) {
+            assert_eq!(bits(&wide), bits(&plain));
+        }
+        assert!(plain.inside.windows(2).all(|p| p[0] > p[1]), "{:?}", plain.inside);
     }
 }

@@ -38,6 +38,9 @@ const MOST_ROUNDS: usize = 10;
 const MOST_ROUGH: f64 = 0.25;
 /// A change of the geometry below this ends the rounds, px: what is left of it is of third order in the ratio to the blur.
 const STILL_PX: f64 = 0.02;
+/// How many times the way that a disc may move, and its semi-minor axis as a blur, tell that it is lost.
+const STRAYED: f64 = 8.0;
+const BLURRED: f64 = 3.0;
 
 /// Buffers reused from disc to disc.
 #[derive(Debug, Default)]
@@ -103,7 +106,7 @@ pub(crate) fn refine(
             if coverage + 1.0 / (s.sectors.len() as f64) < options.min_coverage {
                 return Err(RejectionReason::Incomplete { coverage });
             }
-            let moved = moved(&model, s)?;
+            let moved = moved(&model, start, s)?;
             let (found, edge) = match fit_exactly(view, &moved, start, s) {
                 Some(Exactly::Fitted(found, edge)) => (*found, edge),
                 Some(Exactly::Smoke) if !smoke && !last => {
@@ -118,7 +121,7 @@ pub(crate) fn refine(
             };
             return accept(&found, edge, &moved, start, options, &mut s.feet);
         }
-        model = moved(&model, s)?;
+        model = moved(&model, start, s)?;
     }
     Err(not_elliptical(f64::INFINITY, model.ellipse.semi_minor_px))
 }
@@ -127,8 +130,11 @@ fn not_elliptical(model_rms_px: f64, limit_px: f64) -> RejectionReason {
     RejectionReason::NotElliptical { rms_px: model_rms_px, limit_px }
 }
 
-fn moved(model: &EdgeModel, s: &Scratch) -> Result<EdgeModel, RejectionReason> {
-    model.moved(&s.found, model.blur_px + 0.3).ok_or_else(|| not_elliptical(f64::INFINITY, model.ellipse.semi_minor_px))
+fn moved(model: &EdgeModel, start: &Start, s: &Scratch) -> Result<EdgeModel, RejectionReason> {
+    let next = model.moved(&s.found, model.blur_px + 0.3);
+    let next = next.ok_or_else(|| not_elliptical(f64::INFINITY, model.ellipse.semi_minor_px))?;
+    check_course(&next, start)?;
+    Ok(next)
 }
 
 /// Cuts the contour, collects the band and sums it up.
@@ -173,7 +179,7 @@ fn rough_model(view: &GrayView, start: &Start, s: &mut Scratch) -> Result<EdgeMo
         model.light = Light::Surface([Side::plain(1, model.step.abs()); 2]);
         solve(&model, s)?;
         let largest = s.found.change.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
-        model = moved(&model, s)?;
+        model = moved(&model, start, s)?;
         if largest < 0.4 * model.blur_px {
             break;
         }
@@ -253,14 +259,27 @@ fn border_px(view: &GrayView, e: &Ellipse) -> f64 {
     (u - half_width).min(u_last - u - half_width).min(v - half_height).min(v_last - v - half_height)
 }
 
-fn check_size(model: &EdgeModel, start: &Start, options: &DetectOptions) -> Result<(), RejectionReason> {
+/// How far place and axes have moved from where they started, and how far they may, px.
+fn moved_px(model: &EdgeModel, start: &Start) -> (f64, f64) {
     let (e, e0) = (&model.ellipse, &start.ellipse);
+    let shift = (e.center_px.u_px - e0.center_px.u_px).hypot(e.center_px.v_px - e0.center_px.v_px);
+    let axes = (e.semi_major_px - e0.semi_major_px).abs().max((e.semi_minor_px - e0.semi_minor_px).abs());
+    (shift.max(axes), 0.5 * e0.semi_minor_px + 1.0)
+}
+
+/// Gives up what has moved or blurred so far that it does not come back: it would go on to look at much of the image, round after round.
+fn check_course(model: &EdgeModel, start: &Start) -> Result<(), RejectionReason> {
+    let (gap, limit_px) = moved_px(model, start);
+    let blurred = model.blur_px > BLURRED * start.ellipse.semi_minor_px.max(start.blur_px);
+    if gap > STRAYED * limit_px || blurred { Err(not_elliptical(gap.max(model.blur_px), limit_px)) } else { Ok(()) }
+}
+
+fn check_size(model: &EdgeModel, start: &Start, options: &DetectOptions) -> Result<(), RejectionReason> {
+    let e = &model.ellipse;
     if e.semi_minor_px < options.min_semi_minor_px {
         return Err(RejectionReason::TooSmall { semi_minor_px: e.semi_minor_px });
     }
-    let shift = (e.center_px.u_px - e0.center_px.u_px).hypot(e.center_px.v_px - e0.center_px.v_px);
-    let limit_px = 0.5 * e0.semi_minor_px + 1.0;
-    let gap = shift.max((e.semi_major_px - e0.semi_major_px).abs()).max((e.semi_minor_px - e0.semi_minor_px).abs());
+    let (gap, limit_px) = moved_px(model, start);
     if gap > limit_px || model.blur_px > 0.9 * e.semi_minor_px {
         return Err(not_elliptical(gap.max(model.blur_px), limit_px));
     }
@@ -452,4 +471,41 @@ fn accept(
         contrast: model.step.abs(),
         mark: None,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frames::Pixel;
+
+    /// A disc comes back from some way off; one that is lost would make the band the whole image.
+    #[test]
+    fn what_strays_far_is_given_up() {
+        let ellipse =
+            Ellipse { center_px: Pixel::new(50.0, 60.0), semi_major_px: 5.0, semi_minor_px: 4.0, angle_rad: 0.2 };
+        let noise = NoiseCorrelation::NONE;
+        let start = Start {
+            ellipse,
+            blur_px: 1.0,
+            bright: true,
+            contrast: 50.0,
+            inner_px: 4.0,
+            neighbours: &[],
+            slopes: [[0.0; 2]; 2],
+            noise: &noise,
+            smoke: false,
+        };
+        let course = |shift_px: f64, semi_minor_px: f64, blur_px: f64| {
+            let center_px = Pixel::new(50.0 + shift_px, 60.0);
+            let light = Light::Surface([Side::plain(1, 50.0); 2]);
+            let (variance, bends, step) = ([1.0; 2], [0.0; 2], 50.0);
+            let ellipse = Ellipse { center_px, semi_minor_px, ..ellipse };
+            check_course(&EdgeModel { ellipse, blur_px, expected_blur_px: 1.0, light, variance, bends, step }, &start)
+        };
+        // May move by 3 px in the end.
+        assert!(course(20.0, 4.0, 1.0).is_ok() && course(0.0, 0.01, 1.0).is_ok() && course(0.0, 4.0, 11.0).is_ok());
+        for lost in [course(25.0, 4.0, 1.0), course(0.0, 29.0, 1.0), course(0.0, 4.0, 13.0)] {
+            assert!(matches!(lost, Err(RejectionReason::NotElliptical { rms_px, .. }) if rms_px > 12.0), "{lost:?}");
+        }
+    }
 }

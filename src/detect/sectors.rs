@@ -16,6 +16,7 @@
 
 use crate::detect::band::{Band, LANES};
 use crate::detect::contour::Contour;
+use crate::lanes::{self, Kernel, Lanes};
 use nalgebra::{SMatrix, SVector};
 
 /// Local numbers of a sector: shift, change of the blur, and level, slope and bend of the light inside and outside.
@@ -26,8 +27,8 @@ const COLUMNS: usize = LOCAL + 1;
 const GREY: usize = 6;
 /// Columns of the local numbers.
 const COLUMN: [usize; LOCAL] = [0, 1, 2, 3, 4, 5, 7, 8];
-/// Products of two columns, lower triangle.
-const PRODUCTS: usize = COLUMNS * (COLUMNS + 1) / 2;
+/// Products of two columns, by rows of the first [`LANES`] columns, those above the diagonal without meaning; the last column's with itself behind.
+const PRODUCTS: usize = COLUMNS * LANES + 1;
 /// Beyond this many blurs the edge is not felt.
 const FAR: f64 = 4.5;
 /// Beyond this many blurs a pixel shows the light of its side; what is left of the edge is taken off.
@@ -51,7 +52,7 @@ pub(crate) struct Away {
 }
 
 impl Away {
-    #[inline]
+    #[inline(always)]
     fn push(&mut self, d: f64, y: f64) {
         self.n += 1.0;
         self.d += d;
@@ -136,6 +137,12 @@ impl Sectors {
     /// Sums up the pixels of a band.
     pub(crate) fn sum_up(&mut self, band: &Band, contour: &Contour, lens: &Lens) {
         self.clear(contour.len());
+        lanes::run(SumUp { sectors: self, band, contour, lens });
+    }
+
+    /// [`Sectors::sum_up`] of sums that are zero.
+    #[inline(always)]
+    fn add<L: Lanes>(&mut self, band: &Band, contour: &Contour, lens: &Lens) {
         // Light that turns away from its parabola by `bend d^3 / 6`; neighbouring pixels share that error.
         let bent = |k: usize, d: f64| {
             let left = lens.bends[usize::from(d > 0.0)] * (contour.steepness(k) * d).powi(3) / 6.0;
@@ -177,28 +184,32 @@ impl Sectors {
                     let mixed = lens.blur_px * density[i];
                     let [levels, slopes, bends] = light(d, p, mixed);
                     let column = [e, f, levels[0], levels[1], slopes[0], slopes[1], y, bends[0], bends[1]];
-                    self.push_near(k, weight, columns, column);
+                    self.push_near::<L>(k, weight, columns, column);
                 }
             }
         }
     }
 
     /// A pixel at the edge, by so many of its columns.
-    #[inline]
-    fn push_near(&mut self, k: usize, weight: f64, columns: usize, column: [f64; COLUMNS]) {
-        let sums = &mut self.products[k];
-        let mut at = 0;
+    #[inline(always)]
+    fn push_near<L: Lanes>(&mut self, k: usize, weight: f64, columns: usize, column: [f64; COLUMNS]) {
+        let (rows, last) = self.products[k].split_at_mut(COLUMNS * LANES);
         for a in 0..columns {
-            let w = weight * column[a];
-            for b in 0..=a {
-                sums[at + b] += w * column[b];
+            let w = L::splat(weight * column[a]);
+            let mut at = 0;
+            while at < LANES {
+                let sums = &mut rows[a * LANES + at..][..L::N];
+                (L::load(sums) + w * L::load(&column[at..])).store(sums);
+                at += L::N;
             }
-            at += a + 1;
+        }
+        if columns == COLUMNS {
+            last[0] += weight * column[LANES] * column[LANES];
         }
     }
 
     /// A pixel that sees one side only.
-    #[inline]
+    #[inline(always)]
     fn push_far(&mut self, k: usize, side: usize, weight: f64, d: f64, y: f64) {
         let sums = &mut self.products[k];
         let (level, slope, bend) = (2 + side, 4 + side, GREY + 1 + side);
@@ -252,10 +263,26 @@ fn light(d: f64, p: f64, mixed: f64) -> [[f64; 2]; 3] {
     [[p, q], slope, slope.map(|x| 0.5 * d * x)]
 }
 
-/// Place of a product in the lower triangle, `a >= b`.
-#[inline]
+/// Place of a product, `a >= b`.
+#[inline(always)]
 const fn place(a: usize, b: usize) -> usize {
-    a * (a + 1) / 2 + b
+    a * LANES + b
+}
+
+/// As wide as the processor is.
+struct SumUp<'a> {
+    sectors: &'a mut Sectors,
+    band: &'a Band,
+    contour: &'a Contour,
+    lens: &'a Lens,
+}
+
+impl Kernel for SumUp<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        self.sectors.add::<L>(self.band, self.contour, self.lens);
+    }
 }
 
 /// `(Phi(-z), phi(z))` of the normal distribution for many `z`, without branches: Abramowitz and Stegun 7.1.26, error below 1.5e-7.
@@ -295,6 +322,34 @@ fn exp_of_negative(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::conic::Ellipse;
+    use crate::detect::band::Reach;
+    use crate::frames::Pixel;
+    use crate::image::{GrayView, Samples};
+
+    /// Sums of an image with noise, light that bends included.
+    #[test]
+    fn all_widths_give_the_same_sums() {
+        let e = Ellipse { center_px: Pixel::new(30.3, 33.1), semi_major_px: 14.2, semi_minor_px: 9.7, angle_rad: 0.6 };
+        let grey: Vec<f32> = (0..64 * 64).map(|i| ((i * 7919) % 251) as f32).collect();
+        let view = GrayView::new(Samples::F32(&grey), 64, 64, 64).unwrap();
+        let (mut band, mut contour) = (Band::default(), Contour::default());
+        contour.cut(&e, &[]);
+        band.collect(&view, &e, &contour, Reach { inner_px: 5.0, outer_px: 6.0 });
+        for bends in [[0.0; 2], [3.0, 5.0]] {
+            let lens = Lens { blur_px: 0.9, variance: [4.0, 9.0], bends, step: -60.0, ground: 100.0 };
+            let (mut plain, mut wide) = (Sectors::default(), Sectors::default());
+            plain.clear(contour.len());
+            SumUp { sectors: &mut plain, band: &band, contour: &contour, lens: &lens }.run::<f64>();
+            wide.sum_up(&band, &contour, &lens);
+            let bits = |s: &Sectors| s.products.iter().flatten().map(|x| x.to_bits()).collect::<Vec<_>>();
+            assert_eq!(bits(&plain), bits(&wide));
+            assert_eq!(plain.pixels, wide.pixels);
+            let count = plain.pixels.iter().sum::<u32>() as usize;
+            assert_eq!(count, band.distance.iter().filter(|d| d.is_finite()).count());
+            assert!(plain.squares(0) > 0.0);
+        }
+    }
 
     #[test]
     fn tails_agree_with_the_exponential_and_the_integral() {
