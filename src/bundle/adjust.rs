@@ -233,7 +233,7 @@ fn first_start(
 }
 
 /// Adjusts everything from a start. `observe` sees each iteration, also those of a start from a part of the observations, and returns false
-/// to cancel.
+/// to cancel. The threads are those of the pool that the caller runs in, without one there is one; results do not depend on their number.
 pub fn adjust(
     model: &Model,
     start: State,
