@@ -26,6 +26,7 @@ use crate::bundle::{AdjustOptions, Adjustment, Iteration, NamedCovariance};
 use crate::error::{Result, Unusable};
 use crate::record::{Diagnosis, KeyQuantity, MappingUncertainty, NearNull};
 use crate::target::DotId;
+use crate::threads;
 use keys::Keys;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -120,17 +121,12 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
         let mapping = mapping::mapping_uncertainty(s.covariance, s.sizes_px, &names, &mut of_mapping);
         Ok((tests, of_tests, mapping, of_mapping))
     };
-    let (views, others) = side_by_side(views, others);
+    let (views, others) = threads::both(views, others);
     let ((views, of_views), (tests, of_tests, mapping, of_mapping)) = (views?, others?);
     (out.diagnosis.model_tests, out.diagnosis.views, out.mapping) = (tests, views, mapping);
     out.diagnosis.outliers = outliers::outliers(s);
     out.flags.extend([of_tests, of_views, of_mapping].concat());
     Ok(out)
-}
-
-/// Both, on the threads of the pool where this runs in one.
-fn side_by_side<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnce() -> B + Send) -> (A, B) {
-    if rayon::current_thread_index().is_some() { rayon::join(a, b) } else { (a(), b()) }
 }
 
 fn quantities(covariance: &NamedCovariance, keys: &Keys) -> Vec<KeyQuantity> {

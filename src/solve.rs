@@ -142,7 +142,7 @@ pub trait Problem {
 pub struct Options {
     /// Newton decrement, in sigmas, below which the minimum is reached.
     pub decrement: f64,
-    /// Most linearisations.
+    /// Most steps.
     pub iterations: usize,
 }
 
@@ -200,7 +200,7 @@ pub struct Outcome<S> {
     pub cost: f64,
     /// Its Newton decrement, in sigmas.
     pub decrement: f64,
-    /// Linearisations made.
+    /// Linearisations at states that were reached; a step that was tried and refused may have cost one besides.
     pub iterations: usize,
     /// Damping of the step that would have come next.
     pub damping: f64,
@@ -287,7 +287,7 @@ pub fn minimise_from<P: Problem>(
         }
         match accepted_step(problem, &state, (&equations, reduced), (&mut radius, &mut memory), &scales) {
             Some(next) => {
-                memory.learn((next.step, next.predicted), seen, &equations, &next.equations);
+                memory.learn(next.step, seen, &equations, &next.equations);
                 (state, equations) = (next.state, next.equations);
             }
             None => break (exact(), Termination::Stalled),
@@ -359,7 +359,6 @@ struct Trial<S> {
     state: S,
     equations: NormalEquations,
     step: Step,
-    predicted: f64,
     gain: f64,
 }
 
@@ -407,14 +406,14 @@ fn judged<P: Problem>(
         if !(gain > 1e-4) {
             return None;
         }
-        return linearise().map(|equations| Trial { state: next, equations, step, predicted, gain });
+        return linearise().map(|equations| Trial { state: next, equations, step, gain });
     }
     // Below rounding the cost cannot judge a step: the gradient has to. Where residuals bend more than the valley is steep,
     // an undamped step overshoots, and only this notices.
     let next_equations = linearise()?;
     let left = decrement(&next_equations) / decrement(equations);
     // Little may be gained only because the damping still holds the weak valley: it falls, and an overshoot raises it again.
-    (left < 1.0).then_some(Trial { state: next, equations: next_equations, step, predicted, gain: 1.0 })
+    (left < 1.0).then_some(Trial { state: next, equations: next_equations, step, gain: 1.0 })
 }
 
 /// Newton decrement of normal equations, infinite where they are not positive.

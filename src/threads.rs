@@ -13,22 +13,27 @@ pub(crate) fn side_by_side<T: Sync, R: Send>(of: &[T], work: impl Fn(&T) -> R + 
     if several() { of.par_iter().map(work).collect() } else { of.iter().map(work).collect() }
 }
 
-/// Memory that work uses again, one for each thread of the pool where it was made. (Memory made anew wherever rayon divides the work costs more
+/// Two pieces of work that know nothing of each other.
+pub(crate) fn both<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnce() -> B + Send) -> (A, B) {
+    if several() { rayon::join(a, b) } else { (a(), b()) }
+}
+
+/// Memory that work uses again, one for each thread of the pool where it was made that does some of the work. (Memory made anew wherever rayon divides the work costs more
 /// than the second thread saves: the allocator's locks.)
-pub(crate) struct OwnMemory<S>(Vec<Mutex<S>>);
+pub(crate) struct OwnMemory<S>(Vec<Mutex<Option<Box<S>>>>);
 
 impl<S: Default> OwnMemory<S> {
     pub(crate) fn new() -> Self {
         let threads = if several() { rayon::current_num_threads() } else { 1 };
-        Self((0..threads).map(|_| Mutex::new(S::default())).collect())
+        Self((0..threads).map(|_| Mutex::new(None)).collect())
     }
 
     /// Does a piece of work with the memory of this thread; with new memory where a piece waits for another on the same thread.
     pub(crate) fn with<R>(&self, work: impl FnOnce(&mut S) -> R) -> R {
         let own = &self.0[rayon::current_thread_index().unwrap_or(0) % self.0.len()];
         match own.try_lock() {
-            Ok(mut memory) => work(&mut memory),
-            Err(TryLockError::Poisoned(broken)) => work(&mut broken.into_inner()),
+            Ok(mut memory) => work(memory.get_or_insert_default()),
+            Err(TryLockError::Poisoned(broken)) => work(broken.into_inner().get_or_insert_default()),
             Err(TryLockError::WouldBlock) => work(&mut S::default()),
         }
     }
@@ -54,7 +59,8 @@ mod tests {
                 });
                 assert_eq!(out, (0..1000).map(|n| 2 * n).collect::<Vec<_>>());
                 assert_eq!(own.0.len(), threads);
-                let mut all: Vec<usize> = own.0.into_iter().flat_map(|m| m.into_inner().unwrap()).collect();
+                let mut all: Vec<usize> =
+                    own.0.into_iter().filter_map(|m| m.into_inner().unwrap()).flat_map(|seen| *seen).collect();
                 all.sort_unstable();
                 assert_eq!(all, numbers);
             });

@@ -425,3 +425,6 @@ pub(super) fn plain_bend<const E: usize, const L: usize>(
     }
     Some(())
 }
+
+#[cfg(test)]
+mod tests;

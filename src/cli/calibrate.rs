@@ -36,7 +36,7 @@ pub(super) fn run(command: &Calibrate, threads: Option<NonZeroUsize>, progress: 
         images: &found.images,
         overlays: &found.overlays,
     };
-    results.write(&command.output, threads)
+    results.write(&command.output, &[&command.rig], threads)
 }
 
 pub(super) fn tell(bar: &Bar, progress: &Progress<'_>) {
@@ -63,14 +63,14 @@ pub(super) struct Results<'a> {
 }
 
 impl Results<'_> {
-    /// Writes everything and says so.
-    pub(super) fn write(&self, to: &Path, threads: Option<NonZeroUsize>) -> Result<Done> {
+    /// Writes everything, but over none of the `inputs`, and says so.
+    pub(super) fn write(&self, to: &Path, inputs: &[&Path], threads: Option<NonZeroUsize>) -> Result<Done> {
         let output = self.files(threads)?;
         let folder = to.display();
         let json = summary(self.record, &folder.to_string(), &output.names());
         let mut words = text(self.record);
         let _ = writeln!(words, "\nWritten to {folder}: {}", listed(&output.names()));
-        output.commit(to)?;
+        output.commit_beside(to, inputs)?;
         Ok(Done { text: words, json, flags: flags(self.record) })
     }
 

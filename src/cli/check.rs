@@ -89,7 +89,7 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         "misalignment_after": value["misalignment_after"],
         "cameras_refined": value["cameras_refined"], "converged": found.check.converged, "history": value["history"], "flags": found.check.flags,
     });
-    out.commit(&command.output)?;
+    out.commit_beside(&command.output, &[&command.calibration])?;
     Ok(Done { text: words, json, flags: found.check.flags })
 }
 
@@ -201,6 +201,12 @@ fn paired(left: Vec<PathBuf>, right: Vec<PathBuf>, a: &str, b: &str) -> Result<V
             right.len()
         );
         return Err(fault(Path::new(a), what));
+    }
+    if let Some((twice, _)) = left.iter().zip(&right).find(|(l, r)| l == r) {
+        return Err(fault(
+            twice,
+            "this image is given for both cameras; name the other camera's in the second pattern",
+        ));
     }
     Ok(left.into_iter().zip(right).map(|(l, r)| [l, r]).collect())
 }

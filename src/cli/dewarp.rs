@@ -30,7 +30,7 @@ pub(super) fn run(command: &Dewarp, threads: Option<NonZeroUsize>, progress: &Ba
     let pool = threads::pool(threads)?;
     let mut out = Output::default();
     let mut masks: BTreeMap<usize, GrayImage> = BTreeMap::new();
-    let mut listed = vec![];
+    let (mut listed, mut flags) = (vec![], vec![]);
     let mut words = format!(
         "grid: {} x {} px of {:.6} mm, x {:.3} to {:.3} mm, y {:.3} to {:.3} mm, z = {} mm (x right, y up, z towards camera \"{}\")\n",
         grid.width_px,
@@ -61,6 +61,9 @@ pub(super) fn run(command: &Dewarp, threads: Option<NonZeroUsize>, progress: &Ba
         let note = json!({ "format": "spivcal-dewarped", "version": 1, "camera": camera_name, "grid": grid, "z_mm": command.z_mm });
         let scale = ImageScale { mm_per_px: grid.mm_per_px, description: note.to_string() };
         out.add(&name, tiff_bytes(&image, Some(&scale))?);
+        if share == 0.0 {
+            flags.push(format!("camera \"{camera_name}\" sees nothing of this grid; look at --extent-mm and --z-mm"));
+        }
         let _ = writeln!(words, "{} (camera \"{camera_name}\") -> {name}, {:.1} % seen", path.display(), 100.0 * share);
         listed.push(json!({ "image": path.display().to_string(), "camera": camera_name, "file": name, "seen": share }));
         let mask = valid.iter().map(|v| if *v { 255 } else { 0 }).collect();
@@ -75,9 +78,10 @@ pub(super) fn run(command: &Dewarp, threads: Option<NonZeroUsize>, progress: &Ba
         "kernel": format!("{:?}", command.kernel).to_lowercase(), "images": listed,
     });
     out.add("dewarp.json", format!("{json:#}\n"));
-    out.commit(&command.output)?;
+    let inputs: Vec<&Path> = command.images.iter().map(AsRef::as_ref).chain([command.calibration.as_ref()]).collect();
+    out.commit_beside(&command.output, &inputs)?;
     let _ = writeln!(words, "Written to {}, with masks (255: seen) and dewarp.json", command.output.display());
-    Ok(Done { text: words, json, flags: Vec::new() })
+    Ok(Done { text: words, json, flags })
 }
 
 fn grid(command: &Dewarp, maps: &[SheetMap]) -> Result<SheetGrid> {

@@ -37,10 +37,15 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
         return Err(fault(&command.calibration, what));
     };
     let maps = [SheetMap::from_record(&record, 0)?, SheetMap::from_record(&record, 1)?];
-    let table = |path: &Path| {
-        parse_field(&read_text(path, "a displacement field (CSV, OpenPIV, PIVlab)")?, &path.display().to_string())
-    };
-    let tables = [table(&command.left)?, table(&command.right)?];
+    let read = |path: &Path| read_text(path, "a displacement field (CSV, OpenPIV, PIVlab)");
+    let texts = [read(&command.left)?, read(&command.right)?];
+    if texts[0] == texts[1] {
+        let what =
+            format!("this holds the same numbers as {}; name the field of the other camera", command.left.display());
+        return Err(fault(&command.right, what));
+    }
+    let table = |k: usize, path: &Path| parse_field(&texts[k], &path.display().to_string());
+    let tables = [table(0, &command.left)?, table(1, &command.right)?];
     let dewarped = command.dewarped.as_deref().map(dewarped_grid).transpose()?;
     let unit = unit(command, &tables)?;
     let fields = [PlanarField::new(&tables[0])?, PlanarField::new(&tables[1])?];
@@ -96,7 +101,8 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
     let mut out = Output::default();
     out.add(name.to_string_lossy(), found.to_csv());
     out.add(&picture_name, vectors_svg(&picture(&found, &flagged, names[0], &title)));
-    out.commit(folder)?;
+    let inputs = [&command.calibration, &command.left, &command.right].into_iter().chain(&command.dewarped);
+    out.commit_beside(folder, &inputs.map(AsRef::as_ref).collect::<Vec<&Path>>())?;
     Ok(Done { text: words, json: summary, flags })
 }
 

@@ -28,5 +28,5 @@ pub(super) fn run(command: &Sheet, threads: Option<NonZeroUsize>, progress: &Bar
     })?;
     progress.say("writing the report".to_string());
     let results = Results { record: &found.record, residuals: None, images: &found.images, overlays: &found.overlays };
-    results.write(&command.output, threads)
+    results.write(&command.output, &[&command.rig, &command.calibration], threads)
 }

@@ -211,6 +211,27 @@ mod tests {
     use super::*;
     use crate::frames::Pixel;
 
+    /// Neighbours on two sides, by the plain foot points; the last group of sectors is not whole.
+    #[test]
+    fn sectors_look_no_further_than_a_part_of_the_gap() {
+        let disc = |u: f64, v: f64| Ellipse {
+            center_px: Pixel::new(u, v),
+            semi_major_px: 9.0,
+            semi_minor_px: 6.0,
+            angle_rad: 0.4,
+        };
+        let (e, neighbours) = (disc(30.0, 30.0), [disc(52.0, 31.0), disc(29.0, 46.0)]);
+        let mut contour = Contour::default();
+        contour.cut(&e, &neighbours);
+        assert!(!contour.len().is_multiple_of(GROUP), "{} sectors", contour.len());
+        let frames = neighbours.map(|n| Frame::new(&n));
+        for k in 0..contour.len() {
+            let gap = |f: &Frame| f.foot(contour.u[k], contour.v[k], None).distance.max(LEAST_GAP_PX);
+            let wanted = NEIGHBOUR * gap(&frames[0]).min(gap(&frames[1]));
+            assert!((contour.outer_px[k] - wanted).abs() < 1e-5, "sector {k}: {} not {wanted}", contour.outer_px[k]);
+        }
+    }
+
     /// Sectors of one length, by chords of tiny steps along the contour.
     #[test]
     fn sectors_have_equal_lengths() {

@@ -327,6 +327,25 @@ mod tests {
     use crate::frames::Pixel;
     use crate::image::{GrayView, Samples};
 
+    /// Sums made at one width.
+    #[derive(Clone)]
+    struct Made<'a> {
+        band: &'a Band,
+        contour: &'a Contour,
+        lens: &'a Lens,
+    }
+
+    impl Kernel for Made<'_> {
+        type Output = Sectors;
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> Sectors {
+            let mut out = Sectors::default();
+            out.clear(self.contour.len());
+            SumUp { sectors: &mut out, band: self.band, contour: self.contour, lens: self.lens }.run::<L>();
+            out
+        }
+    }
+
     /// Sums of an image with noise, light that bends included.
     #[test]
     fn all_widths_give_the_same_sums() {
@@ -338,13 +357,13 @@ mod tests {
         band.collect(&view, &e, &contour, Reach { inner_px: 5.0, outer_px: 6.0 });
         for bends in [[0.0; 2], [3.0, 5.0]] {
             let lens = Lens { blur_px: 0.9, variance: [4.0, 9.0], bends, step: -60.0, ground: 100.0 };
-            let (mut plain, mut wide) = (Sectors::default(), Sectors::default());
-            plain.clear(contour.len());
-            SumUp { sectors: &mut plain, band: &band, contour: &contour, lens: &lens }.run::<f64>();
-            wide.sum_up(&band, &contour, &lens);
+            let all = lanes::run_all(&Made { band: &band, contour: &contour, lens: &lens });
             let bits = |s: &Sectors| s.products.iter().flatten().map(|x| x.to_bits()).collect::<Vec<_>>();
-            assert_eq!(bits(&plain), bits(&wide));
-            assert_eq!(plain.pixels, wide.pixels);
+            let plain = &all[0];
+            for wide in &all[1..] {
+                assert_eq!(bits(plain), bits(wide));
+                assert_eq!(plain.pixels, wide.pixels);
+            }
             let count = plain.pixels.iter().sum::<u32>() as usize;
             assert_eq!(count, band.distance.iter().filter(|d| d.is_finite()).count());
             assert!(plain.squares(0) > 0.0);

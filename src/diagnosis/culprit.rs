@@ -28,8 +28,8 @@ use crate::bundle::{
 use crate::error::{Result, Unusable};
 use crate::sheet::Parameter;
 use crate::stats::chi_square_above;
+use crate::threads::side_by_side;
 use nalgebra::{DMatrix, DVector};
-use rayon::prelude::*;
 
 /// Information below this part of the largest is rounding: named parameters are not independent of each other.
 const INDEPENDENT: f64 = 1e-9;
@@ -121,7 +121,7 @@ fn disagreements(a: &Adjustment, functions: &[Vec<(String, f64)>], watch: &Watch
         watch.check()?;
         Ok(without.predicted(*v, &rows).and_then(|p| disagreement(*v, &full, &p)))
     };
-    let all: Result<Vec<Option<Disagreement>>> = seen(a).par_iter().map(one).collect();
+    let all: Result<Vec<Option<Disagreement>>> = side_by_side(&seen(a), one).into_iter().collect();
     Ok(all?.into_iter().flatten().collect())
 }
 
@@ -161,16 +161,14 @@ impl Search<'_> {
 
     /// The first suspects, each left out for once.
     fn trials(&self, suspects: &[Disagreement], out: &[Culprit]) -> Result<Vec<Trial>> {
-        let tried: Result<Vec<Option<Trial>>> = suspects
-            .par_iter()
-            .take(TRIED)
-            .map(|d| {
-                let views: Vec<usize> = out.iter().map(|c| c.view).chain([d.view]).collect();
-                let Some(adjustment) = self.without(&views)? else { return Ok(None) };
-                let left = self.suspects(&adjustment)?;
-                Ok(Some(Trial { out: *d, left }))
-            })
-            .collect();
+        let without = |d: &Disagreement| {
+            let views: Vec<usize> = out.iter().map(|c| c.view).chain([d.view]).collect();
+            let Some(adjustment) = self.without(&views)? else { return Ok(None) };
+            let left = self.suspects(&adjustment)?;
+            Ok(Some(Trial { out: *d, left }))
+        };
+        let first = &suspects[..suspects.len().min(TRIED)];
+        let tried: Result<Vec<Option<Trial>>> = side_by_side(first, without).into_iter().collect();
         Ok(tried?.into_iter().flatten().collect())
     }
 

@@ -12,8 +12,8 @@ use crate::bundle::{NamedCovariance, Natural, ParameterKnowledge};
 use crate::camera::INTRINSICS;
 use crate::record::{MappingMap, MappingSigma, MappingUncertainty, Record};
 use crate::sheet::{Parameter, PointUncertainty, SheetUncertainty, StereoSheet};
+use crate::threads::side_by_side;
 use nalgebra::{DMatrix, DVector, Vector2};
-use rayon::prelude::*;
 
 /// Points along the longer and the shorter side of what both cameras see.
 const COLUMNS: usize = 19;
@@ -74,12 +74,7 @@ pub(super) fn mapping_uncertainty(
     let mut points = field.points.clone();
     let n = points.len() as f64;
     points.push([points.iter().map(|p| p[0]).sum::<f64>() / n, points.iter().map(|p| p[1]).sum::<f64>() / n]);
-    // Never on threads of nobody's pool.
-    let at: Option<Vec<PointUncertainty>> = if rayon::current_thread_index().is_some() {
-        points.par_iter().map(|p| uncertainty.at(*p)).collect()
-    } else {
-        points.iter().map(|p| uncertainty.at(*p)).collect()
-    };
+    let at: Option<Vec<PointUncertainty>> = side_by_side(&points, |p| uncertainty.at(*p)).into_iter().collect();
     let at = at?;
     let placed = places(covariance, names, (&points, &at), uncertainty.names_at())?;
     let all: Vec<MappingSigma> = points

@@ -7,8 +7,8 @@ use crate::bundle::{Prediction, SolveOptions, Termination, ViewsLeftOut, named_r
 use crate::error::{Result, Unusable};
 use crate::record::ViewInfluence;
 use crate::stats::normal_beyond;
+use crate::threads::side_by_side;
 use nalgebra::{DMatrix, DVector};
-use rayon::prelude::*;
 
 /// Views beyond which only the prediction is made.
 const MOST_ADJUSTED: usize = 40;
@@ -40,7 +40,7 @@ pub(super) fn views(
     let seen: Vec<usize> = (0..model.views.len()).filter(|v| model.images.iter().any(|i| i.view == *v)).collect();
     let without = ViewsLeftOut::of(s.adjustment);
     let left: Result<Vec<Option<Left>>> =
-        seen.par_iter().map(|v| left_out(s, (keys, &rows), (&without, *v), watch)).collect();
+        side_by_side(&seen, |v| left_out(s, (keys, &rows), (&without, *v), watch)).into_iter().collect();
     let tests = (seen.len() * keys.list.len()) as f64;
     let mut out: Vec<ViewInfluence> =
         seen.into_iter().zip(left?).filter_map(|(v, left)| Some(influence(keys, &full, v, &left?, tests))).collect();

@@ -37,6 +37,22 @@ impl Output {
     pub fn names(&self) -> Vec<&str> {
         self.files.iter().map(|(n, _)| n.as_str()).collect()
     }
+    /// [`Output::commit`], but never over one of the files that were read.
+    ///
+    /// # Errors
+    /// [`Invalid::File`] as there, and where a file would take the place of one of the `inputs`; nothing is written then.
+    pub fn commit_beside(self, folder: &Path, inputs: &[&Path]) -> Result<()> {
+        let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+        for (name, _) in &self.files {
+            if let Some(input) = inputs.iter().find(|input| same(input, &folder.join(name))) {
+                return Err(fault(
+                    input,
+                    "this file, which was read, would be overwritten; name another place with -o",
+                ));
+            }
+        }
+        self.commit(folder)
+    }
     /// Writes all files into `folder`, which is made where it is missing.
     ///
     /// # Errors
@@ -131,6 +147,25 @@ mod tests {
             assert_eq!(listing(&folder), ["x.txt", "y.bin"]);
             assert_eq!(fs::read_to_string(folder.join("x.txt")).unwrap(), content);
         }
+    }
+
+    #[test]
+    fn what_was_read_is_not_overwritten() {
+        let scratch = tempfile::tempdir().unwrap();
+        let input = scratch.path().join("calibration.json");
+        fs::write(&input, "measured").unwrap();
+        let output = || {
+            let mut out = Output::default();
+            out.add("check.json", "1");
+            out.add("calibration.json", "2");
+            out
+        };
+        let told = output().commit_beside(scratch.path(), &[&input]).unwrap_err().to_string();
+        assert!(told.contains("would be overwritten") && told.contains("-o"), "{told}");
+        assert_eq!(listing(scratch.path()), ["calibration.json"]);
+        assert_eq!(fs::read_to_string(&input).unwrap(), "measured");
+        output().commit_beside(&scratch.path().join("new"), &[&input]).unwrap();
+        assert_eq!(listing(&scratch.path().join("new")), ["calibration.json", "check.json"]);
     }
 
     #[test]

@@ -258,7 +258,7 @@ fn draw(scene: &Scene, screen: &Screen, size: [f64; 2], title: &str) -> String {
         let at = screen.at(p);
         [scale * at[0] + shift[0], scale * at[1] + shift[1]]
     };
-    let mut room = Room::new(size[0] as usize, size[1] as usize);
+    let (mut room, mut unwritten) = (Room::new(size[0] as usize, size[1] as usize), 0);
     for item in &scene.items {
         match item {
             Item::Chain { class, points, closed } => {
@@ -269,8 +269,11 @@ fn draw(scene: &Scene, screen: &Screen, size: [f64; 2], title: &str) -> String {
                 let [wide, high] = [LETTER_PX[0] * text.chars().count() as f64, LETTER_PX[1]];
                 // Letters stand on the line that is told, and reach a quarter below it.
                 let middle = [x, y + below_px - 0.25 * high];
-                if let Some([left, top]) = room.place(middle, high, [wide, high]) {
-                    label(&mut out, "word", [left + 0.5 * wide, top + 0.75 * high], "middle", text);
+                match room.place(middle, high, [wide, high]) {
+                    Some([left, top]) => {
+                        label(&mut out, "word", [left + 0.5 * wide, top + 0.75 * high], "middle", text);
+                    }
+                    None => unwritten += 1,
                 }
             }
         }
@@ -279,6 +282,10 @@ fn draw(scene: &Scene, screen: &Screen, size: [f64; 2], title: &str) -> String {
     let y = size[1] - 10.0;
     line(&mut out, "axis", [10.0, y], [10.0 + bar_mm * scale, y]);
     label(&mut out, "tick", [16.0 + bar_mm * scale, y + 4.0], "start", &format!("{} mm", plain(bar_mm, 3)));
+    if unwritten > 0 {
+        let text = format!("no room for {unwritten} name{}", if unwritten == 1 { "" } else { "s" });
+        label(&mut out, "tick", [size[0] - 10.0, y + 4.0], "end", &text);
+    }
     out.push_str("</svg>");
     out
 }
@@ -343,6 +350,7 @@ mod tests {
         let words: Vec<[f64; 2]> =
             svg.split("<text class=\"word\"").skip(1).map(|t| [number(t, " x"), number(t, " y")]).collect();
         assert!((3..9).contains(&words.len()), "{words:?}");
+        assert!(svg.contains(&format!("no room for {} name", 9 - words.len())), "{svg}");
         for (i, a) in words.iter().enumerate() {
             let apart = |b: &[f64; 2]| (a[0] - b[0]).abs() >= 14.0 || (a[1] - b[1]).abs() >= 13.0;
             assert!(words[..i].iter().all(apart), "{words:?}");

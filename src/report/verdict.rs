@@ -47,17 +47,25 @@ pub fn verdict(record: &Record) -> Verdict {
     let mut open = open_points(record);
     let next = next_steps(record);
     let headline = headline(record, level);
+    if imported(record) {
+        open.push("Standard deviations: none are known, of the cameras nor of what follows from them.".into());
+    }
     if open.is_empty() {
         open.push("Nothing: the images determine every number that was estimated.".into());
     }
     Verdict { level, headline, determined: determined(record), open, next }
 }
 
+/// Whether nothing was adjusted.
+fn imported(r: &Record) -> bool {
+    r.fit.observations == 0
+}
+
 fn level(r: &Record) -> Level {
     let f = &r.fit;
     if !f.converged || !f.rms_px.is_finite() {
         Level::Bad
-    } else if f.nullity > 0 || !f.undetermined.is_empty() || !f.flags.is_empty() || misfit(r) > MISFIT {
+    } else if imported(r) || f.nullity > 0 || !f.undetermined.is_empty() || !f.flags.is_empty() || misfit(r) > MISFIT {
         Level::Care
     } else {
         Level::Good
@@ -71,6 +79,10 @@ fn headline(r: &Record, level: Level) -> String {
             "Do not use this calibration: the adjustment stopped before its minimum ({}).",
             if f.termination.is_empty() { "no reason given" } else { &f.termination }
         ),
+        Level::Care if imported(r) => {
+            "Cameras as another program found them: how certain they are is not known, for no image was looked at."
+                .into()
+        }
         Level::Care if f.nullity > 0 => format!(
             "Usable only for what is determined: {} of the solution {} not fixed by the images.",
             count(f.nullity, "direction"),
@@ -105,15 +117,20 @@ fn determined(r: &Record) -> Vec<String> {
     let mut out = Vec::new();
     let used = r.views.iter().filter(|v| v.used).count();
     let per_camera: Vec<_> = r.cameras.iter().map(|c| format!("{} {}", c.name, plain(c.rms_px, 3))).collect();
-    out.push(format!(
-        "{} of {} and {} agree to {} px rms ({} px); {}.",
-        count(r.fit.observations, "observation"),
-        count(r.cameras.len(), "camera"),
-        count(used, "view"),
-        plain(r.fit.rms_px, 3),
-        per_camera.join(", "),
-        scatter(r)
-    ));
+    let agree = || {
+        format!(
+            "{} of {} and {} agree to {} px rms ({} px); {}.",
+            count(r.fit.observations, "observation"),
+            count(r.cameras.len(), "camera"),
+            count(used, "view"),
+            plain(r.fit.rms_px, 3),
+            per_camera.join(", "),
+            scatter(r)
+        )
+    };
+    if !imported(r) {
+        out.push(agree());
+    }
     if let Some(rig) = &r.rig {
         out.push(format!(
             "The cameras stand {} apart; their lens axes make {}.",

@@ -1,9 +1,9 @@
 //! What Gauss-Newton leaves out of the curvature, learnt from how the gradient changes.
 //!
 //! The true curvature is `H + S`, `S = sum r_i grad^2 r_i`. In a weak direction, seen by residuals that bend, S may be as large as H: then steps of
-//! Gauss-Newton shrink (S < 0: they fall short; S > 0: they overshoot) by `|S| / |H + S|` or `|S| / H` each, however close the minimum. Once
+//! Gauss-Newton shrink (S < 0: they fall short; S > 0: they overshoot) by `|S| / H` each, however close the minimum. Once
 //! steps are short, pairs of a step `s` and the change `y = (H + S) s` of the gradient tell S where it matters: the step is that of limited-memory
-//! BFGS about the present H,
+//! BFGS about the present H with its damping,
 //!
 //! ```text
 //! q = b;   newest to oldest:  alpha = s.q / s.y,  q -= alpha y;   r = H^-1 q;   oldest to newest:  r += s (alpha - y.r / s.y)
@@ -20,17 +20,19 @@
 //! Not valid far from the minimum, where S changes from step to step.
 
 use super::reduced::Reduced;
-use super::{Gradient, NormalEquations, Step};
+use super::{Block, Gradient, NormalEquations, Step};
 use nalgebra::DVector;
 
 /// Newton decrement, in sigmas, below which steps are short.
 const SHORT: f64 = 1.0;
 /// Pairs at most: as many weak directions may bend.
 const MOST: usize = 6;
-/// Curvature along a step over that of Gauss-Newton, within which a pair is believed.
+/// `s.y / s^T H s`, within which a pair is believed.
 const BELIEVED: std::ops::Range<f64> = 0.02..50.0;
-/// By how much it must differ for the first pair: where Gauss-Newton is nearly right the next H says more than the last gradients.
+/// By how much it must differ from one for the first pair: where Gauss-Newton is nearly right the next H says more than the last gradients.
 const WORTH: f64 = 0.3;
+/// Least share of H in what the first step was solved with: one that the damping made short says nothing of a minimum.
+const OWN: f64 = 0.5;
 
 struct Pair {
     step: Step,
@@ -60,32 +62,30 @@ fn downhill(e: &NormalEquations) -> Gradient {
     Gradient { global: e.b_g.clone(), blocks: e.blocks.iter().map(|b| b.b_v.clone()).collect() }
 }
 
+/// `s^T H s`, without damping.
+fn curvature(e: &NormalEquations, s: &Step) -> f64 {
+    let of_block = |(b, v): (&Block, &DVector<f64>)| v.dot(&(&b.h_vv * v)) + 2.0 * v.dot(&(&b.h_vg * &s.global));
+    s.global.dot(&(&e.h_gg * &s.global)) + e.blocks.iter().zip(&s.blocks).map(of_block).sum::<f64>()
+}
+
 impl Memory {
     pub(super) fn clear(&mut self) {
         self.pairs.clear();
     }
 
-    /// Remembers an accepted step, by the equations before and behind it and what it should have lowered the cost by; `decrement` is the Newton
-    /// decrement before it.
-    pub(super) fn learn(
-        &mut self,
-        (step, predicted): (Step, f64),
-        decrement: f64,
-        before: &NormalEquations,
-        behind: &NormalEquations,
-    ) {
+    /// Remembers an accepted step, by the equations before and behind it; `decrement` is that of the damped equations before it.
+    pub(super) fn learn(&mut self, step: Step, decrement: f64, before: &NormalEquations, behind: &NormalEquations) {
         if !(decrement < SHORT) {
             self.clear();
             return;
         }
         let (mut change, after) = (downhill(before), downhill(behind));
-        // s^T H s (with an acceleration, or with memory, about): the damping, which may balance what is left out, is no curvature.
-        let expected = 2.0 * (dot(&step, &change) - predicted);
+        let (own, solved) = (curvature(before, &step), dot(&step, &change));
         add((&mut change.global, &mut change.blocks), -1.0, (&after.global, &after.blocks));
         let product = dot(&step, &change);
-        let ratio = product / expected;
-        let worth = !self.pairs.is_empty() || (ratio - 1.0).abs() > WORTH;
-        if expected > 0.0 && BELIEVED.contains(&ratio) && worth {
+        let ratio = product / own;
+        let worth = !self.pairs.is_empty() || ((ratio - 1.0).abs() > WORTH && own > OWN * solved);
+        if own > 0.0 && BELIEVED.contains(&ratio) && worth {
             if self.pairs.len() == MOST {
                 self.pairs.remove(0);
             }
@@ -119,7 +119,7 @@ impl Memory {
 #[cfg(test)]
 #[allow(clippy::expect_used)]
 mod tests {
-    use super::super::{Block, Layout, Options, Problem, Termination, minimise};
+    use super::super::{Layout, Options, Problem, Termination, minimise};
     use super::*;
     use nalgebra::DMatrix;
 
@@ -189,7 +189,7 @@ mod tests {
         }
     }
 
-    /// Where the cost bends down the nearest stationary point is no minimum: what gradients tell there is not believed.
+    /// Where the cost bends down the nearest stationary point is no minimum.
     #[test]
     fn a_saddle_is_left() {
         let problem = Bent { c: 100.0, k: -0.012 };
@@ -199,18 +199,41 @@ mod tests {
         assert!((out.state[0].abs() - minimum).abs() < 1e-3, "{} not {minimum}", out.state[0]);
     }
 
+    /// What a first step of 1 where `H = 1` is not believed to tell: a saddle, next to no curvature or far too much, what Gauss-Newton knows as well, and
+    /// anything where damping made the step short. A long step forgets the rest.
+    #[test]
+    fn what_says_little_is_not_believed() {
+        let equations = |b: f64| {
+            let mut e = NormalEquations::zeros(&Layout { global: 1, blocks: vec![] });
+            (e.h_gg[(0, 0)], e.b_g[0]) = (1.0, b);
+            e
+        };
+        let step = || Step { global: DVector::from_element(1, 1.0), blocks: vec![] };
+        let learnt = |before: f64, behind: f64| {
+            let mut memory = Memory::default();
+            memory.learn(step(), 0.5, &equations(before), &equations(behind));
+            memory
+        };
+        for (behind, known) in [(-0.5, 1), (0.6, 1), (1.2, 0), (0.99, 0), (-59.0, 0), (0.1, 0)] {
+            assert_eq!(learnt(1.0, behind).pairs.len(), known, "curvature {}", 1.0 - behind);
+        }
+        assert_eq!(learnt(3.0, 1.5).pairs.len(), 0, "damping of twice the curvature");
+        let mut memory = learnt(1.0, -0.5);
+        memory.learn(step(), 2.0, &equations(1.0), &equations(-0.5));
+        assert!(memory.pairs.is_empty());
+    }
+
     /// With two pairs the step solves the secant equation of the last one: `B^-1 y = s`.
     #[test]
     fn the_last_change_of_the_gradient_gives_the_last_step() {
         let problem = Bent { c: 50.0, k: 0.01 };
-        let states = [[0.4, 0.1], [0.1, 0.2], [-0.05, -0.02]];
+        let states = [[0.4, 0.27], [0.05, 0.0367], [-0.05, -0.02]];
         let equations = states.map(|s| problem.linearise(&s).expect("equations"));
         let mut memory = Memory::default();
         for k in 0..2 {
             let d = [0, 1].map(|i| states[k + 1][i] - states[k][i]);
             let step = Step { global: DVector::from_element(1, d[0]), blocks: vec![DVector::from_element(1, d[1])] };
-            let predicted = 0.5 * dot(&step, &downhill(&equations[k]));
-            memory.learn((step, predicted), 0.5, &equations[k], &equations[k + 1]);
+            memory.learn(step, 0.5, &equations[k], &equations[k + 1]);
             assert_eq!(memory.pairs.len(), k + 1);
         }
         let mut change = equations[2].clone();
