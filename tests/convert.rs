@@ -43,6 +43,9 @@ fn a_calibration_goes_out_and_comes_back() {
             assert_eq!((&x.name, x.image_size_px), (&y.name, y.image_size_px));
             assert!((x.f_px - y.f_px).abs() < 1e-8 && (x.beta_rad - y.beta_rad).abs() < 1e-12);
         }
+        let out = spivcal(&["show", &path("back/calibration.json")]);
+        let said = String::from_utf8_lossy(&out.stdout).into_owned();
+        assert!(said.contains("as another program found them") && !said.contains("GOOD"), "{said}");
         let (a, b) = (a.sheet.unwrap(), b.sheet.unwrap());
         assert!((a.distance_mm - b.distance_mm).abs() < 1e-9);
         assert!((a.angle_to_baseline_deg - b.angle_to_baseline_deg).abs() < 1e-9);

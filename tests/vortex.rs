@@ -54,6 +54,27 @@ fn flow(particles: &Value, light_from_sheet: &Motion<Sheet, Sheet>, x: f64, y: f
     r.tr_mul(&d)
 }
 
+/// What is easily mistyped on this way: one file for both cameras, results in the place of what was read, a grid beside the field.
+fn slips_are_refused(path: &dyn Fn(&str) -> String, image: &dyn Fn(&str) -> String) {
+    let (calibration, left, right) = (path("s/calibration.json"), path("left.csv"), path("right.csv"));
+    let before = [&calibration, &left].map(|f| std::fs::read(f).unwrap());
+    let said = run(&["reconstruct", &calibration, &left, &left, "-o", &path("no.csv")], 2);
+    assert!(said.contains("same numbers") && said.contains("other camera"), "{said}");
+    let said = run(&["reconstruct", &calibration, &left, &right, "-o", &left], 2);
+    assert!(said.contains("would be overwritten"), "{said}");
+    let pair = ["--pairs", &image("p*_left.png"), &image("p*_left.png")];
+    let said = run(&[&["check", &calibration], &pair[..], &["-o", &path("no")]].concat(), 2);
+    assert!(said.contains("p01a_left.png") && said.contains("both cameras"), "{said}");
+    let pair = ["--pairs", &image("p01a_left.png"), &image("p01a_right.png")];
+    let said = run(&[&["check", &calibration], &pair[..], &["--refine", "-o", &path("s")]].concat(), 2);
+    assert!(said.contains("would be overwritten"), "{said}");
+    let far = ["--extent-mm", "1000,1000,1100,1100"];
+    let said = run(&[&["dewarp", &calibration, &image("p01a_left.png")], &far[..], &["-o", &path("far")]].concat(), 1);
+    assert!(said.contains("sees nothing of this grid"), "{said}");
+    assert_eq!(before, [&calibration, &left].map(|f| std::fs::read(f).unwrap()));
+    assert!(!Path::new(&path("no.csv")).exists() && !Path::new(&path("no")).exists());
+}
+
 #[test]
 fn from_images_to_three_components() {
     let (folder, scratch) = (example("vortex"), tempfile::tempdir().unwrap());
@@ -92,6 +113,8 @@ fn from_images_to_three_components() {
         "{}",
         run(&["reconstruct", &corrected, &path("left.csv"), &path("right.csv"), "-o", &path("vectors.csv")], 0)
     );
+
+    slips_are_refused(&path, &image);
 
     let record = Record::from_json(&std::fs::read_to_string(&corrected).unwrap(), "c").unwrap();
     let truth = json(&folder.join("truth.json"));
