@@ -10,7 +10,16 @@ pub(crate) fn several() -> bool {
 
 /// Pieces of work that know nothing of each other.
 pub(crate) fn side_by_side<T: Sync, R: Send>(of: &[T], work: impl Fn(&T) -> R + Sync + Send) -> Vec<R> {
-    if several() { of.par_iter().map(work).collect() } else { of.iter().map(work).collect() }
+    gathered(true, of, work)
+}
+
+/// The same into a list, or into the first `None` or error of one; on threads where they are `worth` waking.
+pub(crate) fn gathered<T: Sync, R: Send, C: FromParallelIterator<R> + FromIterator<R>>(
+    worth: bool,
+    of: &[T],
+    work: impl Fn(&T) -> R + Sync + Send,
+) -> C {
+    if worth && several() { of.par_iter().map(work).collect() } else { of.iter().map(work).collect() }
 }
 
 /// Two pieces of work that know nothing of each other.
@@ -18,8 +27,8 @@ pub(crate) fn both<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnc
     if several() { rayon::join(a, b) } else { (a(), b()) }
 }
 
-/// Memory that work uses again, one for each thread of the pool where it was made that does some of the work. (Memory made anew wherever rayon divides the work costs more
-/// than the second thread saves: the allocator's locks.)
+/// Memory that work uses again, one for each thread of the pool where it was made that does some of the work. (Made anew wherever rayon divides
+/// the work, it costs more than the second thread saves: the allocator's locks.)
 pub(crate) struct OwnMemory<S>(Vec<Mutex<Option<Box<S>>>>);
 
 impl<S: Default> OwnMemory<S> {

@@ -24,7 +24,7 @@ use crate::camera::{INTRINSICS, WINDOW_STEPS};
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
 use crate::solve::{Gradient, NormalEquations};
-use crate::threads::{self, OwnMemory};
+use crate::threads::{self, OwnMemory, gathered};
 use nalgebra::{DVector, Matrix4, SMatrix, SVector, Vector3, Vector4};
 use rayon::prelude::*;
 
@@ -212,8 +212,7 @@ pub(super) fn cost(model: &Model, state: &State) -> Option<f64> {
     let of = |o: &&ImageObservations| {
         memory.with(|scratch| SeenImage::through(model, state, o, cameras[o.camera]).cost(scratch))
     };
-    let each: Option<Vec<f64>> =
-        if threaded(&images) { images.par_iter().map(of).collect() } else { images.iter().map(of).collect() };
+    let each: Option<Vec<f64>> = gathered(threaded(&images), &images, of);
     each.map(|c| c.iter().sum())
 }
 
@@ -305,7 +304,7 @@ pub(super) fn of_each_image(model: &Model, places: &Places, state: &State) -> Op
             Some((o.view, std::mem::take(&mut scratch.normal)))
         })
     };
-    if threaded(&wanted) { wanted.par_iter().map(of).collect() } else { wanted.iter().map(of).collect() }
+    gathered(threaded(&wanted), &wanted, of)
 }
 
 /// Normal equations of all images, or of those of one camera, without facts. Summed in the order of the images.
@@ -356,8 +355,7 @@ pub(super) fn bend(model: &Model, places: &Places, states: [&State; 3], h: f64) 
         memory.with(|scratch| bend_of(model, places, states[1], &seen, (h, scratch)))
     };
     let images: Vec<&ImageObservations> = model.images.iter().collect();
-    let each: Option<Vec<Bend>> =
-        if threaded(&images) { images.par_iter().map(of).collect() } else { images.iter().map(of).collect() };
+    let each: Option<Vec<Bend>> = gathered(threaded(&images), &images, of);
     let layout = places.layout();
     let blocks = layout.blocks.iter().map(|d| DVector::zeros(*d)).collect();
     let mut out = Gradient { global: DVector::zeros(layout.global), blocks };

@@ -21,8 +21,8 @@ use super::contour::SeenCircle;
 use super::edges::Feet;
 use super::model::{DiscObservation, ImageObservations, Model};
 use super::state::State;
+use crate::threads::gathered;
 use nalgebra::{Matrix2, Vector2};
-use rayon::prelude::*;
 
 /// What whitens the residuals of one contour.
 #[derive(Debug, Clone, PartialEq)]
@@ -108,17 +108,15 @@ impl Harmonic {
 /// Estimates the ovality from the residuals and whitens every contour for it; its standard deviation tau, mm, or `None`
 /// where the outlines are round as far as their noise shows (and nothing is changed).
 pub(super) fn whiten(model: &mut Model, state: &State) -> Option<f64> {
-    let of_image = |(k, image): (usize, &ImageObservations)| {
+    let of_image = |&(k, image): &(usize, &ImageObservations)| {
         let seen_image = SeenImage::of(model, state, image)?;
         let own = image.discs.iter().enumerate();
         let own = own.filter_map(|(d, seen)| Some((k, d, Harmonic::of(&seen_image.circle(seen.disc), seen)?)));
         Some(own.collect::<Vec<_>>())
     };
-    let all: Option<Vec<Vec<_>>> = if threaded(&model.images.iter().collect::<Vec<_>>()) {
-        model.images.par_iter().enumerate().map(of_image).collect()
-    } else {
-        model.images.iter().enumerate().map(of_image).collect()
-    };
+    let images: Vec<&ImageObservations> = model.images.iter().collect();
+    let numbered: Vec<(usize, &ImageObservations)> = images.iter().copied().enumerate().collect();
+    let all: Option<Vec<Vec<_>>> = gathered(threaded(&images), &numbered, of_image);
     let all: Vec<(usize, usize, Harmonic)> = all?.into_iter().flatten().collect();
     let chi2 = all.iter().fold([0.0, 0.0], |a, (_, _, h)| [a[0] + h.rest[0], a[1] + h.rest[1]]);
     let (n, factor) = (all.len() as f64, chi2[0] / chi2[1]);

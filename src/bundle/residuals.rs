@@ -9,8 +9,8 @@ use super::assemble::{SeenImage, threaded};
 use super::edges::Feet;
 use super::model::{DiscObservation, ImageObservations, Model};
 use super::state::State;
+use crate::threads::gathered;
 use nalgebra::{Matrix3, Vector2, Vector3};
-use rayon::prelude::*;
 
 /// Residuals of the edge points of one disc, structure of arrays.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -67,11 +67,7 @@ pub fn residuals(model: &Model, state: &State, observations: &ImageObservations)
 /// [`residuals`] of every image.
 pub(super) fn of_each_image(model: &Model, state: &State) -> Vec<Option<ImageResiduals>> {
     let images: Vec<&ImageObservations> = model.images.iter().collect();
-    if threaded(&images) {
-        images.par_iter().map(|o| residuals(model, state, o)).collect()
-    } else {
-        images.iter().map(|o| residuals(model, state, o)).collect()
-    }
+    gathered(threaded(&images), &images, |o| residuals(model, state, o))
 }
 
 fn disc_residual(image: &SeenImage, seen: &DiscObservation, scale: f64) -> Option<DiscResidual> {

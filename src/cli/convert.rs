@@ -30,7 +30,7 @@ pub(super) fn run(command: &Convert) -> Result<Done> {
                 return Err(Invalid::Contradiction(what.into()).into());
             }
             let done = match (export_format(to), command.soloff_degrees) {
-                (None, _) => own(command, file, &record)?,
+                (None, _) => own(&record)?,
                 (Some(_), Some([xy, z])) => export_soloff(&record, SoloffDegrees { xy, z })?,
                 (Some(format), None) => export(&record, format)?,
             };
@@ -48,7 +48,7 @@ pub(super) fn run(command: &Convert) -> Result<Done> {
         _ => return Err(Invalid::Contradiction("give either --to FORMAT or --from FORMAT".into()).into()),
     };
     let names: Vec<String> = output.names().iter().map(|n| folder.join(n).display().to_string()).collect();
-    output.commit(&folder)?;
+    output.commit_beside(&folder, &command.files.iter().map(AsRef::as_ref).collect::<Vec<&Path>>())?;
     let loss = |l: &Loss| json!({ "rms_px": l.rms_px, "max_px": l.max_px });
     let json = json!({ "files": names, "loss": losses.iter().map(loss).collect::<Vec<_>>(), "notes": notes });
     let mut text: String = names.iter().map(|n| format!("wrote {n}\n")).collect();
@@ -77,13 +77,8 @@ fn placement(command: &Convert, record: &Record) -> Result<Option<Placement>> {
     Ok(wanted.then_some(Placement { origin_mm, angle_rad: turn_deg.to_radians(), turned_round: false }))
 }
 
-/// The calibration itself, beside the one that was read.
-fn own(command: &Convert, file: &Path, record: &Record) -> Result<Conversion<Vec<(String, Vec<u8>)>>> {
-    let folder = command.output.as_deref().unwrap_or(Path::new("."));
-    let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
-    if same(file, &folder.join("calibration.json")) {
-        return Err(fault(file, "this file would be overwritten; name another folder with -o"));
-    }
+/// The calibration itself.
+fn own(record: &Record) -> Result<Conversion<Vec<(String, Vec<u8>)>>> {
     let result = vec![("calibration.json".to_string(), record.to_json()?.into_bytes())];
     Ok(Conversion { result, losses: vec![Loss::NONE; record.cameras.len()], notes: vec![] })
 }

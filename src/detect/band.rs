@@ -216,6 +216,7 @@ mod tests {
             let same = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| a.is_nan() || a.to_bits() == b.to_bits());
             assert!(same(&eight(&band.distance), &feet.distance) && same(&eight(&band.curvature), &feet.curvature));
             assert!(same(&eight(&band.cos), &feet.cos) && same(&eight(&band.sin), &feet.sin));
+            assert!(feet.cos.iter().zip(&feet.sin).all(|(c, s)| (c.hypot(*s) - 1.0).abs() < 1e-12));
         }
     }
 

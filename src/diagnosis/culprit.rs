@@ -28,7 +28,7 @@ use crate::bundle::{
 use crate::error::{Result, Unusable};
 use crate::sheet::Parameter;
 use crate::stats::chi_square_above;
-use crate::threads::side_by_side;
+use crate::threads::gathered;
 use nalgebra::{DMatrix, DVector};
 
 /// Information below this part of the largest is rounding: named parameters are not independent of each other.
@@ -121,7 +121,7 @@ fn disagreements(a: &Adjustment, functions: &[Vec<(String, f64)>], watch: &Watch
         watch.check()?;
         Ok(without.predicted(*v, &rows).and_then(|p| disagreement(*v, &full, &p)))
     };
-    let all: Result<Vec<Option<Disagreement>>> = side_by_side(&seen(a), one).into_iter().collect();
+    let all: Result<Vec<Option<Disagreement>>> = gathered(true, &seen(a), one);
     Ok(all?.into_iter().flatten().collect())
 }
 
@@ -168,7 +168,7 @@ impl Search<'_> {
             Ok(Some(Trial { out: *d, left }))
         };
         let first = &suspects[..suspects.len().min(TRIED)];
-        let tried: Result<Vec<Option<Trial>>> = side_by_side(first, without).into_iter().collect();
+        let tried: Result<Vec<Option<Trial>>> = gathered(true, first, without);
         Ok(tried?.into_iter().flatten().collect())
     }
 

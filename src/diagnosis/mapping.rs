@@ -12,7 +12,7 @@ use crate::bundle::{NamedCovariance, Natural, ParameterKnowledge};
 use crate::camera::INTRINSICS;
 use crate::record::{MappingMap, MappingSigma, MappingUncertainty, Record};
 use crate::sheet::{Parameter, PointUncertainty, SheetUncertainty, StereoSheet};
-use crate::threads::side_by_side;
+use crate::threads::gathered;
 use nalgebra::{DMatrix, DVector, Vector2};
 
 /// Points along the longer and the shorter side of what both cameras see.
@@ -74,7 +74,7 @@ pub(super) fn mapping_uncertainty(
     let mut points = field.points.clone();
     let n = points.len() as f64;
     points.push([points.iter().map(|p| p[0]).sum::<f64>() / n, points.iter().map(|p| p[1]).sum::<f64>() / n]);
-    let at: Option<Vec<PointUncertainty>> = side_by_side(&points, |p| uncertainty.at(*p)).into_iter().collect();
+    let at: Option<Vec<PointUncertainty>> = gathered(true, &points, |p| uncertainty.at(*p));
     let at = at?;
     let placed = places(covariance, names, (&points, &at), uncertainty.names_at())?;
     let all: Vec<MappingSigma> = points

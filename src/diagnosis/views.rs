@@ -7,7 +7,7 @@ use crate::bundle::{Prediction, SolveOptions, Termination, ViewsLeftOut, named_r
 use crate::error::{Result, Unusable};
 use crate::record::ViewInfluence;
 use crate::stats::normal_beyond;
-use crate::threads::side_by_side;
+use crate::threads::gathered;
 use nalgebra::{DMatrix, DVector};
 
 /// Views beyond which only the prediction is made.
@@ -39,8 +39,7 @@ pub(super) fn views(
     let full = s.covariance.propagate(&keys.rows);
     let seen: Vec<usize> = (0..model.views.len()).filter(|v| model.images.iter().any(|i| i.view == *v)).collect();
     let without = ViewsLeftOut::of(s.adjustment);
-    let left: Result<Vec<Option<Left>>> =
-        side_by_side(&seen, |v| left_out(s, (keys, &rows), (&without, *v), watch)).into_iter().collect();
+    let left: Result<Vec<Option<Left>>> = gathered(true, &seen, |v| left_out(s, (keys, &rows), (&without, *v), watch));
     let tests = (seen.len() * keys.list.len()) as f64;
     let mut out: Vec<ViewInfluence> =
         seen.into_iter().zip(left?).filter_map(|(v, left)| Some(influence(keys, &full, v, &left?, tests))).collect();

@@ -113,23 +113,25 @@ fn scatter(r: &Record) -> String {
     }
 }
 
-fn determined(r: &Record) -> Vec<String> {
-    let mut out = Vec::new();
+/// How many observations there are and how they agree.
+fn agreement(r: &Record) -> String {
     let used = r.views.iter().filter(|v| v.used).count();
     let per_camera: Vec<_> = r.cameras.iter().map(|c| format!("{} {}", c.name, plain(c.rms_px, 3))).collect();
-    let agree = || {
-        format!(
-            "{} of {} and {} agree to {} px rms ({} px); {}.",
-            count(r.fit.observations, "observation"),
-            count(r.cameras.len(), "camera"),
-            count(used, "view"),
-            plain(r.fit.rms_px, 3),
-            per_camera.join(", "),
-            scatter(r)
-        )
-    };
+    format!(
+        "{} of {} and {} agree to {} px rms ({} px); {}.",
+        count(r.fit.observations, "observation"),
+        count(r.cameras.len(), "camera"),
+        count(used, "view"),
+        plain(r.fit.rms_px, 3),
+        per_camera.join(", "),
+        scatter(r)
+    )
+}
+
+fn determined(r: &Record) -> Vec<String> {
+    let mut out = Vec::new();
     if !imported(r) {
-        out.push(agree());
+        out.push(agreement(r));
     }
     if let Some(rig) = &r.rig {
         out.push(format!(
