@@ -13,7 +13,7 @@
 //! 5. Everything in one adjustment.
 //!
 //! A view, a pairing or a whole camera that contradicts the others is named: images of a view exchanged or of different
-//! moments, a mirrored camera.
+//! moments, a mirrored camera, a view marked as in the sheet that is not.
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
@@ -22,9 +22,11 @@
 //! | D | mirror | - | `diag(-1, 1, 1)`: a horizontally mirrored camera |
 
 mod consensus;
+mod contradiction;
 mod joint;
 mod labels;
 mod mono;
+mod off_plane;
 mod print;
 mod starts;
 mod windows;

@@ -214,7 +214,17 @@ fn cameras_exchanged_in_one_view() {
     let job = Job::new();
     job.edit("left = \"v03_left.png\"", "left = \"v03_right.png\"");
     job.edit("right = \"v03_right.png\"", "right = \"v03_left.png\"");
-    job.refused(3, &["view(s) 2 (counted from 0)", "5 of 6 views agree", "not exchanged"]);
+    job.refused(3, &["seem to be exchanged in view(s) 2 (counted from 0)"]);
+}
+
+#[test]
+fn a_tilted_view_marked_as_in_the_sheet() {
+    let job = Job::new();
+    job.edit("right = \"v03_right.png\"\nsheet = false", "right = \"v03_right.png\"\nsheet = true");
+    job.refused(
+        3,
+        &["are not in one plane", "against view 2, view 5 is tilted by 28.", "counted from 0", "put there by hand"],
+    );
 }
 
 #[test]

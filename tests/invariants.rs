@@ -11,7 +11,6 @@ use proptest::test_runner::RngSeed;
 use rig_scene::Scene;
 use spivcal::bundle::{AdjustOptions, Fact, NamedCovariance, SolveOptions, State, adjust, named_covariance};
 use spivcal::camera::{Camera, Intrinsics, Radial, Refusal};
-use spivcal::error::{Error, Insufficient};
 use spivcal::frames::{Cam, Pixel, Point, Rig, Target};
 use spivcal::rig::{RigProblem, calibrate_rig};
 use spivcal::rigid::{Motion, rotation_exp, rotation_log};
@@ -313,42 +312,4 @@ fn twice_the_spacing_is_twice_every_length_and_the_same_pixels() {
         assert!((sigma_of(&b, name) / sigma_of(&a, name) - 2.0).abs() < 1e-5, "sigma of {name}");
     }
     assert!((sigma_of(&b, "left.f_px") / sigma_of(&a, "left.f_px") - 1.0).abs() < 1e-5);
-}
-
-fn refused(problem: &RigProblem) -> String {
-    match calibrate_rig(problem, &AdjustOptions::default(), &mut |_| true) {
-        Err(Error::Insufficient(Insufficient::Inconsistent(words))) => words,
-        Err(other) => panic!("another refusal: {other}"),
-        Ok(s) => panic!("not refused, cost {}", s.adjustment.cost),
-    }
-}
-
-#[test]
-fn a_mirrored_camera_is_refused_as_mirrored() {
-    for (per_view, points) in [(false, false), (true, false)] {
-        let mut scene = Scene::build(13, per_view, !points, points).with_noise(1);
-        for edge in
-            scene.model.images.iter_mut().filter(|i| i.camera == 1).flat_map(|i| &mut i.discs).map(|d| &mut d.edge)
-        {
-            edge.u_px.iter_mut().for_each(|u| *u = 1023.0 - *u);
-        }
-        let words = refused(&scene.problem());
-        assert!(words.contains("mirrored") && words.contains("\"right\""), "{words}");
-    }
-}
-
-#[test]
-fn images_of_one_camera_exchanged_between_views_are_named() {
-    for (per_view, points) in [(false, false), (false, true)] {
-        let mut scene = Scene::build(14, per_view, !points, points).with_noise(1);
-        for image in scene.model.images.iter_mut().filter(|i| i.camera == 1) {
-            image.view = match image.view {
-                1 => 3,
-                3 => 1,
-                v => v,
-            };
-        }
-        let words = refused(&scene.problem());
-        assert!(words.contains("view(s) 1, 3 "), "{words}");
-    }
 }

@@ -1,26 +1,26 @@
 //! The motion between the cameras by consensus of the views, scale, and the common adjustment.
 
-use super::consensus::{CONSENSUS_RAD, Choice, angle, choices, votes};
-use super::labels::{changed, image_at, is_pair, labellings, labels, order_pairs, relabel};
+use super::consensus::{CONSENSUS_RAD, Choice, choices, votes};
+use super::contradiction::{cameras_disagree, contradicts_px};
+use super::labels::{changed, image_at, is_pair, labels, order_pairs, relabel};
 use super::mono::{calibrate_camera, thinned_model};
+use super::off_plane::views_off_plane;
 use super::print::labels_by_print;
 use super::starts::{best_start, joint_start};
 use super::windows::set_windows;
 use super::{Mono, Pose, RigProblem, RigSolution, Told, rms_of, side_by_side};
 use crate::bundle::{
-    AdjustOptions, Fact, Iteration, Model, PlanePosition, SolveOptions, State, Termination, ViewPlace, ViewState,
-    adjust,
+    AdjustOptions, Adjustment, Fact, Iteration, Model, PlanePosition, SolveOptions, State, Termination, ViewPlace,
+    ViewState, adjust,
 };
 use crate::detect::pattern::Relabelling;
-use crate::error::{Error, Insufficient, Result, Unusable};
+use crate::error::{Insufficient, Result, Unusable};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::rigid::Motion;
 use nalgebra::{Matrix3, Vector3};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// A common adjustment that fits worse than this times the cameras alone (and than 0.3 px) is a contradiction.
-const CONTRADICTION: f64 = 5.0;
 /// Labels whose chi-square is larger by less than this, in units of the best one's variance factor, fit as well as the best.
 const AS_GOOD: f64 = 30.0;
 
@@ -59,17 +59,14 @@ pub fn calibrate_rig(problem: &RigProblem, options: &AdjustOptions, observe: Obs
     let cameras: Vec<usize> = (0..problem.model.cameras.len()).collect();
     let monos = side_by_side(&cameras, |c| calibrate_camera(&problem, *c, &told));
     let monos: Vec<Mono> = monos.into_iter().collect::<Result<_>>()?;
-    let mut undecided = vec![];
-    let mut start = if monos.len() == 1 {
-        single_start(&problem, &monos[0])?
-    } else {
-        let (decided, start) = common_start(&problem, &monos, options, &told, &mut undecided)?;
-        problem = decided;
-        start
-    };
-    labels_by_print(&mut problem, &mut start);
-    let start = best_start(&problem, start, options, &told);
-    let adjustment = adjust(&problem.model, start, options, &mut |i| told(i));
+    let context = Context { options, told: &told };
+    let solved = together(&problem, &monos, &context);
+    if asked.stopped.load(Ordering::Relaxed) {
+        return Err(Unusable::Cancelled.into());
+    }
+    let off_plane = views_off_plane(&problem, &monos, solved.as_ref().ok(), &context)?;
+    let Together { problem, adjustment, mut undecided } = solved?;
+    undecided.extend(off_plane);
     match adjustment.termination {
         Termination::Converged => {}
         Termination::Cancelled => return Err(Unusable::Cancelled.into()),
@@ -85,6 +82,33 @@ pub fn calibrate_rig(problem: &RigProblem, options: &AdjustOptions, observe: Obs
     }
     let disc_of = problem.model.images.iter().map(|i| i.discs.iter().map(|d| d.disc).collect()).collect();
     Ok(RigSolution { adjustment, labels: labels(&problem), disc_of, undecided })
+}
+
+/// A common adjustment, wherever it ended.
+pub(super) struct Together {
+    /// The problem with the labels that were decided.
+    pub(super) problem: RigProblem,
+    pub(super) adjustment: Adjustment,
+    undecided: Vec<String>,
+}
+
+/// All cameras in one adjustment, from what each found alone.
+pub(super) fn together(problem: &RigProblem, monos: &[Mono], context: &Context<'_>) -> Result<Together> {
+    let Context { options, told } = *context;
+    let mut undecided = vec![];
+    let (mut problem, mut start) = match monos {
+        [alone] => (problem.clone(), single_start(problem, alone)?),
+        _ => match common_start(problem, monos, context, &mut undecided)? {
+            Common::Start(start) => *start,
+            Common::Apart(choice, outside) => {
+                return Err(cameras_disagree(problem, monos, &choice, &outside, context));
+            }
+        },
+    };
+    labels_by_print(&mut problem, &mut start);
+    let start = best_start(&problem, start, options, told);
+    let adjustment = adjust(&problem.model, start, options, &mut |i| told(i));
+    Ok(Together { problem, adjustment, undecided })
 }
 
 /// What to do where windows leave an adjustment without an end: directions in which the cost hardly changes.
@@ -109,15 +133,29 @@ struct Agreed {
     outside: Vec<usize>,
 }
 
+/// How a common adjustment is made.
+pub(super) struct Context<'a> {
+    pub(super) options: &'a AdjustOptions,
+    pub(super) told: Told<'a>,
+}
+
+/// What the cameras say together.
+enum Common {
+    /// The problem with the labels that fit best, and where its adjustment starts.
+    Start(Box<(RigProblem, State)>),
+    /// Views that no common motion explains, with the labels that explain most.
+    Apart(Box<Choice>, Vec<usize>),
+}
+
 /// Start of the common adjustment, with the labels that fit best.
 fn common_start(
     problem: &RigProblem,
     monos: &[Mono],
-    options: &AdjustOptions,
-    told: Told<'_>,
+    context: &Context<'_>,
     undecided: &mut Vec<String>,
-) -> Result<(RigProblem, State)> {
-    let all = choices(problem, &votes(problem, &monos[0].poses, &monos[1].poses, false));
+) -> Result<Common> {
+    let Context { options, told } = *context;
+    let mut all = choices(problem, &votes(problem, &monos[0].poses, &monos[1].poses, false));
     let mut starts = vec![];
     for choice in &all {
         let (labelled, agreed) = agreed(problem, monos, choice);
@@ -132,20 +170,25 @@ fn common_start(
         .into());
     };
     if agreed.outside.is_empty() {
-        return Ok((labelled, state));
+        return Ok(Common::Start(Box::new((labelled, state))));
     }
     // A weak pose of one camera alone is no contradiction: let the common adjustment decide, quickly first.
     let quick = AdjustOptions { solve: SolveOptions { decrement: 1e-1, iterations: 100 }, rounds: 0, ..*options };
-    let alone = monos.iter().map(|m| m.rms_px).fold(0.0, f64::max);
+    let limit_px = contradicts_px(monos);
     let fits = |model: &Model, state: State| {
         let trial = adjust(model, state, &quick, &mut |i| told(i)).state;
-        rms_of(model, &trial).is_some_and(|r| r < (CONTRADICTION * alone).max(0.3)).then_some(trial)
+        rms_of(model, &trial).is_some_and(|r| r < limit_px).then_some(trial)
     };
     let light = fits(&thinned_model(&labelled.model), State { offsets_mm: vec![], ..state.clone() });
-    match light.and_then(|_| fits(&labelled.model, state)) {
-        Some(state) => Ok((labelled, state)),
-        None => Err(contradiction(problem, monos, &all[best], &agreed.outside)),
-    }
+    Ok(match light.and_then(|_| fits(&labelled.model, state)) {
+        Some(state) => Common::Start(Box::new((labelled, state))),
+        None => Common::Apart(Box::new(all.swap_remove(best)), agreed.outside),
+    })
+}
+
+/// Whether the cameras can be adjusted together.
+pub(super) fn agrees(problem: &RigProblem, monos: &[Mono], context: &Context<'_>) -> bool {
+    matches!(common_start(problem, monos, context, &mut vec![]), Ok(Common::Start(_)))
 }
 
 /// The start with the labels that the common adjustment fits best, the first where others fit as well.
@@ -201,64 +244,6 @@ fn agreed(problem: &RigProblem, monos: &[Mono], choice: &Choice) -> (RigProblem,
     let mut labelled = problem.clone();
     relabel(&mut labelled, &changes);
     (labelled, Agreed { motion, poses, outside: choice.outside() })
-}
-
-/// A pose as a horizontally mirrored camera would have found it.
-fn mirrored(pose: &Motion<Cam, Target>) -> Motion<Cam, Target> {
-    let d = Matrix3::from_diagonal(&Vector3::new(-1.0, 1.0, 1.0));
-    let f = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, 1.0));
-    Motion::new(d * pose.rotation * f, d * pose.translation_mm)
-}
-
-/// Finds out why views do not agree, and says it.
-fn contradiction(problem: &RigProblem, monos: &[Mono], choice: &Choice, outside: &[usize]) -> Error {
-    let names: Vec<&str> = problem.model.cameras.iter().map(|c| c.name.as_str()).collect();
-    let common = choice.best.iter().flatten().count();
-    if 2 * outside.len() >= common {
-        for (c, other) in [(1, 0), (0, 1)] {
-            let flip = |p: &Option<Pose>| p.as_ref().map(|(m, s)| (mirrored(m), *s));
-            let flipped: Vec<_> = monos[c].poses.iter().map(flip).collect();
-            let v = if c == 1 {
-                votes(problem, &monos[0].poses, &flipped, true)
-            } else {
-                votes(problem, &flipped, &monos[1].poses, true)
-            };
-            if choices(problem, &v).first().is_some_and(|b| b.spread() < 0.3 * CONSENSUS_RAD) {
-                return Insufficient::Inconsistent(format!(
-                    "the images of camera \"{}\" are mirrored against those of camera \"{}\" (or the other way round): the views agree only when one is flipped; switch off the mirroring of that camera, or of a mirror in its path, in the recording software",
-                    names[c], names[other]
-                ))
-                .into();
-            }
-        }
-    }
-    let center = choice.center.motion().rotation;
-    let exchanged_views: Vec<usize> = outside
-        .iter()
-        .copied()
-        .filter(|v| match (&monos[0].poses[*v], &monos[1].poses[*v], image_at(problem, 0, *v)) {
-            // Poses found by the wrong camera are off by its own tilt at most, far less than the angle between cameras.
-            (Some(l), Some((r, _)), Some(k)) => labellings(problem, k).iter().any(|change| {
-                let l = changed(problem, l, change).0;
-                angle(&(l.rotation * r.rotation.transpose()), &center) < 5.0 * CONSENSUS_RAD
-            }),
-            _ => false,
-        })
-        .collect();
-    let list = |v: &[usize]| v.iter().map(usize::to_string).collect::<Vec<_>>().join(", ");
-    if exchanged_views.len() == outside.len() {
-        return Insufficient::Inconsistent(format!(
-            "the images of cameras \"{}\" and \"{}\" seem to be exchanged in view(s) {} (counted from 0); exchange their file names in the rig file",
-            names[0], names[1], list(outside)
-        ))
-        .into();
-    }
-    Insufficient::Inconsistent(format!(
-        "the two cameras do not see the same target position in view(s) {} (counted from 0): {} of {common} views agree on how the cameras stand to each other; check that both images of a view were taken at the same moment, that they are not exchanged, and that no camera was moved",
-        list(outside),
-        common - outside.len()
-    ))
-    .into()
 }
 
 fn single_start(problem: &RigProblem, mono: &Mono) -> Result<State> {

@@ -1,0 +1,145 @@
+//! Cameras that contradict each other, and why: a mirrored camera, images exchanged between cameras or views, or of different moments.
+
+use super::consensus::{CONSENSUS_RAD, Choice, Poses, choices, votes};
+use super::joint::{Context, agrees};
+use super::labels::image_at;
+use super::mono::calibrate_camera;
+use super::{Mono, Pose, RigProblem, side_by_side};
+use crate::error::{Error, Insufficient, Result};
+use crate::frames::{Cam, Target};
+use crate::rigid::Motion;
+use nalgebra::{Matrix3, Vector3};
+
+/// A common adjustment that fits worse than this times the cameras alone (and than 0.3 px) is a contradiction.
+const CONTRADICTION: f64 = 5.0;
+
+/// Largest root mean square residual of a camera alone, px.
+pub(super) fn worst_px(monos: &[Mono]) -> f64 {
+    monos.iter().map(|m| m.rms_px).fold(0.0, f64::max)
+}
+
+/// Residuals of a common adjustment beyond this contradict what the cameras found alone, px.
+pub(super) fn contradicts_px(monos: &[Mono]) -> f64 {
+    (CONTRADICTION * worst_px(monos)).max(0.3)
+}
+
+/// A pose as a horizontally mirrored camera would have found it.
+fn mirrored(pose: &Motion<Cam, Target>) -> Motion<Cam, Target> {
+    let d = Matrix3::from_diagonal(&Vector3::new(-1.0, 1.0, 1.0));
+    let f = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, 1.0));
+    Motion::new(d * pose.rotation * f, d * pose.translation_mm)
+}
+
+/// A camera whose images agree with the other's when they are flipped, if there is one.
+fn mirrored_camera(problem: &RigProblem, monos: &[Mono]) -> Option<usize> {
+    [1, 0].into_iter().find(|&c| {
+        let flip = |p: &Option<Pose>| p.as_ref().map(|(m, s)| (mirrored(m), *s));
+        let flipped: Vec<_> = monos[c].poses.iter().map(flip).collect();
+        let poses = [0, 1].map(|k| if k == c { &flipped } else { &monos[k].poses });
+        let votes = votes(problem, poses[0], poses[1], true);
+        choices(problem, &votes).first().is_some_and(|b| b.spread() < 0.3 * CONSENSUS_RAD)
+    })
+}
+
+/// Views on which the cameras do not agree.
+fn apart(problem: &RigProblem, left: &Poses, right: &Poses) -> usize {
+    choices(problem, &votes(problem, left, right, false)).first().map_or(usize::MAX, |c| c.outside().len())
+}
+
+/// Two views whose images of one camera, exchanged, make all views agree; of several the ones that no others do.
+fn views_exchanged(problem: &RigProblem, monos: &[Mono], outside: &[usize]) -> Option<[usize; 2]> {
+    let views = problem.model.views.len();
+    let pairs = outside.iter().flat_map(|&a| (0..views).filter(move |&b| b != a).map(move |b| [a.min(b), a.max(b)]));
+    let mut agreeing: Vec<[usize; 2]> = pairs
+        .filter(|&[a, b]| {
+            let mut right = monos[1].poses.clone();
+            right.swap(a, b);
+            apart(problem, &monos[0].poses, &right) == 0
+        })
+        .collect();
+    agreeing.sort_unstable();
+    agreeing.dedup();
+    if let [one] = agreeing[..] { Some(one) } else { None }
+}
+
+/// The problem with the images of a view given to the other camera.
+fn exchanged(problem: &RigProblem, view: usize) -> RigProblem {
+    let mut out = problem.clone();
+    out.model.images.iter_mut().filter(|i| i.view == view).for_each(|i| i.camera = 1 - i.camera);
+    out
+}
+
+/// Views in which the images of the two cameras, exchanged, make everything agree; none where nothing does.
+///
+/// An image of the wrong camera spoils what that camera finds alone, so both are calibrated again for every view that may be it. The view
+/// that leaves the fewest apart is kept, then the next.
+fn cameras_exchanged(problem: &RigProblem, monos: &[Mono], outside: usize, context: &Context<'_>) -> Vec<usize> {
+    let views: Vec<usize> =
+        (0..problem.model.views.len()).filter(|&v| (0..2).all(|c| image_at(problem, c, v).is_some())).collect();
+    let (mut problem, mut out, mut least) = (problem.clone(), vec![], (outside, worst_px(monos)));
+    while 2 * (out.len() + 1) < views.len() {
+        let rest: Vec<usize> = views.iter().copied().filter(|v| !out.contains(v)).collect();
+        let tried = side_by_side(&rest, |&v| {
+            let trial = exchanged(&problem, v);
+            let alone: Result<Vec<Mono>> = (0..2).map(|c| calibrate_camera(&trial, c, context.told)).collect();
+            let monos = alone.ok()?;
+            let score = (apart(&trial, &monos[0].poses, &monos[1].poses), worst_px(&monos));
+            Some((score, v, monos))
+        });
+        let better = |a: &(usize, f64), b: &(usize, f64)| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1));
+        let best = tried.into_iter().flatten().min_by(|a, b| better(&a.0, &b.0));
+        let Some((score, view, monos)) = best.filter(|b| better(&b.0, &least).is_lt()) else { return vec![] };
+        out.push(view);
+        problem = exchanged(&problem, view);
+        if agrees(&problem, &monos, context) {
+            out.sort_unstable();
+            return out;
+        }
+        least = score;
+    }
+    vec![]
+}
+
+/// Finds out why the cameras' views do not agree, and says it.
+pub(super) fn cameras_disagree(
+    problem: &RigProblem,
+    monos: &[Mono],
+    choice: &Choice,
+    outside: &[usize],
+    context: &Context<'_>,
+) -> Error {
+    let names: Vec<&str> = problem.model.cameras.iter().map(|c| c.name.as_str()).collect();
+    let common = choice.best.iter().flatten().count();
+    let list = |v: &[usize]| v.iter().map(usize::to_string).collect::<Vec<_>>().join(", ");
+    let mirrored = if 2 * outside.len() >= common { mirrored_camera(problem, monos) } else { None };
+    let words = if let Some(c) = mirrored {
+        format!(
+            "the images of camera \"{}\" are mirrored against those of camera \"{}\" (or the other way round): the views agree only when one is flipped; \
+             switch off the mirroring of that camera, or of a mirror in its path, in the recording software",
+            names[c],
+            names[1 - c]
+        )
+    } else if let Some([a, b]) = views_exchanged(problem, monos, outside) {
+        format!(
+            "the images of camera \"{}\", or those of camera \"{}\", seem to be exchanged between the view(s) {a}, {b} (counted from 0): exchange the file \
+             names of one camera in the rig file",
+            names[0], names[1]
+        )
+    } else {
+        match cameras_exchanged(problem, monos, outside.len(), context)[..] {
+            [] => format!(
+                "the two cameras do not see the same target position in view(s) {} (counted from 0): {} of {common} views agree on how the cameras stand to \
+                 each other; check that both images of a view were taken at the same moment, that they are not exchanged, and that no camera was moved",
+                list(outside),
+                common - outside.len()
+            ),
+            ref views => format!(
+                "the images of cameras \"{}\" and \"{}\" seem to be exchanged in view(s) {} (counted from 0); exchange their file names in the rig file",
+                names[0],
+                names[1],
+                list(views)
+            ),
+        }
+    };
+    Insufficient::Inconsistent(words).into()
+}
