@@ -9,6 +9,7 @@ mod check;
 mod convert;
 mod detect;
 mod dewarp;
+mod dewarped;
 mod files;
 mod progress;
 mod reconstruct;

@@ -74,6 +74,24 @@ impl<'a> GrayView<'a> {
     pub fn samples(&self) -> Samples<'a> {
         self.samples
     }
+    /// Smallest and largest grey level.
+    pub fn range(&self) -> [f32; 2] {
+        let mut row = vec![];
+        let mut out = [f32::INFINITY, f32::NEG_INFINITY];
+        for v in 0..self.height {
+            self.row(v, &mut row);
+            out = row.iter().fold(out, |[low, high], &g| [low.min(g), high.max(g)]);
+        }
+        out
+    }
+    /// Whether an image whose largest grey level is `high` may have been cut off there: a dark, quantised image has many equal maxima, too.
+    pub fn may_saturate_at(&self, high: f32) -> bool {
+        match self.samples {
+            Samples::U8(_) => high >= 250.0,
+            Samples::U16(_) => high as u32 >= 1000 && ((high as u32 + 1).is_power_of_two() || high >= 65_000.0),
+            Samples::F32(_) => true,
+        }
+    }
     /// Grey level at column `u`, row `v`; both must be inside.
     #[inline]
     pub fn get(&self, u: usize, v: usize) -> f32 {

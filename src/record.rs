@@ -18,6 +18,7 @@ mod diagnosis;
 mod geometry;
 mod json;
 mod number;
+mod provenance;
 mod residuals;
 mod schema;
 mod sheet_check;
@@ -28,10 +29,11 @@ pub use diagnosis::{
     ViewInfluence,
 };
 pub use geometry::PlacedCamera;
+pub use provenance::{ImageFile, Provenance};
 pub use residuals::{FeatureKind, Residual, ResidualTable};
 pub use schema::{
-    ANGLES_CONVENTION, Camera, Covariance, Effective, FORMAT, Fit, Homography, ImageFile, Known, NearNull, Parameter,
-    Pose, Provenance, Radial, Record, Rig, Scale, Sheet, Target, TargetPoint, VERSION, View, ViewTarget, Window,
+    ANGLES_CONVENTION, Camera, Covariance, Effective, FORMAT, Fit, Homography, Known, NearNull, Parameter, Pose,
+    Radial, Record, Rig, SHEET_ALONE, Scale, Sheet, Target, TargetPoint, VERSION, View, ViewTarget, Window,
 };
 pub use sheet_check::{
     CamerasRefined, CheckRound, DisparityMap, LightProfile, Misalignment, RefinedNumber, SheetCheck,

@@ -228,6 +228,78 @@ fn a_tilted_view_marked_as_in_the_sheet() {
 }
 
 #[test]
+fn wrong_polarity_is_named() {
+    let job = Job::new();
+    job.edit("polarity = \"dark\"", "polarity = \"bright\"");
+    job.refused(3, &["v01_left.png", "are found with polarity = \"dark\""]);
+}
+
+#[test]
+fn a_dark_image_is_named_as_dark() {
+    let job = Job::new();
+    job.redraw("v03_left.png", |i| {
+        let pixels = samples(i).iter().map(|g| g % 3).collect();
+        GrayImage::new(Pixels::U8(pixels), i.width(), i.height()).unwrap()
+    });
+    job.refused(3, &["v03_left.png", "grey values lie between 0 and 2", "shutter"]);
+}
+
+/// What a calibration says of itself, and how it ended.
+fn told(job: &Job) -> (i32, String) {
+    let out = job.calibrate();
+    let said = format!("{}{}", String::from_utf8_lossy(&out.stdout), String::from_utf8_lossy(&out.stderr));
+    (out.status.code().unwrap(), said.split_whitespace().collect::<Vec<_>>().join(" "))
+}
+
+#[test]
+fn overexposed_images_are_told() {
+    let job = Job::new();
+    for image in ["v02_left.png", "v05_right.png"] {
+        job.redraw(image, |i| {
+            let pixels = samples(i).iter().map(|g| (1.7 * f64::from(*g)) as u8).collect();
+            GrayImage::new(Pixels::U8(pixels), i.width(), i.height()).unwrap()
+        });
+    }
+    let (_, said) = told(&job);
+    assert!(said.contains("2 images have pixels about the discs at the end of the scale"), "{said}");
+    assert!(said.contains("reduce the exposure"), "{said}");
+}
+
+#[test]
+fn an_image_distance_that_no_lens_has_is_told() {
+    let job = Job::new();
+    job.edit("pixel_pitch_mm = 0.00625", "pixel_pitch_mm = 0.005");
+    let (code, said) = told(&job);
+    assert!(code == 1 && said.contains("camera left: an image distance of 44."), "{said}");
+    assert!(said.contains("binned") && !said.contains("camera right: an image distance"), "{said}");
+}
+
+#[test]
+fn a_flagged_calibration_stays_flagged_when_it_is_shown() {
+    let job = Job::new();
+    job.edit("pixel_pitch_mm = 0.00625", "pixel_pitch_mm = 0.005");
+    assert_eq!(told(&job).0, 1);
+    let shown = spivcal(&["show", job.out().join("calibration.json").to_str().unwrap()]);
+    assert_eq!(shown.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&shown.stderr).contains("image distance"));
+}
+
+#[test]
+fn overlays_of_an_earlier_run_are_told() {
+    let job = Job::new();
+    assert_eq!(told(&job).0, 0);
+    let text = std::fs::read_to_string(job.path("rig.toml")).unwrap();
+    let fifth = text.find("[[view]]\nleft = \"v05").unwrap();
+    let sixth = text.find("[[view]]\nleft = \"v06").unwrap();
+    std::fs::write(job.path("rig.toml"), format!("{}{}", &text[..fifth], &text[sixth..])).unwrap();
+    let (_, said) = told(&job);
+    assert!(
+        said.contains("Of an earlier run, and of other images: overlay_05_left.png, overlay_05_right.png"),
+        "{said}"
+    );
+}
+
+#[test]
 fn nan_in_the_rig_file() {
     let job = Job::new();
     job.edit("pixel_pitch_mm = 0.00625", "pixel_pitch_mm = nan");

@@ -357,4 +357,58 @@ fn the_program_reads_writes_and_refuses() {
     refused(&left, &right, &["--unit", "dewarped"], 2, "--dewarped dewarp.json");
     refused(&left, &right, &["--sigma", "-1"], 2, "a positive number");
     refused("", &right, &[], 2, "empty");
+    for spacing in ["-1", "0", "4000"] {
+        refused(&left, &right, &["--spacing-mm", spacing], 2, "distance of the vectors");
+    }
+}
+
+/// Images dewarped with one calibration are no measure with another; fields whose names say the other camera are told.
+#[test]
+fn fields_of_another_calibration_or_camera_are_told() {
+    let scratch = tempfile::tempdir().unwrap();
+    let at = |name: &str| scratch.path().join(name).to_str().unwrap().to_string();
+    let run = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_spivcal")).args(arguments).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).to_string();
+        println!("{}", said.trim_end());
+        (output.status.code().unwrap(), said)
+    };
+    let record = scene::record();
+    std::fs::write(at("c.json"), record.to_json().unwrap()).unwrap();
+    let mut other = record.clone();
+    let sheet = other.sheet.as_mut().unwrap();
+    let pose = &mut sheet.rig_from_sheet;
+    (0..3).for_each(|a| pose.translation_mm[a] += 0.5 * pose.rotation[a][0]);
+    std::fs::write(at("other.json"), other.to_json().unwrap()).unwrap();
+    let pixels = spivcal::image::Pixels::U8(vec![7; 1024 * 768]);
+    let image = spivcal::image::GrayImage::new(pixels, 1024, 768).unwrap();
+    std::fs::write(at("a_left.png"), spivcal::pipeline::png_bytes(&image).unwrap()).unwrap();
+    let extent = ["--extent-mm", "-20,-15,20,15"];
+    for (z, to) in [("0", "sheet"), ("1.5", "before")] {
+        let (code, said) =
+            run(&[&["dewarp", &at("c.json"), &at("a_left.png"), "-o", &at(to), "--z-mm", z], &extent[..]].concat());
+        assert!(code < 2, "{said}");
+    }
+    let text = std::fs::read_to_string(at("sheet/dewarp.json")).unwrap();
+    let grid: SheetGrid =
+        serde_json::from_value(serde_json::from_str::<serde_json::Value>(&text).unwrap()["grid"].clone()).unwrap();
+    for c in 0..2 {
+        std::fs::write(at(["l_left.csv", "r_right.csv"][c]), dewarped_field(c, Some(&grid), 0.0, 1)).unwrap();
+    }
+    let reconstruct = |calibration: &str, fields: [&str; 2], dewarped: &str| {
+        let [c, l, r, d, o] = [calibration, fields[0], fields[1], dewarped, "out.csv"].map(at);
+        run(&["reconstruct", &c, &l, &r, "--unit", "dewarped", "--dewarped", &d, "--no-calibration-sigma", "-o", &o])
+    };
+    let fields = ["l_left.csv", "r_right.csv"];
+    let (code, said) = reconstruct("c.json", fields, "sheet/dewarp.json");
+    assert_eq!(code, 0, "{said}");
+    let (code, said) = reconstruct("other.json", fields, "sheet/dewarp.json");
+    assert!(code == 2 && said.contains("another calibration") && said.contains("dewarp them again"), "{said}");
+    let (code, said) = reconstruct("c.json", fields, "before/dewarp.json");
+    assert!(code == 2 && said.contains("z = 1.5 mm"), "{said}");
+    let (code, said) = reconstruct("c.json", [fields[1], fields[0]], "sheet/dewarp.json");
+    assert!(
+        code == 1 && said.contains("stands for camera \"left\", but its name is that of camera \"right\""),
+        "{said}"
+    );
 }

@@ -329,3 +329,14 @@ fn a_window_stands_beside_its_camera() {
         conversion.notes
     );
 }
+
+#[test]
+fn flags_of_a_check_are_kept_once() {
+    let mut record = scene::record();
+    record.fit.flags = vec!["the plate is bent".into()];
+    for told in ["it still moves", "it holds"] {
+        record.fit.forget_check_flags();
+        record.fit.keep_check_flags(&[told.to_string()]);
+    }
+    assert_eq!(record.fit.flags, ["the plate is bent", "check on particle images: it holds"]);
+}

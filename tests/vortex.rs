@@ -68,6 +68,8 @@ fn slips_are_refused(path: &dyn Fn(&str) -> String, image: &dyn Fn(&str) -> Stri
     let pair = ["--pairs", &image("p01a_left.png"), &image("p01a_right.png")];
     let said = run(&[&["check", &calibration], &pair[..], &["--refine", "-o", &path("s")]].concat(), 2);
     assert!(said.contains("would be overwritten"), "{said}");
+    let said = run(&[&["check", &calibration], &pair[..], &["-o", &path("s")]].concat(), 2);
+    assert!(said.contains("report.html would be replaced"), "{said}");
     let far = ["--extent-mm", "1000,1000,1100,1100"];
     let said = run(&[&["dewarp", &calibration, &image("p01a_left.png")], &far[..], &["-o", &path("far")]].concat(), 1);
     assert!(said.contains("sees nothing of this grid"), "{said}");

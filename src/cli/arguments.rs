@@ -136,7 +136,7 @@ pub(super) struct Check {
     #[arg(long, value_name = "PX", default_value_t = 64)]
     pub(super) window_px: usize,
     /// Largest offset of the light that is looked for, mm [default: a tenth of the field]
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", allow_hyphen_values = true)]
     pub(super) search_mm: Option<f64>,
     /// Start from the plane of the target of this view instead of the calibration's sheet
     #[arg(long, value_name = "N")]
@@ -161,7 +161,7 @@ pub(super) struct Dewarp {
     #[arg(long, value_enum, default_value_t = KernelWord::BSpline)]
     pub(super) kernel: KernelWord,
     /// Side of a pixel of the result, mm [default: the finest that a camera has in the common field]
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", allow_hyphen_values = true)]
     pub(super) mm_per_px: Option<f64>,
     /// Field in the sheet frame, mm [default: the field that all cameras see]
     #[arg(long, value_name = "XMIN,YMIN,XMAX,YMAX", value_parser = four_numbers, allow_hyphen_values = true)]
@@ -229,7 +229,7 @@ pub(super) struct Reconstruct {
     #[arg(long, value_name = "S", allow_hyphen_values = true)]
     pub(super) sigma: Option<f64>,
     /// Distance of the vectors of the result, mm [default: that of the finer field]
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", allow_hyphen_values = true)]
     pub(super) spacing_mm: Option<f64>,
     /// Leave the calibration's covariance out of the result
     #[arg(long)]

@@ -70,6 +70,14 @@ impl Results<'_> {
         let json = summary(self.record, &folder.to_string(), &output.names());
         let mut words = text(self.record);
         let _ = writeln!(words, "\nWritten to {folder}: {}", listed(&output.names()));
+        let old = left_over(to, &output.names());
+        if !old.is_empty() {
+            let _ = writeln!(
+                words,
+                "Of an earlier run, and of other images: {}; remove what is not wanted",
+                old.join(", ")
+            );
+        }
         output.commit_beside(to, inputs)?;
         Ok(Done { text: words, json, flags: flags(self.record) })
     }
@@ -101,6 +109,16 @@ impl Results<'_> {
     }
 }
 
+/// Overlays in the folder that are not written now.
+fn left_over(folder: &Path, names: &[&str]) -> Vec<String> {
+    let Ok(listing) = std::fs::read_dir(folder) else { return vec![] };
+    let all = listing.filter_map(|e| e.ok().map(|e| e.file_name().to_string_lossy().into_owned()));
+    let overlay = |n: &String| n.starts_with("overlay_") && n.ends_with(".png") && !names.contains(&n.as_str());
+    let mut out: Vec<String> = all.filter(overlay).collect();
+    out.sort();
+    out
+}
+
 /// All names, overlays counted.
 fn listed(names: &[&str]) -> String {
     let (overlays, others): (Vec<&str>, Vec<&str>) = names.iter().partition(|n| n.starts_with("overlay_"));
@@ -122,7 +140,7 @@ fn summary(record: &Record, folder: &str, files: &[&str]) -> serde_json::Value {
 }
 
 /// What must be looked at before the result is used.
-fn flags(record: &Record) -> Vec<String> {
+pub(super) fn flags(record: &Record) -> Vec<String> {
     let v = verdict(record);
     if v.level == Level::Good {
         return Vec::new();

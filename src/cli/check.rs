@@ -70,6 +70,7 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         && let Some((mapping, told)) = pool.install(|| mapping_of_record(corrected))
     {
         corrected.mapping_uncertainty = Some(mapping);
+        corrected.fit.keep_check_flags(&told);
         found.check.flags.extend(told);
     }
     let mut out = Output::default();
@@ -78,6 +79,10 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
     out.add("report.html", check_html(&found.check));
     if let Some(corrected) = &found.record {
         out.add("calibration.json", corrected.to_json()?);
+    }
+    if found.record.is_none() && command.output.join("calibration.json").exists() {
+        let what = "this folder holds a calibration, whose report.html would be replaced by that of the check; name another folder with -o";
+        return Err(fault(&command.output, what));
     }
     let words = words(&found.check, &command.output, &out.names());
     let json = json!({

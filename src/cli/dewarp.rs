@@ -2,10 +2,11 @@
 
 use super::Done;
 use super::arguments::Dewarp;
+use super::dewarped::Dewarped;
 use super::files::{Output, fault, read_text};
 use super::progress::Bar;
 use super::threads;
-use crate::dewarp::{Dewarped, SheetGrid, SheetMap, dewarp};
+use crate::dewarp::{self, SheetGrid, SheetMap, dewarp};
 use crate::error::{Invalid, Result};
 use crate::image::{GrayImage, Pixels};
 use crate::pipeline::{ImageScale, load_image, tiff_bytes};
@@ -47,7 +48,7 @@ pub(super) fn run(command: &Dewarp, threads: Option<NonZeroUsize>, progress: &Ba
         let camera = camera_of(path, command.camera.as_deref(), &record)?;
         let image = floats(load_sized(path, &record, camera)?, command.float)?;
         let kernel = command.kernel.into();
-        let Dewarped { image, valid } =
+        let dewarp::Dewarped { image, valid } =
             pool.install(|| dewarp(&image.view(), &maps[camera], &grid, kernel, command.z_mm))?;
         let share = valid.iter().filter(|v| **v).count() as f64 / valid.len() as f64;
         let name = format!("{}_dewarped.tif", stem(path));
@@ -73,9 +74,10 @@ pub(super) fn run(command: &Dewarp, threads: Option<NonZeroUsize>, progress: &Ba
     for (camera, mask) in &masks {
         out.add(format!("mask_{}.tif", record.cameras[*camera].name), tiff_bytes(mask, None)?);
     }
+    let identity = Dewarped::new(&record, &maps.iter().collect::<Vec<_>>(), grid, command.z_mm);
     let json = json!({
         "format": "spivcal-dewarp", "version": 1, "grid": grid, "z_mm": command.z_mm, "extent_mm": grid.extent_mm(), "axes": AXES,
-        "kernel": format!("{:?}", command.kernel).to_lowercase(), "images": listed,
+        "kernel": format!("{:?}", command.kernel).to_lowercase(), "images": listed, "grid_in_images_px": identity.grid_in_images_px,
     });
     out.add("dewarp.json", format!("{json:#}\n"));
     let inputs: Vec<&Path> = command.images.iter().map(AsRef::as_ref).chain([command.calibration.as_ref()]).collect();
@@ -125,6 +127,13 @@ pub(super) fn load_sized(path: &Path, record: &Record, camera: usize) -> Result<
     Ok(image)
 }
 
+/// Cameras whose names are in the name of a file.
+pub(super) fn named_in(path: &Path, names: &[&str]) -> Vec<usize> {
+    let plain = |s: &str| s.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_lowercase();
+    let file = plain(&stem(path));
+    (0..names.len()).filter(|c| file.contains(&plain(names[*c]))).collect()
+}
+
 /// The camera of an image: the one that is named, or the one whose name is in the file's name.
 fn camera_of(path: &Path, named: Option<&str>, record: &Record) -> Result<usize> {
     let names: Vec<&str> = record.cameras.iter().map(|c| c.name.as_str()).collect();
@@ -134,10 +143,7 @@ fn camera_of(path: &Path, named: Option<&str>, record: &Record) -> Result<usize>
             Invalid::Contradiction(what).into()
         });
     }
-    let plain = |s: &str| s.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_lowercase();
-    let file = plain(&stem(path));
-    let found: Vec<usize> = (0..names.len()).filter(|c| file.contains(&plain(names[*c]))).collect();
-    match found[..] {
+    match named_in(path, &names)[..] {
         [one] => Ok(one),
         _ => Err(fault(
             path,

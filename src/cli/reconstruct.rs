@@ -2,17 +2,18 @@
 
 use super::Done;
 use super::arguments::Reconstruct;
+use super::dewarp::named_in;
+use super::dewarped::Dewarped;
 use super::files::{Output, fault, read_text};
 use super::progress::Bar;
 use super::threads;
-use crate::dewarp::{SheetGrid, SheetMap};
+use crate::dewarp::SheetMap;
 use crate::error::{Invalid, Result};
 use crate::reconstruct::{
     FieldTable, FieldUnit, Options, PlanarField, VectorField, parse_field, perturbed_maps, reconstruct,
 };
 use crate::record::Record;
 use crate::report::{VectorPicture, vectors_svg};
-use serde::Deserialize;
 use serde_json::json;
 use std::num::NonZeroUsize;
 use std::path::Path;
@@ -22,12 +23,6 @@ const MISSING_LIMIT: f64 = 0.3;
 
 /// Residuals of more than this many times what stated sigmas let expect are flagged.
 const RESIDUAL_LIMIT: f64 = 1.5;
-
-/// What is needed of `dewarp.json`.
-#[derive(Deserialize)]
-struct Dewarped {
-    grid: SheetGrid,
-}
 
 pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress: &Bar) -> Result<Done> {
     let text = read_text(&command.calibration, "a calibration.json")?;
@@ -46,7 +41,8 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
     }
     let table = |k: usize, path: &Path| parse_field(&texts[k], &path.display().to_string());
     let tables = [table(0, &command.left)?, table(1, &command.right)?];
-    let dewarped = command.dewarped.as_deref().map(dewarped_grid).transpose()?;
+    let dewarped =
+        command.dewarped.as_deref().map(|p| Dewarped::grid_of(p, &record, &[&maps[0], &maps[1]])).transpose()?;
     let unit = unit(command, &tables)?;
     let fields = [PlanarField::new(&tables[0])?, PlanarField::new(&tables[1])?];
     let perturbed = if command.no_calibration_sigma { None } else { perturbed_maps(&record)? };
@@ -54,6 +50,8 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
     if perturbed.is_none() && !command.no_calibration_sigma {
         flags.push("the calibration does not determine all that the maps need: the sigmas hold the planar vectors' noise alone".to_string());
     }
+    let names = [first.name.as_str(), second.name.as_str()];
+    flags.extend([0, 1].iter().filter_map(|&c| named_otherwise([&command.left, &command.right][c], c, &names)));
     let options = Options {
         unit,
         dewarped,
@@ -63,7 +61,6 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
         perturbed,
     };
     progress.say("three components".to_string());
-    let names = [first.name.as_str(), second.name.as_str()];
     let pool = threads::pool(threads)?;
     let found = pool.install(|| reconstruct([&maps[0], &maps[1]], [&fields[0], &fields[1]], names, &options))?;
     let (filled, all) = found.filled();
@@ -106,6 +103,19 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
     Ok(Done { text: words, json: summary, flags })
 }
 
+/// Says so where the name of a field is that of the other camera alone.
+fn named_otherwise(path: &Path, c: usize, names: &[&str]) -> Option<String> {
+    let [other] = named_in(path, names)[..] else { return None };
+    (other != c).then(|| {
+        format!(
+            "{} stands for camera \"{}\", but its name is that of camera \"{}\": the field of the first camera of the calibration comes first",
+            path.display(),
+            names[c],
+            names[other]
+        )
+    })
+}
+
 fn picture<'a>(found: &'a VectorField, flagged: &'a [bool], first: &'a str, title: &'a str) -> VectorPicture<'a> {
     VectorPicture {
         title,
@@ -116,13 +126,6 @@ fn picture<'a>(found: &'a VectorField, flagged: &'a [bool], first: &'a str, titl
         spacing_mm: found.grid.mm_per_px,
         towards: first,
     }
-}
-
-fn dewarped_grid(path: &Path) -> Result<SheetGrid> {
-    let text = read_text(path, "the dewarp.json that spivcal dewarp writes beside its images")?;
-    let read: Dewarped = serde_json::from_str(&text)
-        .map_err(|e| fault(path, format!("this is not a dewarp.json of spivcal dewarp: {e}")))?;
-    Ok(read.grid)
 }
 
 /// Unit of both fields: that of the option, else that of the files.

@@ -177,6 +177,10 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
     let ends = [record, &reference];
     let mut out = output(ends, current, pairs, result, history, &found, converged, options, shared, flags)?;
     out.check.cameras_refined = cameras_refined;
+    if let Some(corrected) = &mut out.record {
+        corrected.fit.forget_check_flags();
+        corrected.fit.keep_check_flags(&out.check.flags);
+    }
     Ok(out)
 }
 

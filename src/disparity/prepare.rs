@@ -1,7 +1,7 @@
 //! Particle images made ready for correlation: background taken off, bright outliers capped, saturation counted.
 
 use crate::error::{Insufficient, Result};
-use crate::image::{GrayView, Samples};
+use crate::image::GrayView;
 
 /// Half width of the box whose mean is the background, px.
 const BACKGROUND_PX: usize = 8;
@@ -17,30 +17,20 @@ const ALL_SATURATED: f64 = 0.2;
 /// # Errors
 /// [`Insufficient::Degenerate`] where the image is flat or mostly saturated.
 pub(super) fn saturated_part(view: &GrayView<'_>, name: &str) -> Result<f64> {
-    let (mut low, mut high, mut count) = (f32::INFINITY, f32::NEG_INFINITY, 0usize);
-    for v in 0..view.height() {
-        for u in 0..view.width() {
-            let g = view.get(u, v);
-            low = low.min(g);
-            if g > high {
-                (high, count) = (g, 1);
-            } else if g == high {
-                count += 1;
-            }
-        }
-    }
-    let part = count as f64 / (view.width() * view.height()) as f64;
+    let [low, high] = view.range();
     if !(high > low) {
         let what =
             format!("{name}: the image is flat (every pixel is {high}); check the exposure and that the laser fired");
         return Err(Insufficient::Degenerate(what).into());
     }
-    // A dark, quantised image has many equal maxima, too: only what could be the end of a scale counts.
-    let end = match view.samples() {
-        Samples::U8(_) => high >= 250.0,
-        Samples::U16(_) => high as u32 >= 1000 && ((high as u32 + 1).is_power_of_two() || high >= 65_000.0),
-        Samples::F32(_) => true,
+    let mut row = vec![];
+    let mut equal = |v: usize| {
+        view.row(v, &mut row);
+        row.iter().filter(|g| **g == high).count()
     };
+    let count: usize = (0..view.height()).map(&mut equal).sum();
+    let part = count as f64 / (view.width() * view.height()) as f64;
+    let end = view.may_saturate_at(high);
     if end && part > ALL_SATURATED {
         let what = format!(
             "{name}: {:.0} % of the pixels are saturated (at {high}); no particle can be told from another: reduce laser power or aperture",
@@ -107,6 +97,7 @@ pub(super) fn levels(view: &GrayView<'_>) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::image::Samples;
 
     #[test]
     fn box_mean_is_the_mean_of_the_box() {

@@ -7,8 +7,8 @@ use crate::camera::{Camera, INTRINSIC_NAMES, WINDOW_STEP_NAMES, Window};
 use crate::diagnosis::Findings;
 use crate::error::{Error, Result};
 use crate::record::{
-    self, CameraSigma, Covariance, Effective, Fit, ImageFile, Known, Parameter, PlacedCamera, Pose, PoseSigma,
-    Provenance, Record, Rig, RigSigma, Scale, Sheet, Target, TargetPoint, TargetSigma, View, ViewTarget, WindowSigma,
+    self, CameraSigma, Covariance, Effective, Fit, Known, Parameter, PlacedCamera, Pose, PoseSigma, Provenance, Record,
+    Rig, RigSigma, Scale, Sheet, Target, TargetPoint, TargetSigma, View, ViewTarget, WindowSigma,
 };
 use crate::rig_file::{Adjust, Length, Loss, Observations, Scale as ScaleFact};
 use crate::target::Target as Kind;
@@ -16,6 +16,9 @@ use std::collections::BTreeMap;
 
 /// Part of all discs that may be outliers before the result is flagged.
 const OUTLIER_LIMIT: f64 = 0.05;
+
+/// A lens may be so much shorter than engraved on it.
+const SHORTEST: f64 = 0.95;
 
 /// Everything but the sheet, and the sheet.
 pub(super) fn record(s: &Solved, fits: &[ImageFit], findings: &Findings, sheet: Option<Sheet>) -> Result<Record> {
@@ -304,6 +307,7 @@ fn fit(s: &Solved, fits: &[ImageFit], findings: &Findings) -> Fit {
             adjustment.decrement
         ));
     }
+    flags.extend((0..s.job.cameras.len()).filter_map(|c| impossible_lens(s, c)));
     flags.extend(findings.flags.iter().cloned());
     flags.extend(s.undecided.iter().cloned());
     flags.extend(s.images.iter().flat_map(|i| i.warnings.iter().map(|w| format!("{}: {w}", i.name))));
@@ -363,17 +367,26 @@ fn parameters(s: &Solved) -> Vec<Parameter> {
     out
 }
 
+/// Says so where the image distance found is shorter than the focal length of the lens, which no lens can form an image at.
+fn impossible_lens(s: &Solved, c: usize) -> Option<String> {
+    let d = &s.job.cameras[c];
+    let (lens_mm, pitch_mm) = d.focal_length_mm.zip(d.pixel_pitch_mm)?;
+    let distance_mm = s.covariance.natural.cameras[c].intrinsics().f_px * pitch_mm;
+    let sigma_mm = sigma(s, &format!("{}.f_px", d.name)) * pitch_mm;
+    (distance_mm + 3.0 * sigma_mm < SHORTEST * lens_mm).then(|| {
+        format!(
+            "camera {}: an image distance of {distance_mm:.2} +- {sigma_mm:.2} mm is shorter than the focal length of its lens, {lens_mm} mm, which cannot be: \
+             focal_length_mm or pixel_pitch_mm is wrong, or the images were binned or made smaller",
+            d.name
+        )
+    })
+}
+
 fn provenance(s: &Solved) -> Provenance {
-    let image = |i: &super::SeenImage| ImageFile {
-        path: i.name.clone(),
-        view: i.view,
-        camera: s.job.cameras[i.camera].name.clone(),
-        sha256: None,
-    };
     Provenance {
         program: format!("spivcal {}", env!("CARGO_PKG_VERSION")),
         rig_file: s.job.file.clone(),
         options: BTreeMap::new(),
-        images: s.images.iter().map(image).collect(),
+        images: s.images.iter().map(|i| i.file(s.job)).collect(),
     }
 }

@@ -12,7 +12,7 @@ use super::{Progress, Source};
 use crate::camera::{Camera, INTRINSIC_NAMES};
 use crate::detect::EdgePoints;
 use crate::error::{Error, Insufficient, Invalid, Result};
-use crate::record::{self, FeatureKind, ImageFile, Record, View};
+use crate::record::{self, FeatureKind, Record, View};
 use crate::report::OverlayShapes;
 use crate::rig_file::{RigDescription, SheetOrigin};
 use crate::sheet::{
@@ -28,8 +28,6 @@ use std::sync::Mutex;
 pub const TRANSFER_LIMIT_PX: f64 = 1.0;
 /// Another pairing must transfer worse by this factor before the better one is believed.
 const DISTINCT: f64 = 3.0;
-/// Views that only the sheet has used carry this reason.
-const SHEET_ALONE: &str = "it served the sheet alone, with the cameras held";
 
 /// Options of [`find_sheet`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -324,12 +322,7 @@ fn output(
     sheet.disparity_rms_px = Some(homography.transfer_rms_px);
     record.sheet = Some(sheet);
     record.provenance.options.insert("sheet".into(), format!("homography with the cameras held, from {}", job.file));
-    record.provenance.images.extend(images.iter().map(|i| ImageFile {
-        path: i.name.clone(),
-        view: i.view,
-        camera: job.cameras[i.camera].name.clone(),
-        sha256: None,
-    }));
+    record.provenance.images.extend(images.iter().map(|i| i.file(job)));
     record.fit.flags.extend(flags(job, views, homography, &images));
     let overlays = overlays(held, &images, homography, features, first);
     SheetOutput { record, images, overlays }
@@ -337,7 +330,7 @@ fn output(
 
 /// Views and covariance of a sheet that is no longer there.
 fn forget_old_sheet(record: &mut Record) {
-    record.views.retain(|v| v.used || v.why_unused != SHEET_ALONE);
+    record.views.retain(|v| v.used || v.why_unused != record::SHEET_ALONE);
     let kept = record.views.len();
     record.provenance.images.retain(|i| i.view < kept);
     let c = &mut record.covariance;
@@ -357,7 +350,7 @@ fn appended(index: usize, images: &[SeenImage], job: &RigDescription) -> View {
         rig_from_target: None,
         rms_px: BTreeMap::new(),
         used: false,
-        why_unused: SHEET_ALONE.into(),
+        why_unused: record::SHEET_ALONE.into(),
         observations: BTreeMap::new(),
         outliers: BTreeMap::new(),
         images: own.map(|i| (job.cameras[i.camera].name.clone(), i.name.clone())).collect(),

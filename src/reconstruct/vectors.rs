@@ -280,6 +280,12 @@ fn places(measured: &[Measured; 2], names: [&str; 2]) -> Result<SheetGrid> {
         && options.unit != FieldUnit::RawPixels
         && options.spacing_mm.is_none()
         && (measured[0].field.spacing[0] / measured[0].field.spacing[1] - 1.0).abs() < 1e-6;
+    let shortest = (common[2] - common[0]).min(common[3] - common[1]);
+    if spacing > shortest {
+        let what =
+            format!("a length of at most {shortest:.4} mm, the shorter side of the field that both cameras measured");
+        return Err(Invalid::value("distance of the vectors (spacing_mm)", spacing, what).into());
+    }
     let inner = if same { common } else { inset(common, spacing) };
     SheetGrid::over(inner, spacing)
 }
@@ -315,6 +321,9 @@ pub fn reconstruct(
     }
     if let Some(s) = options.sigma.filter(|s| !(*s > 0.0 && s.is_finite())) {
         return Err(Invalid::value("sigma of the planar vectors", s, "a positive number").into());
+    }
+    if let Some(s) = options.spacing_mm.filter(|s| !(*s > 0.0 && s.is_finite())) {
+        return Err(Invalid::value("distance of the vectors (spacing_mm)", s, "a positive number of mm").into());
     }
     let stated = fields.map(|f| f.has_sigmas());
     if stated[0] != stated[1] && options.sigma.is_none() {

@@ -2,6 +2,7 @@
 
 use super::diagnosis::{Diagnosis, MappingUncertainty};
 use super::number::{label, maybe, maybe_array, maybe_list, maybe_map, maybe_rows};
+use super::provenance::Provenance;
 use super::sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, TargetSigma, WindowSigma};
 use crate::camera::{self, Intrinsics};
 use crate::rigid::Motion;
@@ -14,6 +15,9 @@ use std::collections::BTreeMap;
 pub const FORMAT: &str = "spivcal-calibration";
 /// Value of the key `version`.
 pub const VERSION: u32 = 1;
+
+/// Why a view that served the sheet alone is not used.
+pub const SHEET_ALONE: &str = "it served the sheet alone, with the cameras held";
 
 /// What [`Sheet::angles_deg`] means; written beside the numbers.
 pub const ANGLES_CONVENTION: &str = "rig_from_sheet = Rx(angle 1) Ry(angle 2) Rz(angle 3), rotations about the rig's \
@@ -536,37 +540,6 @@ pub struct Fit {
     /// Priors, model, views and outliers tested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diagnosis: Option<Diagnosis>,
-}
-
-/// An image that took part.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ImageFile {
-    /// Name as in the rig file.
-    pub path: String,
-    /// View, from 0.
-    pub view: usize,
-    /// Camera name.
-    pub camera: String,
-    /// SHA-256 of the file, hexadecimal, where it was taken.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub sha256: Option<String>,
-}
-
-/// Where a calibration comes from.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct Provenance {
-    /// Program and version that wrote it.
-    #[serde(default)]
-    pub program: String,
-    /// Rig file as the user named it.
-    #[serde(default)]
-    pub rig_file: String,
-    /// Options of the run, name to value.
-    #[serde(default)]
-    pub options: BTreeMap<String, String>,
-    /// Images that took part.
-    #[serde(default)]
-    pub images: Vec<ImageFile>,
 }
 
 /// Covariance of every estimated number.

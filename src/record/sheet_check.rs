@@ -1,6 +1,7 @@
 //! The check of the sheet on particle images as a record: what `check.json` holds.
 
 use super::number::{maybe, maybe_array};
+use super::schema::Fit;
 use serde::{Deserialize, Serialize};
 
 /// Disparities of the windows of a field, structure of arrays.
@@ -185,4 +186,18 @@ pub struct SheetCheck {
     pub thickness_mm: f64,
     /// What must be looked at.
     pub flags: Vec<String>,
+}
+
+/// Before every flag of a check that a calibration keeps.
+const CHECKED: &str = "check on particle images: ";
+
+impl Fit {
+    /// Forgets what an earlier check on particle images had flagged.
+    pub fn forget_check_flags(&mut self) {
+        self.flags.retain(|f| !f.starts_with(CHECKED));
+    }
+    /// Keeps what a check on particle images flagged beside what the images of the target say, so that whoever reads the calibration is told.
+    pub fn keep_check_flags(&mut self, flags: &[String]) {
+        self.flags.extend(flags.iter().map(|f| format!("{CHECKED}{f}")));
+    }
 }

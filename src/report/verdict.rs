@@ -2,7 +2,7 @@
 
 use super::number::{count, plain, with_unit};
 use super::tables;
-use crate::record::{Known, Record, View};
+use crate::record::{Known, Record, SHEET_ALONE, View};
 
 /// A parameter whose prior gives more than this share of what is known counts as known from its prior.
 const PRIOR_SHARE: f64 = 0.9;
@@ -12,6 +12,8 @@ const MISFIT: f64 = 1.5;
 const VIEW_MISFIT: f64 = 2.0;
 /// Views in fewer positions than this leave the cameras weak.
 const FEW_VIEWS: usize = 4;
+/// More pixels about the discs of an image than this part, equal to the largest, are told.
+const SATURATED: f64 = 0.02;
 /// Parameters named one by one in a sentence.
 const NAMED: usize = 6;
 
@@ -89,6 +91,9 @@ fn headline(r: &Record, level: Level) -> String {
             if f.nullity == 1 { "is" } else { "are" }
         ),
         Level::Care => "Usable, but first read what is not determined and what to look at.".into(),
+        Level::Good if r.sheet.is_none() => {
+            "The cameras are complete and consistent; where the laser sheet is, no image told.".into()
+        }
         Level::Good => "The calibration is complete and consistent.".into(),
     }
 }
@@ -210,7 +215,7 @@ fn open_points(r: &Record) -> Vec<String> {
     if r.sheet.is_none() {
         out.push("The laser sheet: no view was recorded in it.".into());
     }
-    let missing = r.views.iter().filter(|v| !v.used).map(|v| {
+    let missing = r.views.iter().filter(|v| !v.used && v.why_unused != SHEET_ALONE).map(|v| {
         let why = if v.why_unused.is_empty() { "no reason given" } else { &v.why_unused };
         format!("View {} was not used: {why}.", v.index)
     });
@@ -249,6 +254,7 @@ fn next_steps(r: &Record) -> Vec<String> {
         ));
     }
     out.extend(r.cameras.iter().flat_map(|c| bad_views(r, &c.name)));
+    out.extend(saturated(r));
     let tilted = r.views.iter().filter(|v| v.used).count();
     if r.fit.nullity > 0 || tilted < FEW_VIEWS {
         out.push(
@@ -264,6 +270,19 @@ fn next_steps(r: &Record) -> Vec<String> {
         out.push("Nothing has to be done.".into());
     }
     out
+}
+
+/// Images whose discs or their surroundings were cut off at the end of the scale.
+fn saturated(r: &Record) -> Option<String> {
+    let all: Vec<_> = r.provenance.images.iter().filter(|i| i.saturated > SATURATED).collect();
+    let worst = all.iter().max_by(|a, b| a.saturated.total_cmp(&b.saturated))?;
+    Some(format!(
+        "{} about the discs at the end of the scale ({} the most, {} %): if light was cut off there, edges are where they are not, and sigmas do not \
+         tell; reduce the exposure until the brightest parts keep their texture.",
+        if all.len() == 1 { "1 image has pixels".into() } else { format!("{} images have pixels", all.len()) },
+        worst.path,
+        plain(100.0 * worst.saturated, 2)
+    ))
 }
 
 /// Residuals of a view below this are nobody's concern, however small the others are, px.

@@ -276,6 +276,7 @@ pub fn record() -> Record {
             view,
             camera: camera.into(),
             sha256: None,
+            saturated: 0.0,
         })
     });
     let provenance = Provenance {
