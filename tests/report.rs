@@ -278,3 +278,21 @@ fn the_overlay_keeps_the_size_of_the_image() {
     let picture = image::load_from_memory(&png).unwrap();
     assert_eq!((picture.width(), picture.height()), (1024, 768));
 }
+
+/// Whoever exchanged all images of two cameras can see it nowhere but in where they stand.
+#[test]
+fn the_words_say_on_which_side_the_second_camera_stands() {
+    let said = |r: &Record| report::text(r).split_whitespace().collect::<Vec<_>>().join(" ");
+    let mut record = scene::record();
+    for (shift_mm, words) in [
+        ([700.0, 10.0, 0.0], "camera right to the right of camera left as its images show it"),
+        ([-700.0, 10.0, 0.0], "camera right to the left of camera left"),
+        ([10.0, 700.0, 0.0], "camera right below camera left"),
+        ([10.0, -700.0, 0.0], "camera right above camera left"),
+    ] {
+        let pose = &mut record.cameras[1].cam_from_rig;
+        pose.translation_mm = std::array::from_fn(|a| -(0..3).map(|b| pose.rotation[a][b] * shift_mm[b]).sum::<f64>());
+        let said = said(&record);
+        assert!(said.contains(words), "{words}: {said}");
+    }
+}

@@ -2,6 +2,7 @@
 
 use super::number::{count, plain, with_unit};
 use super::tables;
+use crate::frames::{Cam, Rig};
 use crate::record::{Known, Record, SHEET_ALONE, View};
 
 /// A parameter whose prior gives more than this share of what is known counts as known from its prior.
@@ -133,6 +134,20 @@ fn agreement(r: &Record) -> String {
     )
 }
 
+/// On which side of the first camera the second one stands: whoever exchanged all images can see it here, and nowhere else.
+fn side(r: &Record) -> Option<String> {
+    let [first, second] = r.cameras.as_slice() else { return None };
+    let at = second.cam_from_rig.motion::<Cam, Rig>().inverse().translation_mm;
+    let word = match (at.x.abs() >= at.y.abs(), at.x > 0.0, at.y > 0.0) {
+        _ if !(at.x.is_finite() && at.y.is_finite()) => return None,
+        (true, true, _) => "to the right of",
+        (true, false, _) => "to the left of",
+        (false, _, true) => "below",
+        (false, _, false) => "above",
+    };
+    Some(format!(", camera {} {word} camera {} as its images show it", second.name, first.name))
+}
+
 fn determined(r: &Record) -> Vec<String> {
     let mut out = Vec::new();
     if !imported(r) {
@@ -140,8 +155,9 @@ fn determined(r: &Record) -> Vec<String> {
     }
     if let Some(rig) = &r.rig {
         out.push(format!(
-            "The cameras stand {} apart; their lens axes make {}.",
+            "The cameras stand {} apart{}; their lens axes make {}.",
             with_unit(rig.baseline_mm, rig.sigma.baseline_mm, "mm"),
+            side(r).unwrap_or_default(),
             with_unit(rig.axes_angle_deg, rig.sigma.axes_angle_deg, "°")
         ));
     }
