@@ -165,6 +165,18 @@ fn a_poor_record_still_gives_a_page() {
     assert!(report::text(&record).contains("DO NOT USE"));
 }
 
+/// Pixels of residuals where noise explains hundredths: nothing to be used, whatever converged.
+#[test]
+fn a_contradiction_is_not_called_usable() {
+    let mut record = scene::record();
+    (record.fit.converged, record.fit.rms_px, record.fit.sigma_scale) = (true, 2.98, 46.0);
+    let said = report::text(&record);
+    assert!(said.starts_with("DO NOT USE") && said.contains("contradict each other by 3 px (rms)"), "{said}");
+    // Blurred and noisy images are not that.
+    record.fit.sigma_scale = 1.2;
+    assert!(!report::text(&record).starts_with("DO NOT USE"));
+}
+
 #[test]
 fn the_verdict_follows_the_record() {
     let mut good = scene::record();

@@ -9,6 +9,9 @@ use crate::record::{Known, Record, SHEET_ALONE, View};
 const PRIOR_SHARE: f64 = 0.9;
 /// Residuals this many times the noise they were given say that the model or the noise is wrong.
 const MISFIT: f64 = 1.5;
+/// Residuals of more than so many px and of so many times what the noise explains are no measure of anything.
+const CONTRADICTED_PX: f64 = 1.0;
+const CONTRADICTED_SIGMAS: f64 = 10.0;
 /// A view whose rms is this many times the median of its camera is worth a look.
 const VIEW_MISFIT: f64 = 2.0;
 /// Views in fewer positions than this leave the cameras weak.
@@ -66,7 +69,7 @@ fn imported(r: &Record) -> bool {
 
 fn level(r: &Record) -> Level {
     let f = &r.fit;
-    if !f.converged || !f.rms_px.is_finite() {
+    if !f.converged || !f.rms_px.is_finite() || contradicted(r) {
         Level::Bad
     } else if imported(r) || f.nullity > 0 || !f.undetermined.is_empty() || !f.flags.is_empty() || misfit(r) > MISFIT {
         Level::Care
@@ -78,6 +81,10 @@ fn level(r: &Record) -> Level {
 fn headline(r: &Record, level: Level) -> String {
     let f = &r.fit;
     match level {
+        Level::Bad if f.converged && contradicted(r) => format!(
+            "Do not use this calibration: its images contradict each other by {} px (rms), where a few hundredths are usual.",
+            plain(f.rms_px, 2)
+        ),
         Level::Bad => format!(
             "Do not use this calibration: the adjustment stopped before its minimum ({}).",
             if f.termination.is_empty() { "no reason given" } else { &f.termination }
@@ -97,6 +104,11 @@ fn headline(r: &Record, level: Level) -> String {
         }
         Level::Good => "The calibration is complete and consistent.".into(),
     }
+}
+
+/// Whether the residuals are no noise of any image that shows discs.
+fn contradicted(r: &Record) -> bool {
+    r.fit.rms_px > CONTRADICTED_PX && r.fit.sigma_scale.max(misfit(r)) > CONTRADICTED_SIGMAS
 }
 
 /// Root mean square of the residuals in units of the noise that they were given; 1 where it cannot be told.

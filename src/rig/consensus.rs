@@ -181,6 +181,11 @@ impl Choice {
         Self { center: *center, best, cost }
     }
 
+    /// How many views both cameras have.
+    pub(super) fn common(&self) -> usize {
+        self.best.iter().flatten().count()
+    }
+
     /// Views that disagree.
     pub(super) fn outside(&self) -> Vec<usize> {
         self.best.iter().flatten().filter(|(_, g)| *g > CONSENSUS_RAD).map(|(v, _)| v.view).collect()

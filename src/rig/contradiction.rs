@@ -13,6 +13,9 @@ use nalgebra::{Matrix3, Vector3};
 /// A common adjustment that fits worse than this times the cameras alone (and than 0.3 px) is a contradiction.
 const CONTRADICTION: f64 = 5.0;
 
+/// One that fits worse than this times the cameras alone makes it worth asking whether images and views are what they are said to be.
+pub(super) const DOUBT: f64 = 2.0;
+
 /// Largest root mean square residual of a camera alone, px.
 pub(super) fn worst_px(monos: &[Mono]) -> f64 {
     monos.iter().map(|m| m.rms_px).fold(0.0, f64::max)
@@ -100,6 +103,47 @@ fn cameras_exchanged(problem: &RigProblem, monos: &[Mono], outside: usize, conte
     vec![]
 }
 
+/// What makes the cameras' views agree, in words: images mirrored or exchanged; `None` where neither does.
+pub(super) fn exchanged_or_mirrored(
+    problem: &RigProblem,
+    monos: &[Mono],
+    choice: &Choice,
+    outside: &[usize],
+    context: &Context<'_>,
+) -> Option<String> {
+    let names: Vec<&str> = problem.model.cameras.iter().map(|c| c.name.as_str()).collect();
+    if 2 * outside.len() >= choice.common()
+        && let Some(c) = mirrored_camera(problem, monos)
+    {
+        return Some(format!(
+            "the images of camera \"{}\" are mirrored against those of camera \"{}\" (or the other way round): the views agree only when one is flipped; \
+             switch off the mirroring of that camera, or of a mirror in its path, in the recording software",
+            names[c],
+            names[1 - c]
+        ));
+    }
+    if let Some([a, b]) = views_exchanged(problem, monos, outside) {
+        return Some(format!(
+            "the images of camera \"{}\", or those of camera \"{}\", seem to be exchanged between the view(s) {a}, {b} (counted from 0): exchange the file \
+             names of one camera in the rig file",
+            names[0], names[1]
+        ));
+    }
+    let views = cameras_exchanged(problem, monos, outside.len(), context);
+    (!views.is_empty()).then(|| {
+        format!(
+            "the images of cameras \"{}\" and \"{}\" seem to be exchanged in view(s) {} (counted from 0); exchange their file names in the rig file",
+            names[0],
+            names[1],
+            listed(&views)
+        )
+    })
+}
+
+fn listed(views: &[usize]) -> String {
+    views.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")
+}
+
 /// Finds out why the cameras' views do not agree, and says it.
 pub(super) fn cameras_disagree(
     problem: &RigProblem,
@@ -108,38 +152,14 @@ pub(super) fn cameras_disagree(
     outside: &[usize],
     context: &Context<'_>,
 ) -> Error {
-    let names: Vec<&str> = problem.model.cameras.iter().map(|c| c.name.as_str()).collect();
-    let common = choice.best.iter().flatten().count();
-    let list = |v: &[usize]| v.iter().map(usize::to_string).collect::<Vec<_>>().join(", ");
-    let mirrored = if 2 * outside.len() >= common { mirrored_camera(problem, monos) } else { None };
-    let words = if let Some(c) = mirrored {
+    let words = exchanged_or_mirrored(problem, monos, choice, outside, context).unwrap_or_else(|| {
+        let common = choice.common();
         format!(
-            "the images of camera \"{}\" are mirrored against those of camera \"{}\" (or the other way round): the views agree only when one is flipped; \
-             switch off the mirroring of that camera, or of a mirror in its path, in the recording software",
-            names[c],
-            names[1 - c]
+            "the two cameras do not see the same target position in view(s) {} (counted from 0): {} of {common} views agree on how the cameras stand to \
+             each other; check that both images of a view were taken at the same moment, that they are not exchanged, and that no camera was moved",
+            listed(outside),
+            common - outside.len()
         )
-    } else if let Some([a, b]) = views_exchanged(problem, monos, outside) {
-        format!(
-            "the images of camera \"{}\", or those of camera \"{}\", seem to be exchanged between the view(s) {a}, {b} (counted from 0): exchange the file \
-             names of one camera in the rig file",
-            names[0], names[1]
-        )
-    } else {
-        match cameras_exchanged(problem, monos, outside.len(), context)[..] {
-            [] => format!(
-                "the two cameras do not see the same target position in view(s) {} (counted from 0): {} of {common} views agree on how the cameras stand to \
-                 each other; check that both images of a view were taken at the same moment, that they are not exchanged, and that no camera was moved",
-                list(outside),
-                common - outside.len()
-            ),
-            ref views => format!(
-                "the images of cameras \"{}\" and \"{}\" seem to be exchanged in view(s) {} (counted from 0); exchange their file names in the rig file",
-                names[0],
-                names[1],
-                list(views)
-            ),
-        }
-    };
+    });
     Insufficient::Inconsistent(words).into()
 }

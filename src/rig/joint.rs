@@ -1,7 +1,7 @@
 //! The motion between the cameras by consensus of the views, scale, and the common adjustment.
 
 use super::consensus::{CONSENSUS_RAD, Choice, choices, votes};
-use super::contradiction::{cameras_disagree, contradicts_px};
+use super::contradiction::{DOUBT, cameras_disagree, contradicts_px, exchanged_or_mirrored, worst_px};
 use super::labels::{changed, image_at, is_pair, labels, order_pairs, relabel};
 use super::mono::{calibrate_camera, thinned_model};
 use super::off_plane::views_off_plane;
@@ -100,6 +100,13 @@ pub(super) fn together(problem: &RigProblem, monos: &[Mono], context: &Context<'
         [alone] => (problem.clone(), single_start(problem, alone)?),
         _ => match common_start(problem, monos, context, &mut undecided)? {
             Common::Start(start) => *start,
+            Common::Doubtful(start, outside) => {
+                let (labelled, state, choice) = *start;
+                if let Some(words) = exchanged_or_mirrored(problem, monos, &choice, &outside, context) {
+                    return Err(Insufficient::Inconsistent(words).into());
+                }
+                (labelled, state)
+            }
             Common::Apart(choice, outside) => {
                 return Err(cameras_disagree(problem, monos, &choice, &outside, context));
             }
@@ -143,6 +150,8 @@ pub(super) struct Context<'a> {
 enum Common {
     /// The problem with the labels that fit best, and where its adjustment starts.
     Start(Box<(RigProblem, State)>),
+    /// The same where views are apart and the adjustment brings them together, though not as well as the cameras alone let expect.
+    Doubtful(Box<(RigProblem, State, Choice)>, Vec<usize>),
     /// Views that no common motion explains, with the labels that explain most.
     Apart(Box<Choice>, Vec<usize>),
 }
@@ -177,11 +186,14 @@ fn common_start(
     let limit_px = contradicts_px(monos);
     let fits = |model: &Model, state: State| {
         let trial = adjust(model, state, &quick, &mut |i| told(i)).state;
-        rms_of(model, &trial).is_some_and(|r| r < limit_px).then_some(trial)
+        rms_of(model, &trial).filter(|r| *r < limit_px).map(|r| (trial, r))
     };
     let light = fits(&thinned_model(&labelled.model), State { offsets_mm: vec![], ..state.clone() });
     Ok(match light.and_then(|_| fits(&labelled.model, state)) {
-        Some(state) => Common::Start(Box::new((labelled, state))),
+        Some((state, rms_px)) if rms_px > DOUBT * worst_px(monos) => {
+            Common::Doubtful(Box::new((labelled, state, all.swap_remove(best))), agreed.outside)
+        }
+        Some((state, _)) => Common::Start(Box::new((labelled, state))),
         None => Common::Apart(Box::new(all.swap_remove(best)), agreed.outside),
     })
 }

@@ -1,6 +1,6 @@
 //! Whether the views that are said to lie in the sheet, or parallel to it, do.
 
-use super::contradiction::{contradicts_px, worst_px};
+use super::contradiction::{DOUBT, contradicts_px, worst_px};
 use super::joint::{Context, Together, together};
 use super::{Mono, RigProblem, rms_of};
 use crate::bundle::{AdjustOptions, PlanePosition, SolveOptions, Termination, ViewPlace};
@@ -8,8 +8,6 @@ use crate::error::{Insufficient, Result, Unusable};
 use crate::frames::{Rig, Target};
 use crate::rigid::Motion;
 
-/// A common adjustment that fits worse than this times the cameras alone makes it worth asking.
-const DOUBT: f64 = 2.0;
 /// The views are not where they are said to be if the residuals fall to this part of theirs without it.
 const RELIEF: f64 = 0.5;
 
