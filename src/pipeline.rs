@@ -1,6 +1,7 @@
 //! The order of things: from files and rig descriptions to results.
 
 mod calibrate;
+mod exposure;
 mod files;
 mod images;
 mod load;

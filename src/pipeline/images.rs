@@ -1,22 +1,17 @@
 //! Images to labelled discs, in parallel, each image by itself.
 
+use super::exposure::{explained, saturated_about};
 use super::{Progress, Source};
 use crate::detect::pattern::{Labelling, label_discs};
 use crate::detect::{DetectOptions, Detection, LabelledDisc, find_discs};
-use crate::error::{Error, Insufficient, Invalid, Result, Unusable};
-use crate::image::{GrayImage, GrayView, Samples};
+use crate::error::{Insufficient, Invalid, Result, Unusable};
+use crate::image::GrayImage;
 use crate::record::ImageFile;
 use crate::rig::OpenImage;
 use crate::rig_file::RigDescription;
-use crate::target::Polarity;
 use rayon::prelude::*;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-/// An image whose grey values span no more than this part of their type's range shows nothing.
-const FLAT: f32 = 0.02;
-/// Surroundings of a disc in which saturation is counted, semi-axes.
-const ABOUT_DISC: f64 = 1.25;
 
 /// One image with what was found in it.
 #[derive(Debug, Clone)]
@@ -99,8 +94,8 @@ fn see(job: &RigDescription, source: &Source, view: usize, camera: usize, name: 
     let image = source(view, camera)?;
     let options = DetectOptions { polarity: job.target.polarity, ..DetectOptions::default() };
     let detection = find_discs(&image.view(), &options)?;
-    let labelling: Labelling =
-        label_discs(name, &detection, &job.target.target).map_err(|e| explained(e, job, name, &image.view()))?;
+    let labelling: Labelling = label_discs(name, &detection, &job.target.target)
+        .map_err(|e| explained(e, &job.target, name, &image.view()))?;
     if labelling.discs.is_empty() {
         return Err(
             Insufficient::Pattern { image: name.into(), message: "no disc of the target was found".into() }.into()
@@ -110,59 +105,6 @@ fn see(job: &RigDescription, source: &Source, view: usize, camera: usize, name: 
     let open = OpenImage { alternatives, any_origin: origin_is_arbitrary };
     let saturated = saturated_about(&image.view(), &detection, &discs);
     Ok(SeenImage { view, camera, name: name.into(), image, detection, discs, warnings, open, saturated })
-}
-
-/// Says more of an image without its discs, where more can be said: that it is flat, or that the polarity is the other one.
-fn explained(e: Error, job: &RigDescription, name: &str, view: &GrayView<'_>) -> Error {
-    let Error::Insufficient(Insufficient::TooFewDiscs { image, found, needed, hint }) = e else { return e };
-    let [low, high] = view.range();
-    let full = match view.samples() {
-        Samples::U8(_) => 255.0,
-        Samples::U16(_) => 65_535.0,
-        Samples::F32(_) => high.abs(),
-    };
-    let other = match job.target.polarity {
-        Polarity::Bright => Some(("dark", Polarity::Dark)),
-        Polarity::Dark => Some(("bright", Polarity::Bright)),
-        Polarity::Auto => None,
-    };
-    let shows = |polarity: Polarity| {
-        let options = DetectOptions { polarity, ..DetectOptions::default() };
-        find_discs(view, &options).is_ok_and(|d| label_discs(name, &d, &job.target.target).is_ok())
-    };
-    let hint = if high - low <= FLAT * full {
-        format!(
-            "all its grey values lie between {low} and {high}: nothing is to be seen in it; check light, shutter and the file"
-        )
-    } else if let Some((word, _)) = other.filter(|(_, p)| shows(*p)) {
-        format!("its discs are found with polarity = \"{word}\": write that into [target]")
-    } else {
-        hint
-    };
-    Insufficient::TooFewDiscs { image, found, needed, hint }.into()
-}
-
-/// Part of the pixels within 1.25 semi-axes of the discs whose grey value is the image's largest, where that may be the end of a scale.
-fn saturated_about(view: &GrayView<'_>, detection: &Detection, discs: &[LabelledDisc]) -> f64 {
-    let [_, high] = view.range();
-    if !view.may_saturate_at(high) {
-        return 0.0;
-    }
-    let (mut equal, mut all) = (0usize, 0usize);
-    for d in discs {
-        let e = &detection.discs[d.disc].ellipse;
-        let reach = ABOUT_DISC * e.semi_major_px;
-        let span = |middle: f64, size: usize| {
-            let from = (middle - reach).max(0.0) as usize;
-            from..((middle + reach + 1.0).max(0.0) as usize).min(size)
-        };
-        for v in span(e.center_px.v_px, view.height()) {
-            let columns = span(e.center_px.u_px, view.width());
-            all += columns.len();
-            equal += columns.filter(|&u| view.get(u, v) == high).count();
-        }
-    }
-    equal as f64 / all.max(1) as f64
 }
 
 fn check_sizes(job: &RigDescription, images: &[SeenImage]) -> Result<()> {

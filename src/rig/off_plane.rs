@@ -1,4 +1,14 @@
 //! Whether the views that are said to lie in the sheet, or parallel to it, do.
+//!
+//! With all marked views but one set free, each has a pose of its own in the rig frame. Of views i and j
+//! ```text
+//! tilt = atan2(|n_i x n_j|, n_i . n_j)        away = n_j . (t_i - t_j) - (z_i - z_j)
+//! ```
+//! | symbol | identifier | unit | frame | meaning |
+//! |---|---|---|---|---|
+//! | n | `axis` | 1 | Rig | normal of the target, third column of its rotation |
+//! | t | `translation_mm` | mm | Rig | origin of the target |
+//! | z | `z_mm` | mm | Sheet | position that the rig file states, 0 in the sheet |
 
 use super::contradiction::{DOUBT, contradicts_px, worst_px};
 use super::joint::{Context, Together, together};
