@@ -44,6 +44,10 @@ const LOOSE: f64 = 2.0;
 const LEANS: f64 = 20.0;
 /// Standard deviations by which light must vary to be called smoke.
 const SURE: f64 = 3.5;
+/// Standard deviations by which a stretch of the contour must be off for something to hide it, and the least share of the contour that must
+/// be left: what hides more is smoke.
+const ODD: f64 = 4.0;
+const LEAST_SEEN: f64 = 0.75;
 /// How much `chi^2` must fall for two more coefficients: their mean, 3.5 standard deviations, and 4 for having looked.
 const WORTH: f64 = 13.0;
 
@@ -257,16 +261,67 @@ struct Verdict {
     /// Whether no polynomial follows the light.
     smoke: bool,
     prior: NodePrior,
+    /// By how many standard deviations the stretch at each node is off the best surface; none where too few pixels tell.
+    off: Vec<f64>,
 }
 
-/// The poorest model of the light that the pixels away from the edge do not contradict; nodes where there is `smoke`.
-pub(crate) fn choose(contour: &Contour, sectors: &Sectors, step: f64, smoke: bool) -> Light {
+/// The poorest model of the light that the pixels away from the edge do not contradict; nodes where there is `smoke`. Stretches that something
+/// hides, where all the others follow polynomials, are set aside.
+pub(crate) fn choose(contour: &Contour, sectors: &mut Sectors, step: f64, smoke: bool) -> Light {
     let nodes = ((contour.perimeter_px / NODE_PX) as usize).clamp(6, MOST_NODES);
-    let verdicts = [0, 1].map(|side| judge(contour, sectors, side, step.abs(), nodes));
-    if smoke || verdicts.iter().any(|v| v.smoke) {
-        Light::Nodes(nodes, verdicts.map(|v| v.prior))
-    } else {
-        Light::Surface(verdicts.map(|v| v.side))
+    let verdicts = judge_both(contour, sectors, step, nodes);
+    if !smoke && !smoky(&verdicts) {
+        return Light::Surface(verdicts.map(|v| v.side));
+    }
+    match if smoke { None } else { set_aside(contour, sectors, step, nodes, &verdicts) } {
+        Some(sides) => Light::Surface(sides),
+        None => Light::Nodes(nodes, verdicts.map(|v| v.prior)),
+    }
+}
+
+fn judge_both(contour: &Contour, sectors: &Sectors, step: f64, nodes: usize) -> [Verdict; 2] {
+    [0, 1].map(|side| judge(contour, sectors, side, step.abs(), nodes))
+}
+
+fn smoky(verdicts: &[Verdict; 2]) -> bool {
+    verdicts.iter().any(|v| v.smoke)
+}
+
+/// Glare and dirt upon even light look like smoke: nodes would follow their skirts, and slacken all around the contour. Hides the stretches that
+/// are furthest off, with those beside them, until the rest follows polynomials; all are there again where it does not.
+fn set_aside(
+    contour: &Contour,
+    sectors: &mut Sectors,
+    step: f64,
+    nodes: usize,
+    first: &[Verdict; 2],
+) -> Option<[Side; 2]> {
+    let (count, before) = (contour.len(), sectors.keep.clone());
+    let off = |of: &[Verdict; 2]| -> Vec<f64> {
+        let at = |i: usize| of.iter().filter_map(|v| v.off.get(i)).fold(0.0_f64, |most, r| most.max(r.abs()));
+        (0..nodes).map(at).collect()
+    };
+    let mut off_now = off(first);
+    let mut hidden = vec![false; count];
+    loop {
+        let worst = off_now.iter().copied().fold(0.0, f64::max);
+        let odd = |i: usize| off_now[i] > ODD.max(0.5 * worst);
+        for k in 0..count {
+            let i = k * nodes / count;
+            hidden[k] |= odd(i) || odd((i + 1) % nodes) || odd((i + nodes - 1) % nodes);
+            sectors.keep[k] &= !hidden[k];
+        }
+        let kept = sectors.keep.iter().filter(|k| **k).count() as f64 / count as f64;
+        if worst < ODD || kept < LEAST_SEEN {
+            sectors.keep = before;
+            return None;
+        }
+        let verdicts = judge_both(contour, sectors, step, nodes);
+        if !smoky(&verdicts) {
+            sectors.hide(&hidden);
+            return Some(verdicts.map(|v| v.side));
+        }
+        off_now = off(&verdicts);
     }
 }
 
@@ -312,6 +367,7 @@ fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: us
         side: Side::plain(0, step),
         smoke: false,
         prior: NodePrior { about_gradient: floor, gradient: floor, bend: floor, about: SVector::zeros() },
+        off: vec![],
     };
     let fits = Fits::new(contour, sectors, side);
     let seen: f64 = (0..contour.len()).filter(|k| sectors.keep[*k]).map(|k| sectors.away[side][k].n).sum();
@@ -329,7 +385,8 @@ fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: us
     let leans = fits
         .left_by(&leaning)
         .is_some_and(|(left, _)| fits.left_by(&ORDER).is_some_and(|(without, _)| (without - left) / variance > LEANS));
-    verdict.smoke = leans || varies(&about, variance);
+    verdict.off = about.iter().map(|x| if told(x) { x.y / (x.n * variance).sqrt() } else { 0.0 }).collect();
+    verdict.smoke = leans || varies(&verdict.off, about.iter().filter(|x| told(x)).count());
     let raw = stretches(contour, sectors, side, nodes, &SVector::zeros());
     let derivatives = |of: &[Away]| rough_derivatives(contour, of, variance).map(|x| x.max(floor));
     let [gradient, bend] = derivatives(&raw);
@@ -339,12 +396,15 @@ fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: us
     verdict
 }
 
-/// Whether the means of stretches about a surface differ by more than their noise: any two, or those near each other the same way,
-/// which tells of light that varies slowly.
-fn varies(about: &[Away], variance: f64) -> bool {
-    let told = |x: &Away| x.n >= 2.0;
-    let r: Vec<f64> = about.iter().map(|x| if told(x) { x.y / (x.n * variance).sqrt() } else { 0.0 }).collect();
-    let n = about.iter().filter(|x| told(x)).count() as f64;
+/// Whether a stretch has pixels enough for a mean.
+fn told(x: &Away) -> bool {
+    x.n >= 2.0
+}
+
+/// Whether the means of stretches about a surface, of which `told` count, in standard deviations, differ by more than their noise: any two,
+/// or those near each other the same way, which tells of light that varies slowly.
+fn varies(r: &[f64], told: usize) -> bool {
+    let n = told as f64;
     let freedom = n - 5.0;
     let between: f64 = r.iter().map(|r| r * r).sum();
     let near = (r.len() / 14).max(1);

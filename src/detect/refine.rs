@@ -216,7 +216,7 @@ fn fit_light(
     model.step = screen(s);
     s.found.step.clear();
     s.found.step.resize(s.contour.len(), model.step);
-    model.light = light::choose(&s.contour, &s.sectors, model.step, smoke);
+    model.light = light::choose(&s.contour, &mut s.sectors, model.step, smoke);
     solve(model, s)?;
     let mut before = 1.0;
     for _ in 0..3 {
@@ -231,7 +231,7 @@ fn fit_light(
             break;
         }
         before = coverage;
-        model.light = light::choose(&s.contour, &s.sectors, model.step, smoke);
+        model.light = light::choose(&s.contour, &mut s.sectors, model.step, smoke);
     }
     estimate_noise(view, model, s);
     model.bends = model.light.bends();
@@ -355,7 +355,10 @@ fn drop_sectors(s: &mut Scratch) -> f64 {
             let enough = information[k] > 0.15 * typical && information[k] > 0.0;
             let (off, spread) = each(k);
             let pixels = f64::from(s.sectors.pixels[k].max(1));
-            enough && off.abs() < shift_limit && spread < misfit.max(1.0) * (2.0 + 5.0 * (2.0 / pixels).sqrt())
+            !s.sectors.hidden[k]
+                && enough
+                && off.abs() < shift_limit
+                && spread < misfit.max(1.0) * (2.0 + 5.0 * (2.0 / pixels).sqrt())
         })
         .collect();
     s.sectors.keep = keep;

@@ -99,6 +99,8 @@ pub(crate) struct Sectors {
     pub(crate) pixels: Vec<u32>,
     /// Sectors that count.
     pub(crate) keep: Vec<bool>,
+    /// Sectors that something hides: these never do.
+    pub(crate) hidden: Vec<bool>,
 }
 
 /// What a pixel is weighed and explained with.
@@ -132,6 +134,14 @@ impl Sectors {
         self.pixels.resize(count, 0);
         self.keep.clear();
         self.keep.resize(count, true);
+        self.hidden.clear();
+        self.hidden.resize(count, false);
+    }
+
+    /// From now on these sectors do not count.
+    pub(crate) fn hide(&mut self, which: &[bool]) {
+        self.hidden.iter_mut().zip(which).for_each(|(h, w)| *h |= w);
+        self.keep.iter_mut().zip(&self.hidden).for_each(|(keep, h)| *keep &= !h);
     }
 
     /// Sums up the pixels of a band.

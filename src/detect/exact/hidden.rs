@@ -6,6 +6,14 @@
 //! did before, exceeds `FELT` of the noise. The first ring, the pixels side by side with the spot, is always hidden. Skirts fall at least
 //! exponentially, so the expectation is on the safe side.
 //!
+//! What a ring may still show shifts the edge there by three blurs times noise over step, and the last pixels before a gap have the longest lever.
+//! The ellipse of a long contour is known so much better that it feels less: rings go on to be hidden where a few of them together
+//! show on either side of the edge
+//!
+//! ```text
+//! FELT (SHORT_PX / perimeter)^(1/2)
+//! ```
+//!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
 //! | r | `left` | noise | residual of a pixel |
@@ -21,11 +29,15 @@ use crate::image::GrayView;
 const ODD: f64 = 4.5;
 /// Mean residual of a ring that is hidden, in units of the noise.
 const FELT: f64 = 0.4;
+/// Contour whose ellipse does not feel that, px.
+const SHORT_PX: f64 = 60.0;
 /// Widest skirt, px.
-const MOST_SKIRT_PX: i64 = 16;
+const MOST_SKIRT_PX: i64 = 40;
 /// Width of a ring, px: pixels side by side are in another than those corner to corner.
 const RING_PX: f64 = 0.4;
 const MOST_RINGS: usize = (MOST_SKIRT_PX as f64 / RING_PX) as usize;
+/// Rings that are looked at together on long contours.
+const TOGETHER: usize = 5;
 /// Largest share of the pixels of either side that may be hidden.
 const MOST_HIDDEN: f64 = 0.4;
 /// Largest share that glare is believed to hide where it may as well be smoke.
@@ -182,10 +194,11 @@ impl Exact {
         let (width, height) = (last.0 - first.0 + 1, last.1 - first.1 + 1);
         let at = vec![f64::NAN; (width * height) as usize];
         let mut left = Grid { u0: first.0, v0: first.1, width, height, at };
-        let mut trusted = left.like(false);
+        let (mut trusted, mut inside) = (left.like(false), left.like(false));
         for (i, (u, v)) in places.iter().enumerate() {
             if let Some(p) = left.place(*u, *v) {
                 left.at[p] = self.left[i];
+                inside.at[p] = band.distance[i] < 0.0;
                 trusted.at[p] = kept[band.sector[i] as usize];
             }
         }
@@ -205,8 +218,14 @@ impl Exact {
         let together = usual_of(&mean);
         seen.iter().for_each(|p| odd.at[*p] |= mean(*p).abs() > ODD * together);
         let mut hidden = odd.clone();
+        let shorter = SHORT_PX / state.ellipse.perimeter_px();
         for spot in spots(&odd) {
-            grow(&left, &spot, single, &mut hidden);
+            let (rings, sign) = rings(&left, &spot);
+            let mut end = felt(&left, &rings, sign / single);
+            if shorter < 1.0 {
+                end = felt_on_either_side(&left, &inside, &rings, end, sign / (single * shorter.sqrt()));
+            }
+            rings[..=end].iter().flatten().for_each(|p| hidden.at[*p] = true);
         }
         let mut share = [[0.0; 2]; 2];
         for (i, (u, v)) in places.iter().enumerate() {
@@ -242,8 +261,8 @@ fn spots(odd: &Grid<bool>) -> Vec<Vec<usize>> {
     all
 }
 
-/// Hides the rings around a spot in which it is still felt.
-fn grow(left: &Grid<f64>, spot: &[usize], noise: f64, hidden: &mut Grid<bool>) {
+/// Rings around a spot, its own rim first, and the sign of what it adds.
+fn rings(left: &Grid<f64>, spot: &[usize]) -> (Vec<Vec<usize>>, f64) {
     let mut within = left.like(u8::MAX);
     spot.iter().for_each(|p| within.at[*p] = 0);
     let sign = spot.iter().map(|p| left.at[*p]).sum::<f64>().signum();
@@ -264,16 +283,39 @@ fn grow(left: &Grid<f64>, spot: &[usize], noise: f64, hidden: &mut Grid<bool>) {
     for p in (0..within.at.len()).filter(|p| (1..u8::MAX).contains(&within.at[*p])) {
         rings[usize::from(within.at[p])].push(p);
     }
-    let excess =
-        |ring: &[usize]| sign * ring.iter().map(|p| left.at[*p]).sum::<f64>() / (noise * ring.len().max(1) as f64);
-    let (mut before, mut last) = (f64::INFINITY, excess(&rings[0]));
-    for (i, ring) in rings.iter().skip(1).filter(|r| !r.is_empty()).enumerate() {
+    (rings, sign)
+}
+
+/// The last ring in which a spot is felt; residuals times `scale` are in units of the noise, positive in the spot.
+fn felt(left: &Grid<f64>, rings: &[Vec<usize>], scale: f64) -> usize {
+    let excess = |ring: &[usize]| scale * ring.iter().map(|p| left.at[*p]).sum::<f64>() / ring.len().max(1) as f64;
+    let (mut before, mut last, mut end) = (f64::INFINITY, excess(&rings[0]), 0);
+    for (i, ring) in rings.iter().enumerate().skip(1).filter(|(_, r)| !r.is_empty()) {
         let now = excess(ring);
         let expected = last * (last / before).clamp(0.0, 1.0);
-        if i > 0 && now.max(expected) < FELT {
+        if end > 0 && now.max(expected) < FELT {
             break;
         }
-        ring.iter().for_each(|p| hidden.at[*p] = true);
-        (before, last) = (last, now.max(0.0));
+        (before, last, end) = (last, now.max(0.0), i);
     }
+    end
+}
+
+/// The same beyond ring `end` in the mean of the rings that follow, inside or outside.
+fn felt_on_either_side(
+    left: &Grid<f64>,
+    inside: &Grid<bool>,
+    rings: &[Vec<usize>],
+    mut end: usize,
+    scale: f64,
+) -> usize {
+    let on = |side: bool, next: &[Vec<usize>]| {
+        let pixels = next.iter().flatten().filter(|p| inside.at[**p] == side);
+        let (sum, count) = pixels.fold((0.0, 0.0), |(sum, n), p| (sum + left.at[*p], n + 1.0));
+        scale * sum / f64::max(count, 1.0)
+    };
+    while end + TOGETHER < rings.len() && [true, false].iter().any(|s| on(*s, &rings[end + 1..][..TOGETHER]) > FELT) {
+        end += 1;
+    }
+    end
 }
