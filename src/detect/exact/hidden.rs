@@ -69,7 +69,7 @@ impl<T: Copy> Grid<T> {
 
     /// Places within `reach` of place `p`, itself included.
     fn around(&self, p: usize, reach: i64) -> impl Iterator<Item = usize> + '_ {
-        let (i, j) = (p as i64 % self.width, p as i64 / self.width);
+        let (i, j) = self.column_and_row(p);
         let rows = (j - reach).max(0)..=(j + reach).min(self.height - 1);
         rows.flat_map(move |b| {
             let columns = (i - reach).max(0)..=(i + reach).min(self.width - 1);
@@ -77,10 +77,22 @@ impl<T: Copy> Grid<T> {
         })
     }
 
-    fn gap(&self, p: usize, q: usize) -> f64 {
-        let (p, q) = (p as i64, q as i64);
-        let (i, j) = (p % self.width - q % self.width, p / self.width - q / self.width);
-        (i as f64).hypot(j as f64)
+    /// Places of the rectangle around some places, so much larger on each side.
+    fn about(&self, places: &[usize], reach: i64) -> impl Iterator<Item = usize> + '_ {
+        let (mut first, mut last) = ((i64::MAX, i64::MAX), (-1, -1));
+        for p in places {
+            let (i, j) = self.column_and_row(*p);
+            (first, last) = ((first.0.min(i), first.1.min(j)), (last.0.max(i), last.1.max(j)));
+        }
+        let rows = first.1.saturating_sub(reach).max(0)..=(last.1 + reach).min(self.height - 1);
+        rows.flat_map(move |j| {
+            let columns = first.0.saturating_sub(reach).max(0)..=(last.0 + reach).min(self.width - 1);
+            columns.map(move |i| (j * self.width + i) as usize)
+        })
+    }
+
+    fn column_and_row(&self, p: usize) -> (i64, i64) {
+        (p as i64 % self.width, p as i64 / self.width)
     }
 }
 
@@ -263,26 +275,21 @@ fn spots(odd: &Grid<bool>) -> Vec<Vec<usize>> {
 
 /// Rings around a spot, its own rim first, and the sign of what it adds.
 fn rings(left: &Grid<f64>, spot: &[usize]) -> (Vec<Vec<usize>>, f64) {
-    let mut within = left.like(u8::MAX);
-    spot.iter().for_each(|p| within.at[*p] = 0);
     let sign = spot.iter().map(|p| left.at[*p]).sum::<f64>().signum();
-    // Distance of each pixel from the spot in whole pixels, outwards from its rim.
+    let mut own = left.like(false);
+    spot.iter().for_each(|p| own.at[*p] = true);
+    let rim: Vec<usize> = spot.iter().copied().filter(|p| left.around(*p, 1).any(|q| !own.at[q])).collect();
+    let rim_at: Vec<(i64, i64)> = rim.iter().map(|p| left.column_and_row(*p)).collect();
     let mut rings: Vec<Vec<usize>> = vec![vec![]; MOST_RINGS + 1];
-    for p in spot {
-        if left.around(*p, 1).all(|q| within.at[q] == 0) {
-            continue;
-        }
-        rings[0].push(*p);
-        for q in left.around(*p, MOST_SKIRT_PX) {
-            let ring = (left.gap(*p, q) / RING_PX) as usize;
-            if !left.at[q].is_nan() && ring <= MOST_RINGS && (ring as u8) < within.at[q] {
-                within.at[q] = ring as u8;
-            }
+    for q in left.about(&rim, MOST_SKIRT_PX).filter(|q| !own.at[*q] && !left.at[*q].is_nan()) {
+        let (u, v) = left.column_and_row(q);
+        let nearest = rim_at.iter().map(|(i, j)| (u - i).pow(2) + (v - j).pow(2)).min().unwrap_or(i64::MAX);
+        let ring = ((nearest as f64).sqrt() / RING_PX) as usize;
+        if ring <= MOST_RINGS {
+            rings[ring].push(q);
         }
     }
-    for p in (0..within.at.len()).filter(|p| (1..u8::MAX).contains(&within.at[*p])) {
-        rings[usize::from(within.at[p])].push(p);
-    }
+    rings[0] = rim;
     (rings, sign)
 }
 
