@@ -98,7 +98,7 @@ pub(super) fn residual_rows(s: &Solved) -> Result<(ResidualTable, Vec<OverlaySha
                 predicted.u_px.push(u - du);
                 predicted.v_px.push(v - dv);
             }
-            shapes.predicted.push(predicted);
+            shapes.predicted.extend(predicted.split_at_gaps());
             if outlier.is_some() {
                 fit.outliers += 1;
                 continue;
@@ -119,9 +119,7 @@ pub(super) fn found_shapes(image: &SeenImage, labels: &[DotId]) -> OverlayShapes
     let mut shapes = OverlayShapes::default();
     for (found, label) in image.discs.iter().zip(labels) {
         let disc = &image.detection.discs[found.disc];
-        let edge = &disc.edge;
-        shapes.contours.push(Polyline { u_px: edge.u_px.clone(), v_px: edge.v_px.clone(), closed: true });
-        shapes.ellipses.push(disc.ellipse);
+        shapes.push_disc(disc);
         let (e, text) = (&disc.ellipse, label_text(*label));
         shapes.labels.push(Label { at_px: [e.center_px.u_px, e.center_px.v_px], reach_px: e.semi_major_px, text });
     }

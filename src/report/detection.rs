@@ -84,9 +84,7 @@ pub fn detection_json(image: &str, size_px: [usize; 2], detection: &Detection) -
 pub fn detection_shapes(detection: &Detection) -> OverlayShapes {
     let mut shapes = OverlayShapes::default();
     for (i, disc) in detection.discs.iter().enumerate() {
-        let (u_px, v_px) = (disc.edge.u_px.clone(), disc.edge.v_px.clone());
-        shapes.contours.push(Polyline { u_px, v_px, closed: true });
-        shapes.ellipses.push(disc.ellipse);
+        shapes.push_disc(disc);
         let c = disc.ellipse.center_px;
         let reach_px = disc.ellipse.semi_major_px;
         shapes.labels.push(Label { at_px: [c.u_px, c.v_px], reach_px, text: disc_label(i, disc) });

@@ -79,7 +79,7 @@ pub(super) fn overlay_svg(
         shapes.ellipses.iter().map(|e| path_data(thinned(&overlay::ellipse_points(e)), true)).collect();
     layer(&mut out, figure.id, "model", &(polylines(&shapes.predicted) + &ellipses));
     layer(&mut out, figure.id, "arrow", &used);
-    layer(&mut out, figure.id, "bad", &(outliers + &crosses(shapes)));
+    layer(&mut out, figure.id, "bad", &(outliers + &crosses(shapes) + &polylines(&shapes.unseen)));
     let silent = texts(&mut out, shapes, (width, height));
     if silent > 0 {
         let mark = if words.is_empty() { "" } else { "; " };

@@ -5,6 +5,7 @@ use super::captions;
 use super::grey;
 use super::number::{nice_below, plain};
 use crate::conic::Ellipse;
+use crate::detect::{Disc, EdgePoints};
 use crate::error::{Error, Result};
 use crate::image::GrayView;
 use crate::record::FeatureKind;
@@ -19,7 +20,7 @@ pub(super) const MODEL: Colour = [120, 255, 90];
 pub(super) const HELP: Colour = [190, 170, 255];
 /// Features and residual arrows.
 pub(super) const ARROW: Colour = [255, 205, 0];
-/// Outliers and rejected candidates.
+/// Outliers, rejected candidates and what of a rim was left out.
 pub(super) const BAD: Colour = [255, 80, 70];
 /// Labels.
 pub(super) const LABEL: Colour = [255, 255, 255];
@@ -30,6 +31,10 @@ const ARROW_PART: f64 = 0.012;
 const ARROW_RADIUS: f64 = 0.35;
 /// The longest arrow that is drawn in full, part of the image's diagonal.
 const ARROW_LIMIT: f64 = 0.08;
+
+/// Edge points that are this many times further apart than usual, and so many px, have something unseen between them.
+const UNSEEN: f64 = 3.0;
+const UNSEEN_PX: f64 = 4.0;
 
 /// Notes below the picture's left corner: distance of their lines, most lines and most letters in units of the scale.
 const NOTE_PX: usize = 10;
@@ -53,6 +58,28 @@ pub struct Polyline {
 impl Polyline {
     pub(super) fn points(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
         self.u_px.iter().zip(&self.v_px).map(|(&u, &v)| [u, v])
+    }
+
+    /// A closed chain without the long jumps between neighbours: itself where there are none, else what lies between them.
+    pub fn split_at_gaps(self) -> Vec<Self> {
+        let n = self.u_px.len().min(self.v_px.len());
+        if n < 3 || !self.closed {
+            return vec![self];
+        }
+        let gap = |i: usize| (self.u_px[i] - self.u_px[(i + 1) % n]).hypot(self.v_px[i] - self.v_px[(i + 1) % n]);
+        let wide = wide_px((0..n).map(gap).collect());
+        let jumps: Vec<usize> = (0..n).filter(|i| gap(*i) > wide).collect();
+        let Some(last) = jumps.last().copied() else { return vec![self] };
+        let mut from = last + 1;
+        let mut parts = Vec::with_capacity(jumps.len());
+        for jump in jumps {
+            // The first part may begin at the end of the chain.
+            let to = if from > jump { jump + n } else { jump };
+            let (u_px, v_px) = (from..=to).map(|i| (self.u_px[i % n], self.v_px[i % n])).unzip();
+            parts.push(Self { u_px, v_px, closed: false });
+            from = jump + 1;
+        }
+        parts
     }
 }
 
@@ -123,6 +150,8 @@ pub struct OverlayShapes {
     pub contours: Vec<Polyline>,
     /// Fitted ellipses.
     pub ellipses: Vec<Ellipse>,
+    /// Stretches of rims where nothing was measured: glare, dirt, a neighbour.
+    pub unseen: Vec<Polyline>,
     /// Circles of the target as the calibration predicts them.
     pub predicted: Vec<Polyline>,
     /// Help lines: common tangents, axes of the pattern.
@@ -135,6 +164,49 @@ pub struct OverlayShapes {
     pub rejected: Vec<RejectedMark>,
     /// Factor of the residual arrows; `None` chooses 1, 2 or 5 times a power of ten so that they are seen.
     pub magnification: Option<f64>,
+}
+
+impl OverlayShapes {
+    /// The contour of a disc, its ellipse and what of its rim was left out.
+    pub fn push_disc(&mut self, disc: &Disc) {
+        let (u_px, v_px) = (disc.edge.u_px.clone(), disc.edge.v_px.clone());
+        self.contours.extend(Polyline { u_px, v_px, closed: true }.split_at_gaps());
+        self.ellipses.push(disc.ellipse);
+        self.unseen.extend(unseen(&disc.ellipse, &disc.edge));
+    }
+}
+
+/// Distance of neighbours beyond which something between them was left out, px.
+fn wide_px(mut gaps: Vec<f64>) -> f64 {
+    let middle = gaps.len() / 2;
+    (UNSEEN * *gaps.select_nth_unstable_by(middle, f64::total_cmp).1).max(UNSEEN_PX)
+}
+
+/// Stretches of an ellipse between neighbouring edge points that are much further apart than others are.
+fn unseen(e: &Ellipse, edge: &EdgePoints) -> Vec<Polyline> {
+    let (sin, cos) = e.angle_rad.sin_cos();
+    let eccentric = |u_px: &f64, v_px: &f64| {
+        let (du, dv) = (u_px - e.center_px.u_px, v_px - e.center_px.v_px);
+        ((cos * dv - sin * du) / e.semi_minor_px).atan2((cos * du + sin * dv) / e.semi_major_px)
+    };
+    let mut turns: Vec<f64> = edge.u_px.iter().zip(&edge.v_px).map(|(u, v)| eccentric(u, v)).collect();
+    turns.retain(|t| t.is_finite());
+    turns.sort_by(f64::total_cmp);
+    let Some(first) = turns.first().copied() else { return vec![] };
+    turns.push(first + std::f64::consts::TAU);
+    let gap_px = |pair: &[f64]| {
+        let [p, q] = [pair[0], pair[1]].map(|t| e.point(t));
+        // Beyond half a turn the chord shrinks again.
+        if pair[1] - pair[0] > 3.0 { f64::INFINITY } else { (p.u_px - q.u_px).hypot(p.v_px - q.v_px) }
+    };
+    let wide = wide_px(turns.windows(2).map(gap_px).collect());
+    let stretch = |pair: &[f64]| {
+        let steps = ((pair[1] - pair[0]) * (e.semi_major_px.max(1.0) / 0.1).sqrt()).ceil().clamp(2.0, 400.0);
+        let at = |i: usize| e.point(pair[0] + (pair[1] - pair[0]) * i as f64 / steps);
+        let (u_px, v_px) = (0..=steps as usize).map(at).map(|p| (p.u_px, p.v_px)).unzip();
+        Polyline { u_px, v_px, closed: false }
+    };
+    turns.windows(2).filter(|pair| gap_px(pair) > wide).map(stretch).collect()
 }
 
 /// A residual arrow as it is drawn, px of the image.
@@ -285,6 +357,9 @@ fn draw_shapes(canvas: &mut Canvas, shapes: &OverlayShapes, scale: f64) {
     for ellipse in &shapes.ellipses {
         canvas.chain(&ellipse_points(ellipse), true, scale, MODEL);
     }
+    for line in &shapes.unseen {
+        canvas.chain(&line.points().collect::<Vec<_>>(), false, scale, BAD);
+    }
     for mark in &shapes.rejected {
         let ([u, v], r) = (mark.at_px, cross_px(mark, scale));
         canvas.chain(&[[u - r, v - r], [u + r, v + r]], false, scale, BAD);
@@ -389,6 +464,43 @@ mod tests {
             let png = overlay_png(&view, &shapes).unwrap();
             let found = centroid(&png, |[r, g, _]| f64::from(g.saturating_sub(r)));
             assert!((found[0] - u).abs() < 0.05 && (found[1] - v).abs() < 0.05, "({u}, {v}) drawn at {found:?}");
+        }
+    }
+
+    /// Every tenth of a px of spread along the rim is no gap; a hidden stretch is, also across the seam of the angle.
+    #[test]
+    fn what_of_a_rim_was_left_out_is_drawn() {
+        let center_px = crate::frames::Pixel::new(80.0, 60.0);
+        let e = Ellipse { center_px, semi_major_px: 40.0, semi_minor_px: 25.0, angle_rad: 0.4 };
+        let points = |hidden: std::ops::Range<usize>| {
+            let mut edge = EdgePoints::default();
+            for k in (0..120).filter(|k| !hidden.contains(k)) {
+                let p = e.point((k as f64 + 0.3 * f64::from(k as u32 % 3)) / 120.0 * std::f64::consts::TAU);
+                edge.u_px.push(p.u_px);
+                edge.v_px.push(p.v_px);
+            }
+            edge
+        };
+        assert!(unseen(&e, &points(0..0)).is_empty());
+        for hidden in [30..42, 55..66, 110..120] {
+            let found = unseen(&e, &points(hidden.clone()));
+            assert_eq!(found.len(), 1, "{hidden:?}");
+            let middle = e.point(0.5 * (hidden.start + hidden.end) as f64 / 120.0 * std::f64::consts::TAU);
+            let near = found[0].points().map(|[u, v]| (u - middle.u_px).hypot(v - middle.v_px)).fold(9.0, f64::min);
+            assert!(near < 2.0, "{hidden:?}: {near} px");
+        }
+        assert!(unseen(&e, &EdgePoints::default()).is_empty());
+        let chain = |hidden| {
+            let edge = points(hidden);
+            Polyline { u_px: edge.u_px, v_px: edge.v_px, closed: true }
+        };
+        assert_eq!(chain(0..0).split_at_gaps(), [chain(0..0)]);
+        for hidden in [0..10, 30..42, 110..120] {
+            let parts = chain(hidden.clone()).split_at_gaps();
+            assert_eq!(parts.iter().map(|p| p.u_px.len()).sum::<usize>(), 120 - hidden.len());
+            assert!(parts.len() == 1 && !parts[0].closed, "{hidden:?}");
+            let steps = parts[0].u_px.windows(2).zip(parts[0].v_px.windows(2));
+            assert!(steps.fold(0.0_f64, |m, (u, v)| m.max((u[1] - u[0]).hypot(v[1] - v[0]))) < 4.0);
         }
     }
 
