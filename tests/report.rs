@@ -190,6 +190,11 @@ fn the_verdict_follows_the_record() {
     assert_eq!(v.level, Level::Good);
     assert_eq!(v.open, ["Nothing: the images determine every number that was estimated."]);
     assert_eq!(v.next, ["Nothing has to be done."]);
+    let mut open = good.clone();
+    open.fit.undetermined.push("axis point cx of camera left is known only from its prior".into());
+    let v = report::verdict(&open);
+    assert_eq!(v.level, Level::Care);
+    assert!(v.next.len() == 1 && v.next[0].contains("give it a prior in the rig file"), "{:?}", v.next);
 
     let v = report::verdict(&scene::record());
     assert_eq!(v.level, Level::Care);

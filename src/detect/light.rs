@@ -261,7 +261,8 @@ struct Verdict {
     /// Whether no polynomial follows the light.
     smoke: bool,
     prior: NodePrior,
-    /// By how many standard deviations the stretch at each node is off the best surface; none where too few pixels tell.
+    /// By how many standard deviations the stretch at each node is off the best surface, `sum r / (n variance)^(1/2)` over its `n` pixels away from the
+    /// edge with residuals `r`, grey; none where too few pixels tell.
     off: Vec<f64>,
 }
 
@@ -273,10 +274,8 @@ pub(crate) fn choose(contour: &Contour, sectors: &mut Sectors, step: f64, smoke:
     if !smoke && !smoky(&verdicts) {
         return Light::Surface(verdicts.map(|v| v.side));
     }
-    match if smoke { None } else { set_aside(contour, sectors, step, nodes, &verdicts) } {
-        Some(sides) => Light::Surface(sides),
-        None => Light::Nodes(nodes, verdicts.map(|v| v.prior)),
-    }
+    let without = if smoke { None } else { set_aside(contour, sectors, step, nodes, &verdicts) };
+    without.map_or_else(|| Light::Nodes(nodes, verdicts.map(|v| v.prior)), Light::Surface)
 }
 
 fn judge_both(contour: &Contour, sectors: &Sectors, step: f64, nodes: usize) -> [Verdict; 2] {

@@ -5,7 +5,7 @@ use super::captions;
 use super::grey;
 use super::number::{nice_below, plain};
 use crate::conic::Ellipse;
-use crate::detect::{Disc, EdgePoints};
+use crate::detect::Disc;
 use crate::error::{Error, Result};
 use crate::image::GrayView;
 use crate::record::FeatureKind;
@@ -170,9 +170,10 @@ impl OverlayShapes {
     /// The contour of a disc, its ellipse and what of its rim was left out.
     pub fn push_disc(&mut self, disc: &Disc) {
         let (u_px, v_px) = (disc.edge.u_px.clone(), disc.edge.v_px.clone());
-        self.contours.extend(Polyline { u_px, v_px, closed: true }.split_at_gaps());
+        let seen = Polyline { u_px, v_px, closed: true }.split_at_gaps();
+        self.unseen.extend(unseen(&disc.ellipse, &seen));
+        self.contours.extend(seen);
         self.ellipses.push(disc.ellipse);
-        self.unseen.extend(unseen(&disc.ellipse, &disc.edge));
     }
 }
 
@@ -182,31 +183,23 @@ fn wide_px(mut gaps: Vec<f64>) -> f64 {
     (UNSEEN * *gaps.select_nth_unstable_by(middle, f64::total_cmp).1).max(UNSEEN_PX)
 }
 
-/// Stretches of an ellipse between neighbouring edge points that are much further apart than others are.
-fn unseen(e: &Ellipse, edge: &EdgePoints) -> Vec<Polyline> {
+/// Stretches of an ellipse between the parts of its rim that were seen, which follow each other with the eccentric angle.
+fn unseen(e: &Ellipse, seen: &[Polyline]) -> Vec<Polyline> {
     let (sin, cos) = e.angle_rad.sin_cos();
-    let eccentric = |u_px: &f64, v_px: &f64| {
+    let eccentric = |[u_px, v_px]: [f64; 2]| {
         let (du, dv) = (u_px - e.center_px.u_px, v_px - e.center_px.v_px);
         ((cos * dv - sin * du) / e.semi_minor_px).atan2((cos * du + sin * dv) / e.semi_major_px)
     };
-    let mut turns: Vec<f64> = edge.u_px.iter().zip(&edge.v_px).map(|(u, v)| eccentric(u, v)).collect();
-    turns.retain(|t| t.is_finite());
-    turns.sort_by(f64::total_cmp);
-    let Some(first) = turns.first().copied() else { return vec![] };
-    turns.push(first + std::f64::consts::TAU);
-    let gap_px = |pair: &[f64]| {
-        let [p, q] = [pair[0], pair[1]].map(|t| e.point(t));
-        // Beyond half a turn the chord shrinks again.
-        if pair[1] - pair[0] > 3.0 { f64::INFINITY } else { (p.u_px - q.u_px).hypot(p.v_px - q.v_px) }
-    };
-    let wide = wide_px(turns.windows(2).map(gap_px).collect());
-    let stretch = |pair: &[f64]| {
-        let steps = ((pair[1] - pair[0]) * (e.semi_major_px.max(1.0) / 0.1).sqrt()).ceil().clamp(2.0, 400.0);
-        let at = |i: usize| e.point(pair[0] + (pair[1] - pair[0]) * i as f64 / steps);
+    let stretch = |(one, next): (&Polyline, &Polyline)| {
+        let (from, to) = (eccentric(one.points().last()?), eccentric(next.points().next()?));
+        let turn = (to - from).rem_euclid(std::f64::consts::TAU);
+        let steps = (turn * (e.semi_major_px.max(1.0) / 0.1).sqrt()).ceil().clamp(2.0, 400.0);
+        let at = |i: usize| e.point(from + turn * i as f64 / steps);
         let (u_px, v_px) = (0..=steps as usize).map(at).map(|p| (p.u_px, p.v_px)).unzip();
-        Polyline { u_px, v_px, closed: false }
+        Some(Polyline { u_px, v_px, closed: false })
     };
-    turns.windows(2).filter(|pair| gap_px(pair) > wide).map(stretch).collect()
+    let open = || seen.iter().filter(|part| !part.closed);
+    open().zip(open().cycle().skip(1)).filter_map(stretch).collect()
 }
 
 /// A residual arrow as it is drawn, px of the image.
@@ -467,40 +460,39 @@ mod tests {
         }
     }
 
-    /// Every tenth of a px of spread along the rim is no gap; a hidden stretch is, also across the seam of the angle.
+    /// Edge points that do not lie evenly leave no gap; a hidden stretch does, also across the seam of the angle, and two do.
     #[test]
     fn what_of_a_rim_was_left_out_is_drawn() {
         let center_px = crate::frames::Pixel::new(80.0, 60.0);
         let e = Ellipse { center_px, semi_major_px: 40.0, semi_minor_px: 25.0, angle_rad: 0.4 };
-        let points = |hidden: std::ops::Range<usize>| {
-            let mut edge = EdgePoints::default();
-            for k in (0..120).filter(|k| !hidden.contains(k)) {
-                let p = e.point((k as f64 + 0.3 * f64::from(k as u32 % 3)) / 120.0 * std::f64::consts::TAU);
-                edge.u_px.push(p.u_px);
-                edge.v_px.push(p.v_px);
+        let at = |k: f64| e.point(k / 120.0 * std::f64::consts::TAU);
+        let chain = |hidden: &[[usize; 2]]| {
+            let seen = (0..120).filter(|k| !hidden.iter().any(|h| (h[0]..h[1]).contains(k)));
+            let points = seen.map(|k| at(k as f64 + 0.3 * f64::from(k as u32 % 3)));
+            let (u_px, v_px) = points.map(|p| (p.u_px, p.v_px)).unzip();
+            Polyline { u_px, v_px, closed: true }
+        };
+        assert_eq!(chain(&[]).split_at_gaps(), [chain(&[])]);
+        assert!(unseen(&e, &[chain(&[])]).is_empty());
+        let cases: [&[[usize; 2]]; 5] = [&[[0, 10]], &[[30, 42]], &[[55, 66]], &[[110, 120]], &[[5, 15], [70, 90]]];
+        for hidden in cases {
+            let parts = chain(hidden).split_at_gaps();
+            let left: usize = hidden.iter().map(|h| h[1] - h[0]).sum();
+            assert_eq!(parts.iter().map(|p| p.u_px.len()).sum::<usize>(), 120 - left);
+            assert!(parts.len() == hidden.len() && parts.iter().all(|p| !p.closed), "{hidden:?}");
+            for part in &parts {
+                let steps = part.u_px.windows(2).zip(part.v_px.windows(2));
+                assert!(steps.fold(0.0_f64, |m, (u, v)| m.max((u[1] - u[0]).hypot(v[1] - v[0]))) < 4.0);
             }
-            edge
-        };
-        assert!(unseen(&e, &points(0..0)).is_empty());
-        for hidden in [30..42, 55..66, 110..120] {
-            let found = unseen(&e, &points(hidden.clone()));
-            assert_eq!(found.len(), 1, "{hidden:?}");
-            let middle = e.point(0.5 * (hidden.start + hidden.end) as f64 / 120.0 * std::f64::consts::TAU);
-            let near = found[0].points().map(|[u, v]| (u - middle.u_px).hypot(v - middle.v_px)).fold(9.0, f64::min);
-            assert!(near < 2.0, "{hidden:?}: {near} px");
-        }
-        assert!(unseen(&e, &EdgePoints::default()).is_empty());
-        let chain = |hidden| {
-            let edge = points(hidden);
-            Polyline { u_px: edge.u_px, v_px: edge.v_px, closed: true }
-        };
-        assert_eq!(chain(0..0).split_at_gaps(), [chain(0..0)]);
-        for hidden in [0..10, 30..42, 110..120] {
-            let parts = chain(hidden.clone()).split_at_gaps();
-            assert_eq!(parts.iter().map(|p| p.u_px.len()).sum::<usize>(), 120 - hidden.len());
-            assert!(parts.len() == 1 && !parts[0].closed, "{hidden:?}");
-            let steps = parts[0].u_px.windows(2).zip(parts[0].v_px.windows(2));
-            assert!(steps.fold(0.0_f64, |m, (u, v)| m.max((u[1] - u[0]).hypot(v[1] - v[0]))) < 4.0);
+            let found = unseen(&e, &parts);
+            assert_eq!(found.len(), hidden.len(), "{hidden:?}");
+            for h in hidden {
+                let middle = at(0.5 * (h[0] + h[1]) as f64);
+                let away = |line: &Polyline| {
+                    line.points().map(|[u, v]| (u - middle.u_px).hypot(v - middle.v_px)).fold(9.0, f64::min)
+                };
+                assert_eq!(found.iter().filter(|line| away(line) < 2.0).count(), 1, "{hidden:?}");
+            }
         }
     }
 

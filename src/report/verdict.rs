@@ -251,6 +251,10 @@ fn open_points(r: &Record) -> Vec<String> {
     out
 }
 
+const NOTHING: &str = "Nothing has to be done.";
+const BY_ITSELF: &str = "Nothing has to be done for displacements: what is not determined is counted in the uncertainties of u, v and w. Where one \
+                         of those numbers is needed by itself, record further views, tilted about other axes, or give it a prior in the rig file.";
+
 fn next_steps(r: &Record) -> Vec<String> {
     let mut out: Vec<String> = r.fit.flags.iter().map(|w| sentence(w)).collect();
     if !r.fit.converged {
@@ -295,7 +299,7 @@ fn next_steps(r: &Record) -> Vec<String> {
         out.push("To get the sheet, record one view of the target in the light sheet and mark it sheet = true.".into());
     }
     if out.is_empty() {
-        out.push("Nothing has to be done.".into());
+        out.push(if r.fit.undetermined.is_empty() { NOTHING } else { BY_ITSELF }.into());
     }
     out
 }

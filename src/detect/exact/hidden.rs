@@ -6,17 +6,21 @@
 //! did before, exceeds `FELT` of the noise. The first ring, the pixels side by side with the spot, is always hidden. Skirts fall at least
 //! exponentially, so the expectation is on the safe side.
 //!
-//! What a ring may still show shifts the edge there by three blurs times noise over step, and the last pixels before a gap have the longest lever.
-//! The ellipse of a long contour is known so much better that it feels less: rings go on to be hidden where a few of them together
-//! show on either side of the edge
+//! Light that exceeds the model by `e` on both sides of an edge blurred by `s` shifts it by `sum e h / sum h^2`, `h = E phi(d / s) / s`:
 //!
 //! ```text
-//! FELT (SHORT_PX / perimeter)^(1/2)
+//! shift = 2 pi^(1/2) s e / E,     felt = FELT (SHORT_PX / perimeter)^(1/2)
 //! ```
+//!
+//! and the last pixels before a gap have the longest lever. The ellipse of a long contour is known so much better that it feels less: rings go on to be
+//! hidden where a few of them together show more than `felt` on either side of the edge.
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
 //! | r | `left` | noise | residual of a pixel |
+//! | e | | grey | what a skirt adds |
+//! | s, E | | px, grey | blur and step of the edge |
+//! | felt | | noise | mean residual of the rings that are hidden on long contours |
 //! | - | `Hidden` | | the hidden pixels of the image |
 
 use super::{Exact, State};
