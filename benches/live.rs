@@ -3,7 +3,8 @@
 //!
 //! `cargo bench --bench live`. Rounds with one and with two threads take turns; medians of the time that passes and of the processors' own
 //! time, which other work on the machine lengthens less; the same of its three parts: images (decoded, searched and labelled), what is
-//! computed from them, files. The goal is 50 ms with two threads.
+//! computed from them, files. All of it twice: with the images as they are, compressed PNG, and copied to uncompressed TIFF, as cameras of
+//! PIV write them. The goal is 50 ms with two threads.
 //!
 //! `cargo bench --bench live -- once` makes one record with one thread: its instructions are counted by running that program under
 //! `valgrind --tool=callgrind`.
@@ -73,20 +74,33 @@ impl Times {
 
 /// The twelve images, and where the files go.
 struct Work {
-    folder: PathBuf,
+    images: Vec<[PathBuf; 2]>,
     job: RigDescription,
     to: tempfile::TempDir,
 }
 
 impl Work {
-    fn new() -> Self {
+    /// The images as they are, or copied to uncompressed TIFF.
+    fn new(tiff: bool) -> Self {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/printed");
         let text = std::fs::read_to_string(folder.join("rig.toml")).unwrap();
-        Self { folder, job: RigDescription::parse(&text, "rig.toml").unwrap(), to: tempfile::tempdir().unwrap() }
+        let job = RigDescription::parse(&text, "rig.toml").unwrap();
+        let to = tempfile::tempdir().unwrap();
+        let place = |file: &str| {
+            let from = folder.join(file);
+            if !tiff {
+                return from;
+            }
+            let copy = to.path().join(file).with_extension("tif");
+            image::open(from).unwrap().to_luma8().save(&copy).unwrap();
+            copy
+        };
+        let images = job.views.iter().map(|v| [0, 1].map(|c: usize| place(v.images[c].as_ref().unwrap()))).collect();
+        Self { images, job, to }
     }
 
     fn load(&self, view: usize, camera: usize) -> Result<GrayImage> {
-        load_image(&self.folder.join(self.job.views[view].images[camera].as_ref().unwrap()))
+        load_image(&self.images[view][camera])
     }
 
     /// From images to files; what passes until the last image has been searched, until all is computed, until the files are there.
@@ -117,11 +131,17 @@ impl Work {
 }
 
 fn main() {
-    let work = Work::new();
     if std::env::args().any(|a| a == "once") {
-        black_box(work.all(1, Instant::now()));
+        black_box(Work::new(false).all(1, Instant::now()));
         return;
     }
+    for (name, tiff) in [("PNG", false), ("TIFF, not compressed", true)] {
+        println!("{name}, medians of {ROUNDS} rounds");
+        measure(&Work::new(tiff));
+    }
+}
+
+fn measure(work: &Work) {
     let wanted: Vec<(usize, usize)> = (0..work.job.views.len()).flat_map(|v| [(v, 0), (v, 1)]).collect();
     let decode = || wanted.iter().map(|(v, c)| work.load(*v, *c).unwrap()).collect::<Vec<GrayImage>>();
     let options = DetectOptions { polarity: work.job.target.polarity, ..DetectOptions::default() };
@@ -142,7 +162,6 @@ fn main() {
             }
         }
     }
-    println!("{} images, medians of {ROUNDS} rounds", wanted.len());
     decoding.print("decoding, one thread");
     searching.print("searching, one thread");
     for (k, (whole, parts)) in whole.iter_mut().zip(&mut parts).enumerate() {

@@ -127,11 +127,9 @@ impl Contour {
     #[inline(always)]
     pub(crate) fn sector(&self, at: f64) -> usize {
         let cells = self.first.len() - 1;
-        let mut k = self.first[((0.25 * at * cells as f64) as usize).min(cells)] as usize;
-        while k + 1 < self.end.len() && at > self.end[k] {
-            k += 1;
-        }
-        k
+        let k = self.first[((0.25 * at * cells as f64) as usize).min(cells)] as usize;
+        // No cell reaches into a third sector: arcs of equal length are at least two cells long on the diamond.
+        k + usize::from(at > self.end[k])
     }
 
     /// Arc length up to equal steps of the eccentric angle, px.
@@ -253,6 +251,22 @@ mod tests {
         for k in 0..count {
             assert!((contour.cos[k].hypot(contour.sin[k]) - 1.0).abs() < 1e-14);
             assert_eq!(contour.sector(diamond(contour.cos[k], contour.sin[k])), k);
+        }
+    }
+
+    /// The table of cells against a search through all ends, however long the ellipse.
+    #[test]
+    fn cells_know_the_sector_of_every_angle() {
+        let mut contour = Contour::default();
+        for (a, b) in [(3.0, 2.9), (9.0, 3.0), (40.0, 2.0), (300.0, 6.0), (250.0, 249.0)] {
+            let e = Ellipse { center_px: Pixel::new(7.0, 9.0), semi_major_px: a, semi_minor_px: b, angle_rad: 0.3 };
+            contour.cut(&e, &[]);
+            let count = contour.len();
+            let between = (0..=100_000).map(|i| f64::from(i) / 25_000.0);
+            for at in between.chain(contour.end.iter().copied()).chain([f64::NAN]) {
+                let searched = (0..count - 1).find(|k| !(at > contour.end[*k])).unwrap_or(count - 1);
+                assert_eq!(contour.sector(at), searched, "{a} x {b} px, {count} sectors, at {at}");
+            }
         }
     }
 }

@@ -14,7 +14,7 @@ use crate::detect::refine::{Scratch, Start, reach_px, refine};
 use crate::detect::rows::ByRow;
 use crate::detect::shared_light::SharedLight;
 use crate::detect::trace::{Line, Tracer};
-use crate::detect::whole::{self, Rows, Whole};
+use crate::detect::whole::{self, LEVELS, Rows};
 use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason, Shape};
 use crate::error::{Invalid, Result};
 use crate::frames::Pixel;
@@ -31,8 +31,6 @@ const DUST: f64 = 0.25;
 const MOST_SMOKY: usize = 24;
 /// Fewer lines than this are judged by one thread.
 const LINES_AT_ONCE: usize = 16;
-/// Pyramid levels looked at.
-const LEVELS: u32 = 3;
 
 /// Everything the coarse stage saw.
 #[derive(Default)]
@@ -171,34 +169,41 @@ fn look(view: &GrayView, noise: f32, options: &DetectOptions) -> Seen {
         noise *= 0.273;
     }
     match rows {
-        Some(rows) => {
-            look_at(&gradients, options, |finer, k| Whole::new(finer.map_or(rows, Rows::Finer), gradients[k]))
-        }
-        None => look_at(&gradients, options, |finer: Option<&Floats>, k| {
+        Some(rows) => whole::with_memory(|levels| {
+            let gradients = &gradients;
+            look_at(levels, gradients, options, |out, finer, k| {
+                out.remake(finer.map_or(rows, Rows::Finer), gradients[k])
+            })
+        }),
+        None => look_at(&mut [(); LEVELS].map(|()| Floats::default()), &gradients, options, |out, finer, k| {
             let halved = finer.map(|finer| finer.smoothed().halved());
-            Floats::new(halved.as_ref().map_or(Source::View(view), Source::Plane), gradients[k])
+            *out = Floats::new(halved.as_ref().map_or(Source::View(view), Source::Plane), gradients[k]);
         }),
     }
 }
 
 /// One level after the other, each made from the finer one, within a pool while the lines of that are followed.
 fn look_at<L: Level + Send + Sync>(
+    levels: &mut [L],
     gradients: &[f32],
     options: &DetectOptions,
-    make: impl Fn(Option<&L>, usize) -> L + Sync,
+    make: impl Fn(&mut L, Option<&L>, usize) + Sync,
 ) -> Seen {
     let mut seen = Seen::default();
-    let mut next = (!gradients.is_empty()).then(|| make(None, 0));
+    let mut rest = &mut levels[..gradients.len()];
+    if let Some(first) = rest.first_mut() {
+        make(first, None, 0);
+    }
     for (level, gradient) in gradients.iter().enumerate() {
-        let Some(on) = next.take() else { break };
-        let mut follow = || follow(&on, *gradient, level as u32, options, &mut seen);
-        let coarser = || (level + 1 < gradients.len()).then(|| make(Some(&on), level + 1));
-        next = if threads::several() {
-            rayon::join(follow, coarser).1
-        } else {
-            follow();
-            coarser()
-        };
+        let Some((on, coarser)) = rest.split_first_mut() else { break };
+        let on = &*on;
+        let follow = || follow(on, *gradient, level as u32, options, &mut seen);
+        threads::both(follow, || {
+            if let Some(next) = coarser.first_mut() {
+                make(next, Some(on), level + 1);
+            }
+        });
+        rest = coarser;
     }
     seen
 }
@@ -217,7 +222,7 @@ fn follow(on: &(impl Level + Sync), gradient: f32, level: u32, options: &DetectO
     };
     let judged = |line: &Line| judge(line, on, strength, level, options, &known);
     for start in on.starts() {
-        let (u, v) = (*start as usize % on.width(), *start as usize / on.width());
+        let (u, v) = (start as usize % on.width(), start as usize / on.width());
         if !tracer.fresh(u, v) {
             continue;
         }

@@ -3,7 +3,7 @@
 /// Smoothed grey levels and the field whose zero lines are the first guess of contours.
 pub(crate) trait Level {
     /// Places `v * width + u`, row by row, where a line runs between `u` and `u + 1` and the grey level changes by more than the least gradient.
-    fn starts(&self) -> &[u32];
+    fn starts(&self) -> impl Iterator<Item = u32>;
     /// Width, px.
     fn width(&self) -> usize;
     /// Height, px.

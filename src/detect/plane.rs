@@ -12,7 +12,7 @@ use crate::lanes::{self, Kernel, Lanes as Width};
 const MEAN_RADIUS: usize = 4;
 
 /// A packed image of floats.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Plane {
     /// Row-major samples.
     pub(crate) data: Vec<f32>,
@@ -295,7 +295,7 @@ impl BoxMean {
 }
 
 /// One level of the pyramid in floats.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Floats {
     smooth: Plane,
     field: Plane,
@@ -303,8 +303,8 @@ pub(crate) struct Floats {
 }
 
 impl Level for Floats {
-    fn starts(&self) -> &[u32] {
-        &self.starts
+    fn starts(&self) -> impl Iterator<Item = u32> {
+        self.starts.iter().copied()
     }
     fn width(&self) -> usize {
         self.field.width

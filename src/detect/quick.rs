@@ -393,10 +393,18 @@ impl Quick {
         let count = self.pixels.near.count;
         lanes::run(Left { columns: &mut self.columns, found: &self.found, bent: self.bent.is_some(), count });
         let Columns { diamond, response, left, .. } = &self.columns;
-        for i in 0..count {
+        let (diamond, response, left) = (&diamond[..count], &response[..count], &left[..count]);
+        let mut share_out = |i: usize| {
             let k = contour.sector(f64::from(diamond[i]));
             self.shares[k].push(f64::from(response[i]), f64::from(left[i]));
+        };
+        // Neighbours mostly go to one sector, whose sums would wait for each other: pixels of the upper and the lower half in turns.
+        let half = count / 2;
+        for i in 0..half {
+            share_out(i);
+            share_out(half + i);
         }
+        (2 * half..count).for_each(share_out);
     }
 
     /// Whether rows away from the edge, and pixels near it, leave no more than noise.

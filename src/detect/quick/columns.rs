@@ -129,10 +129,12 @@ impl<const BENT: bool> SumUp<'_, BENT> {
         let seen = Seen::<S>::new(self.frame, self.lens);
         let used = if BENT { ALL } else { M };
         let mut sums = [[0.0; SINGLES]; P];
+        let mut feet = [[0.0; BLOCK]; 3];
         for block in 0..blocks {
             let from = block * BLOCK;
             let m = (n - from).min(BLOCK);
             let values = &mut self.out.values[block];
+            seen.feet([&self.near.x[from..from + m], &self.near.y[from..from + m]], &mut feet);
             let mut i = 0;
             while i < m {
                 let at = from + i;
@@ -141,7 +143,8 @@ impl<const BENT: bool> SumUp<'_, BENT> {
                 // Single precision counts up to 16 million pixels.
                 let index = S::splat(at as f32) + S::load(&FIRST);
                 let shown = S::select(index.below(count), S::splat(1.0), S::splat(0.0));
-                let (columns, response, diamond) = seen.pixel::<BENT>(x, y, grey, shown);
+                let foot = seen.foot(x, y, S::load(&feet[0][i..]), S::load(&feet[1][i..]));
+                let (columns, response, diamond) = seen.pixel::<BENT>(&foot, [x, y], grey, shown);
                 for k in 0..used {
                     columns[k].store(&mut values[k][i..]);
                 }
@@ -325,10 +328,9 @@ impl<S: Singles> Seen<S> {
 
     /// Columns, response and angle on the diamond of a pixel.
     #[inline(always)]
-    fn pixel<const BENT: bool>(&self, x: S, y: S, grey: S, shown: S) -> ([S; ALL], S, S) {
+    fn pixel<const BENT: bool>(&self, foot: &Foot<S>, [x, y]: [S; 2], grey: S, shown: S) -> ([S; ALL], S, S) {
         let one = S::splat(1.0);
-        let foot = self.foot(x, y);
-        let edge = self.edge(&foot);
+        let edge = self.edge(foot);
         let (c, s, inverse) = (foot.cos, foot.sin, foot.inverse);
         let (nx, ny) = (self.b * c * inverse, self.a * s * inverse);
         let (p, slope) = (edge.inside, edge.slope);
@@ -395,38 +397,61 @@ impl<S: Singles> Seen<S> {
         [inside[0], inside[1], inside[2], rho - inside[0], (x2 - y2) - inside[1], xy2 - inside[2]]
     }
 
-    /// Newton steps on the eccentric angle held as a unit vector; each lane ends by itself, so that its bits do not hang on the others.
+    /// Eccentric angles of the foot points as unit vectors, `cos` and `sin` in the first two lists; the third says how much of a step is left
+    /// to take. Newton steps of a whole block side by side, so that none waits for the one before; each lane ends by itself, so that its bits
+    /// do not hang on the others.
     #[inline(always)]
-    fn foot(&self, x: S, y: S) -> Foot<S> {
-        let (zero, one, half) = (S::splat(0.0), S::splat(1.0), S::splat(0.5));
-        let (a, b, e2) = (self.a, self.b, self.e2);
-        let (p, q) = (x * b, y * a);
-        let scale = one / (p * p + q * q).sqrt().at_least(S::splat(1e-30));
-        let (mut c, mut s) = (p * scale, q * scale);
-        let (ax, by) = (x * a, y * b);
-        let mut left = one;
+    fn feet(&self, [x, y]: [&[f32]; 2], feet: &mut [[f32; BLOCK]; 3]) {
+        let one = S::splat(1.0);
+        let m = x.len().min(BLOCK);
+        let [cos, sin, left] = feet;
+        for i in (0..m).step_by(S::N) {
+            let (p, q) = (S::load(&x[i..]) * self.b, S::load(&y[i..]) * self.a);
+            let scale = one / (p * p + q * q).sqrt().at_least(S::splat(1e-30));
+            (p * scale).store(&mut cos[i..]);
+            (q * scale).store(&mut sin[i..]);
+            one.store(&mut left[i..]);
+        }
         for _ in 0..STEPS {
-            let f = e2 * c * s - ax * s + by * c;
-            let df = e2 * (c * c - s * s) - ax * c - by * s;
-            let t = S::select(df.below(zero), -(f / df), zero).at_least(-half).at_most(half) * left;
-            // 1 / (1 + t^2)^(1/2) to the last digit for small turns; what it leaves of large ones goes by a step of Newton's for the length.
-            let t2 = t * t;
-            let inverse = one - half * t2 * (one - S::splat(0.75) * t2);
-            let turned = (c - t * s) * inverse;
-            s = (s + t * c) * inverse;
-            c = turned;
-            let length = one + left * (half - half * (c * c + s * s));
-            (c, s) = (c * length, s * length);
-            let still = t.size().below(S::splat(1e-3));
-            left = S::select(still, zero, left);
-            if S::all(still) {
+            let mut moving = S::splat(0.0);
+            for i in (0..m).step_by(S::N) {
+                let at = [S::load(&cos[i..]), S::load(&sin[i..]), S::load(&left[i..])];
+                let [c, s, more] = self.turned(at, S::load(&x[i..]), S::load(&y[i..]));
+                c.store(&mut cos[i..]);
+                s.store(&mut sin[i..]);
+                more.store(&mut left[i..]);
+                moving = moving.at_least(more);
+            }
+            if S::all(moving.below(one)) {
                 break;
             }
         }
+    }
+
+    /// One Newton step.
+    #[inline(always)]
+    fn turned(&self, [c, s, left]: [S; 3], x: S, y: S) -> [S; 3] {
+        let (zero, one, half) = (S::splat(0.0), S::splat(1.0), S::splat(0.5));
+        let (ax, by) = (x * self.a, y * self.b);
+        let f = self.e2 * c * s - ax * s + by * c;
+        let df = self.e2 * (c * c - s * s) - ax * c - by * s;
+        let t = S::select(df.below(zero), -(f / df), zero).at_least(-half).at_most(half) * left;
+        // 1 / (1 + t^2)^(1/2) to the last digit for small turns; what it leaves of large ones goes by a step of Newton's for the length.
+        let t2 = t * t;
+        let inverse = one - half * t2 * (one - S::splat(0.75) * t2);
+        let (c, s) = ((c - t * s) * inverse, (s + t * c) * inverse);
+        let length = one + left * (half - half * (c * c + s * s));
+        [c * length, s * length, S::select(t.size().below(S::splat(1e-3)), zero, left)]
+    }
+
+    /// The foot point at a unit vector.
+    #[inline(always)]
+    fn foot(&self, x: S, y: S, c: S, s: S) -> Foot<S> {
+        let (one, half, a, b) = (S::splat(1.0), S::splat(0.5), self.a, self.b);
         // What rounding left of the length, by a step of Newton's: near one a root cannot tell 1 + 2^-23 from one, and the foot points of
         // a whole contour would lie outside by the last digit.
         let length = one + (half - half * (c * c + s * s));
-        (c, s) = (c * length, s * length);
+        let (c, s) = (c * length, s * length);
         let (bc, sa) = (b * c, a * s);
         let inverse = one / (bc * bc + sa * sa).sqrt();
         let distance = ((x - a * c) * bc + (y - b * s) * sa) * inverse;

@@ -1,7 +1,6 @@
 //! The field in stretches of rows near edges, and where lines start.
 
 use crate::lanes::{Kernel, Lanes};
-use std::ops::Range;
 
 /// Pixels of a stretch.
 pub(super) const STRETCH: usize = 32;
@@ -49,82 +48,101 @@ fn in_units(own: u16, sum: u32) -> i16 {
     ((x + (1 << (FIELD_SHIFT - 1))) >> FIELD_SHIFT).clamp(-32_768, 32_767) as i16
 }
 
-/// What is known of some rows: stretches of the field that are kept, where each is, and where lines start.
+/// What is known of some rows: stretches of the field that are kept, and where lines start.
 #[derive(Debug, Default)]
 pub(super) struct Band {
     field: Vec<[i16; STRETCH]>,
-    /// Row by row, for each stretch its place in `field`.
-    places: Vec<u32>,
     /// Places `v * width + u`.
     pub(super) starts: Vec<u32>,
 }
 
 impl Band {
-    /// A stretch, counted row by row, where it is kept.
+    /// The stretch at a place, where it is kept.
     #[inline]
-    pub(super) fn stretch(&self, index: usize) -> Option<&[i16; STRETCH]> {
-        self.field.get(self.places[index] as usize)
+    pub(super) fn stretch(&self, place: u32) -> Option<&[i16; STRETCH]> {
+        self.field.get(place as usize)
     }
 
-    /// One below the other.
-    pub(super) fn joined(bands: &[Self]) -> Self {
-        let room = |of: fn(&Self) -> usize| bands.iter().map(of).sum();
-        let mut all = Self {
-            field: Vec::with_capacity(room(|b| b.field.len())),
-            places: Vec::with_capacity(room(|b| b.places.len())),
-            starts: Vec::with_capacity(room(|b| b.starts.len())),
-        };
-        for band in bands {
-            let first = all.field.len() as u32;
-            all.places.extend(band.places.iter().map(|p| if *p == NONE { NONE } else { p + first }));
-            all.field.extend_from_slice(&band.field);
-            all.starts.extend_from_slice(&band.starts);
-        }
-        all
+    /// Memory held, bytes.
+    pub(super) fn bytes(&self) -> usize {
+        size_of::<[i16; STRETCH]>() * self.field.capacity() + size_of::<u32>() * self.starts.capacity()
     }
 }
 
-/// Finds what there is of some rows; a line may start where neighbours differ by more than `least`.
+/// What is carried along from row to row, and from one band to the next below it.
+pub(super) struct Finder {
+    sums: Sums,
+    /// Which stretches are steep, of three rows in a ring.
+    steep: [Vec<bool>; 3],
+    /// The row that comes next.
+    next: Option<usize>,
+}
+
+impl Finder {
+    pub(super) fn new(width: usize) -> Self {
+        let columns = vec![0; width.next_multiple_of(STRETCH) + 2 * R];
+        Self {
+            sums: Sums { columns, next: 0 },
+            steep: [0; 3].map(|_| vec![false; width.div_ceil(STRETCH)]),
+            next: None,
+        }
+    }
+
+    /// Makes ready for row `v`.
+    #[inline(always)]
+    fn start_at(&mut self, on: &Smoothed<'_>, v: usize, least: u16) {
+        if self.next != Some(v) {
+            self.sums.start_at(on, v);
+            self.steep.iter_mut().for_each(|steep| steep.fill(false));
+            for k in v.saturating_sub(1)..=v {
+                find_steep(on.row(k), least, &mut self.steep[k % 3]);
+            }
+        }
+    }
+}
+
+/// Finds what there is of as many rows as `places` has room for, from `first` on; a line may start where neighbours differ by more than `least`.
 pub(super) struct Find<'a> {
     pub(super) on: Smoothed<'a>,
-    pub(super) rows: Range<usize>,
+    pub(super) first: usize,
     pub(super) least: u16,
+    pub(super) finder: &'a mut Finder,
+    /// Row by row, for each stretch its place in the band.
+    pub(super) places: &'a mut [u32],
+    pub(super) band: &'a mut Band,
 }
 
 impl Kernel for Find<'_> {
-    type Output = Band;
+    type Output = ();
     #[inline(always)]
-    fn run<L: Lanes>(self) -> Band {
-        let Self { on, rows, least } = self;
+    fn run<L: Lanes>(self) {
+        let Self { on, first, least, finder, places, band } = self;
         let count = on.width.div_ceil(STRETCH);
-        let most = count * rows.len();
-        let mut out = Band { field: Vec::with_capacity(most / 2), places: Vec::with_capacity(most), starts: vec![] };
-        let mut sums = Sums::new(&on, rows.start);
-        // Which stretches are steep, of three rows in a ring.
-        let mut steep = [0; 3].map(|_| vec![false; count]);
-        for v in rows.start.saturating_sub(1)..=rows.start {
-            find_steep(on.row(v), least, &mut steep[v % 3]);
-        }
-        for v in rows {
+        band.field.clear();
+        band.field.reserve(places.len() / 2);
+        band.starts.clear();
+        finder.start_at(&on, first, least);
+        let Finder { sums, steep, next } = finder;
+        for (k, places) in places.chunks_exact_mut(count).enumerate() {
+            let v = first + k;
             match v + 1 < on.height {
                 true => find_steep(on.row(v + 1), least, &mut steep[(v + 1) % 3]),
                 false => steep[(v + 1) % 3].fill(false),
             }
             sums.next_row(&on);
-            let first = out.places.len();
             for k in 0..count {
                 let wanted = steep[0][k] | steep[1][k] | steep[2][k];
-                out.places.push(if wanted { out.field.len() as u32 } else { NONE });
+                places[k] = if wanted { band.field.len() as u32 } else { NONE };
                 if wanted {
                     let mut border = [0; STRETCH + 1];
-                    out.field.push(sums.field(k, pixels(on.row(v), k, &mut border)));
+                    band.field.push(sums.field(k, pixels(on.row(v), k, &mut border)));
                 }
             }
             if v + 1 < on.height {
-                find_starts(&on, v, (&steep[v % 3], least), first, &mut out);
+                find_starts(&on, v, (&steep[v % 3], least), places, band);
             }
+            *next = Some(v + 1);
         }
-        out
     }
 }
 
@@ -164,14 +182,14 @@ struct Sums {
 impl Sums {
     /// To begin with row `v`.
     #[inline(always)]
-    fn new(on: &Smoothed<'_>, v: usize) -> Self {
-        let mut columns = vec![0; on.width.next_multiple_of(STRETCH) + 2 * R];
+    fn start_at(&mut self, on: &Smoothed<'_>, v: usize) {
+        self.columns.fill(0);
         for j in 0..=2 * R {
             // The rows of the one before.
             let row = on.row((v + j).saturating_sub(R + 1).min(on.height - 1));
-            columns[R..].iter_mut().zip(row).for_each(|(c, x)| *c += u32::from(*x));
+            self.columns[R..].iter_mut().zip(row).for_each(|(c, x)| *c += u32::from(*x));
         }
-        Self { columns, next: v }
+        self.next = v;
     }
 
     #[inline(always)]
@@ -201,12 +219,12 @@ impl Sums {
     }
 }
 
-/// Places of row `v` where a line starts; the places of its stretches begin at `first`.
+/// Places of row `v` where a line starts; `places` are those of its stretches.
 #[inline(always)]
-fn find_starts(on: &Smoothed<'_>, v: usize, (steep, least): (&[bool], u16), first: usize, out: &mut Band) {
+fn find_starts(on: &Smoothed<'_>, v: usize, (steep, least): (&[bool], u16), places: &[u32], out: &mut Band) {
     let mut hits = [0; STRETCH];
     for k in (0..steep.len()).filter(|k| steep[*k]) {
-        let Some(field) = out.stretch(first + k) else { continue };
+        let Some(field) = out.stretch(places[k]) else { continue };
         let mut border = [0; STRETCH + 1];
         let x = pixels(on.row(v), k, &mut border);
         for i in 0..STRETCH - 1 {
@@ -215,7 +233,7 @@ fn find_starts(on: &Smoothed<'_>, v: usize, (steep, least): (&[bool], u16), firs
         let (end, i) = ((k + 1) * STRETCH, STRETCH - 1);
         hits[i] = 0;
         if end < on.width {
-            let beside = out.stretch(first + k + 1).map(|f| f[0]);
+            let beside = out.stretch(places[k + 1]).map(|f| f[0]);
             hits[i] = start(x[i], x[i + 1], field[i], beside.unwrap_or_else(|| on.field(end, v)), least);
         }
         for (part, hits) in hits.chunks_exact(PART).enumerate() {
