@@ -1,19 +1,19 @@
-//! Time to find the discs of one image, one thread.
+//! Time to find the discs of one image, one thread, in the memory of the image before.
 #![allow(missing_docs, clippy::unwrap_used)]
 
 mod scenes;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use spivcal::detect::{DetectOptions, find_discs};
+use spivcal::detect::{DetectMemory, DetectOptions, find_discs_with};
 use spivcal::image::{GrayView, Samples};
 use std::hint::black_box;
 
 fn bench(c: &mut Criterion) {
-    let options = DetectOptions::default();
+    let (options, memory) = (DetectOptions::default(), DetectMemory::default());
     let mut time = |name: &str, least: usize, (grey, width, height): (Vec<u8>, usize, usize)| {
         let view = GrayView::new(Samples::U8(&grey), width, height, width).unwrap();
-        assert!(find_discs(&view, &options).unwrap().discs.len() >= least);
-        c.bench_function(name, |b| b.iter(|| find_discs(black_box(&view), &options).unwrap()));
+        assert!(find_discs_with(&view, &options, &memory).unwrap().discs.len() >= least);
+        c.bench_function(name, |b| b.iter(|| find_discs_with(black_box(&view), &options, &memory).unwrap()));
     };
     time("two discs, 1024 x 768", 2, scenes::two_discs());
     time("900 dots, 5 MP", 900, scenes::dots(2592, 1944));

@@ -10,7 +10,7 @@
 //! `valgrind --tool=callgrind`.
 #![allow(unsafe_code, clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
-use spivcal::detect::{DetectOptions, find_discs};
+use spivcal::detect::{DetectMemory, DetectOptions, find_discs_with};
 use spivcal::error::Result;
 use spivcal::image::GrayImage;
 use spivcal::pipeline::{CalibrateOptions, Progress, calibrate, load_image};
@@ -145,6 +145,7 @@ fn measure(work: &Work) {
     let wanted: Vec<(usize, usize)> = (0..work.job.views.len()).flat_map(|v| [(v, 0), (v, 1)]).collect();
     let decode = || wanted.iter().map(|(v, c)| work.load(*v, *c).unwrap()).collect::<Vec<GrayImage>>();
     let options = DetectOptions { polarity: work.job.target.polarity, ..DetectOptions::default() };
+    let memory = DetectMemory::default();
     let origin = Instant::now();
     let [mut decoding, mut searching] = [0; 2].map(|_| Times::default());
     let mut whole = [0; 2].map(|_| Times::default());
@@ -152,7 +153,7 @@ fn measure(work: &Work) {
     for _ in 0..ROUNDS {
         let images = decoding.take(origin, decode);
         searching.take(origin, || {
-            images.iter().map(|i| find_discs(&i.view(), &options).unwrap().discs.len()).sum::<usize>()
+            images.iter().map(|i| find_discs_with(&i.view(), &options, &memory).unwrap().discs.len()).sum::<usize>()
         });
         for (k, (whole, parts)) in whole.iter_mut().zip(&mut parts).enumerate() {
             let each = whole.take(origin, || work.all(k + 1, origin));

@@ -1069,7 +1069,8 @@ int32_t spivcal_error_text(uint64_t handle,
  * Makes a context. All other objects are made in one, and end with it.
  *
  * `threads`: threads that each calibration or detection may use, 1 to 1024; 0: as many as the machine has. They are started by the
- * call or job that needs them and have ended when it returns or is destroyed. Results do not depend on their number, to the bit.
+ * call or job that needs them and have ended when it returns or is destroyed. Results do not depend on their number, to the bit. The context keeps
+ * the memory in which images were searched (up to 2.7 bytes per pixel for each search at a time) for the next.
  * `context`: receives the handle. Any thread.
  */
 int32_t spivcal_context_create(int32_t threads,

@@ -23,7 +23,8 @@ mod surface;
 mod trace;
 mod whole;
 
-pub use find::find_discs;
+pub use find::{find_discs, find_discs_with};
+pub use whole::DetectMemory;
 
 use crate::conic::Ellipse;
 use crate::frames::Pixel;

@@ -5,7 +5,7 @@ use super::arguments::Detect;
 use super::files::{Output, fault};
 use super::progress::Bar;
 use super::threads;
-use crate::detect::{DetectOptions, Detection, find_discs};
+use crate::detect::{DetectMemory, DetectOptions, Detection, find_discs_with};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::image::GrayImage;
 use crate::pipeline::load_image;
@@ -30,9 +30,10 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
     let stems = stems(&command.images)?;
     let options = DetectOptions { polarity: command.polarity.into(), ..DetectOptions::default() };
     progress.stage("finding discs", command.images.len());
+    let memory = DetectMemory::default();
     let one = |(path, stem): (&PathBuf, &String)| -> Result<Found> {
         let image = load_image(path)?;
-        let found = describe(path, stem, &image, &find_discs(&image.view(), &options)?);
+        let found = describe(path, stem, &image, &find_discs_with(&image.view(), &options, &memory)?);
         progress.step();
         found
     };

@@ -14,7 +14,7 @@ use crate::detect::refine::{Scratch, Start, reach_px, refine};
 use crate::detect::rows::ByRow;
 use crate::detect::shared_light::SharedLight;
 use crate::detect::trace::{Line, Tracer};
-use crate::detect::whole::{self, LEVELS, Rows};
+use crate::detect::whole::{self, DetectMemory, LEVELS, Rows};
 use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason, Shape};
 use crate::error::{Invalid, Result};
 use crate::frames::Pixel;
@@ -62,10 +62,18 @@ impl Seen {
 /// # Errors
 /// [`Invalid::Value`] where a floating-point sample is not finite or an option is out of its range.
 pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection> {
+    find_discs_with(view, options, &DetectMemory::default())
+}
+
+/// As [`find_discs`], image after image in one memory.
+///
+/// # Errors
+/// Those of [`find_discs`].
+pub fn find_discs_with(view: &GrayView, options: &DetectOptions, memory: &DetectMemory) -> Result<Detection> {
     check_options(options)?;
     check_finite(view)?;
     let noise = plane::noise(view);
-    let mut seen = look(view, noise, options);
+    let mut seen = look(view, noise, options, memory);
     drop_texture(&mut seen, f64::from(noise), options);
     drop_repeats(&mut seen);
     let mut detection = Detection::default();
@@ -153,7 +161,7 @@ fn rejection(c: &Candidate, reason: RejectionReason) -> Rejection {
 }
 
 /// Follows and judges the zero lines of every pyramid level.
-fn look(view: &GrayView, noise: f32, options: &DetectOptions) -> Seen {
+fn look(view: &GrayView, noise: f32, options: &DetectOptions, memory: &DetectMemory) -> Seen {
     let range = plane::range(view);
     let quantum = 0.3;
     let mut noise = noise.max(quantum * range.min(1.0));
@@ -169,7 +177,7 @@ fn look(view: &GrayView, noise: f32, options: &DetectOptions) -> Seen {
         noise *= 0.273;
     }
     match rows {
-        Some(rows) => whole::with_memory(|levels| {
+        Some(rows) => memory.with(|levels| {
             let gradients = &gradients;
             look_at(levels, gradients, options, |out, finer, k| {
                 out.remake(finer.map_or(rows, Rows::Finer), gradients[k])

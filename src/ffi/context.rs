@@ -4,11 +4,16 @@ use super::abi::*;
 use super::door::{destroy, enter_without_object};
 use super::memory::Out;
 use super::table::{self, Body, Kind};
+use crate::detect::DetectMemory;
+use std::sync::Arc;
 
-/// How calls on the objects of a context work.
+/// How calls on the objects of a context work, and with what.
+#[derive(Clone)]
 pub(super) struct Context {
     /// Threads of each piece of work; 0: as many as the machine has.
     pub(super) threads: usize,
+    /// What searches of images use again.
+    pub(super) memory: Arc<DetectMemory>,
 }
 
 /// More threads than any machine has come from a mistaken argument.
@@ -17,7 +22,8 @@ const MAX_THREADS: i32 = 1024;
 /// Makes a context. All other objects are made in one, and end with it.
 ///
 /// `threads`: threads that each calibration or detection may use, 1 to 1024; 0: as many as the machine has. They are started by the
-/// call or job that needs them and have ended when it returns or is destroyed. Results do not depend on their number, to the bit.
+/// call or job that needs them and have ended when it returns or is destroyed. Results do not depend on their number, to the bit. The context keeps
+/// the memory in which images were searched (up to 2.7 bytes per pixel for each search at a time) for the next.
 /// `context`: receives the handle. Any thread.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_context_create(threads: i32, context: *mut u64) -> i32 {
@@ -28,7 +34,7 @@ pub unsafe extern "C" fn spivcal_context_create(threads: i32, context: *mut u64)
         let Some(threads) = usize::try_from(threads).ok().filter(|_| threads <= MAX_THREADS) else {
             return Err(super::door::Fault::argument("threads"));
         };
-        out.set(table::insert(0, Body::Context(Context { threads }))?);
+        out.set(table::insert(0, Body::Context(Context { threads, memory: Arc::default() }))?);
         Ok(SPIVCAL_OK)
     })
 }

@@ -6,7 +6,7 @@ use super::door::{Fault, Outcome, destroy, enter, lock};
 use super::keys::*;
 use super::memory::{Out, give, give_text, text_of};
 use super::table::{self, Body, Kind, Object};
-use crate::detect::{DetectOptions, Detection, Disc, find_discs};
+use crate::detect::{DetectOptions, Detection, Disc, find_discs_with};
 use crate::pipeline::Workers;
 use crate::report::{detection_json, reason_words};
 use crate::target::Polarity;
@@ -82,8 +82,8 @@ pub extern "C" fn spivcal_detection_run(detection: u64, image: u64) -> i32 {
     enter(detection, Kind::Detection, |object| {
         let image = image_of(image)?;
         let options = state(object)?.options;
-        let workers = Workers::new(context_of(object)?)?;
-        let found = workers.install(|| find_discs(&image.view(), &options))?;
+        let Context { threads, memory } = context_of(object)?;
+        let found = Workers::new(threads)?.install(|| find_discs_with(&image.view(), &options, &memory))?;
         state(object)?.found = Some(Found { detection: found, size_px: [image.width(), image.height()] });
         Ok(SPIVCAL_OK)
     })
@@ -214,11 +214,11 @@ pub(super) fn image_of(handle: u64) -> Result<std::sync::Arc<crate::image::GrayI
     }
 }
 
-/// Threads of the context of an object.
-pub(super) fn context_of(object: &Object) -> Result<usize, Fault> {
+/// The context of an object.
+pub(super) fn context_of(object: &Object) -> Result<Context, Fault> {
     let gone = |_| Fault::new(SPIVCAL_ERROR_HANDLE, "the context of this object was destroyed");
     match &table::find_kind(object.context, Kind::Context).map_err(gone)?.body {
-        Body::Context(Context { threads }) => Ok(*threads),
+        Body::Context(context) => Ok(context.clone()),
         _ => Err(gone(0)),
     }
 }

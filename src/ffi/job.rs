@@ -26,7 +26,7 @@ struct Work {
 impl Work {
     fn of(rig: &Object, calibration: Option<u64>) -> Result<Self, Fault> {
         let known = calibration.map(calibration_of).transpose()?;
-        Ok(Self { task: rig_state(rig)?.task()?, known, threads: context_of(rig)? })
+        Ok(Self { task: rig_state(rig)?.task()?, known, threads: context_of(rig)?.threads })
     }
 
     fn run(&self, progress: &mut (dyn FnMut(Progress) -> bool + Send)) -> Result<CalibrationState, Fault> {

@@ -3,7 +3,7 @@
 use super::exposure::{explained, saturated_about};
 use super::{Progress, Source};
 use crate::detect::pattern::{Labelling, label_discs};
-use crate::detect::{DetectOptions, Detection, LabelledDisc, find_discs};
+use crate::detect::{DetectMemory, DetectOptions, Detection, LabelledDisc, find_discs_with};
 use crate::error::{Insufficient, Invalid, Result, Unusable};
 use crate::image::GrayImage;
 use crate::record::ImageFile;
@@ -64,6 +64,7 @@ pub(super) fn see_all(
     let total = wanted.len();
     let done = Mutex::new(0usize);
     let stopped = AtomicBool::new(false);
+    let memory = DetectMemory::default();
     // Every image is looked at even after one failed: the error told is the first in the order of the file.
     let all: Vec<Result<SeenImage>> = wanted
         .into_par_iter()
@@ -71,7 +72,7 @@ pub(super) fn see_all(
             if stopped.load(Ordering::Relaxed) {
                 return Err(Unusable::Cancelled.into());
             }
-            let seen = see(job, source, view, camera, &name);
+            let seen = see(job, source, (view, camera, &name), &memory);
             if let (Ok(mut n), Ok(mut tell)) = (done.lock(), progress.lock()) {
                 *n += 1;
                 if !tell(Progress::Image { done: *n, total, name: &name }) {
@@ -90,10 +91,15 @@ pub(super) fn see_all(
     Ok(images)
 }
 
-fn see(job: &RigDescription, source: &Source, view: usize, camera: usize, name: &str) -> Result<SeenImage> {
+fn see(
+    job: &RigDescription,
+    source: &Source,
+    (view, camera, name): (usize, usize, &str),
+    memory: &DetectMemory,
+) -> Result<SeenImage> {
     let image = source(view, camera)?;
     let options = DetectOptions { polarity: job.target.polarity, ..DetectOptions::default() };
-    let detection = find_discs(&image.view(), &options)?;
+    let detection = find_discs_with(&image.view(), &options, memory)?;
     let labelling: Labelling = label_discs(name, &detection, &job.target.target)
         .map_err(|e| explained(e, &job.target, name, &image.view()))?;
     if labelling.discs.is_empty() {
