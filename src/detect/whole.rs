@@ -39,9 +39,9 @@ pub(crate) const LEVELS: usize = 3;
 /// Memory that is kept of one search, bytes at most.
 const KEPT: usize = 128 << 20;
 
-/// Memory of searches for discs, to be used again by the next: giving and taking back 14 MB for each image of 5 million pixels takes the system
-/// a seventh of the time, and threads wait for each other there. Any number of threads may search with one memory; it holds at most as much as
-/// so many searches at a time needed (2.7 bytes per pixel, images of more than 50 million pixels not at all).
+/// Memory of searches for discs, to be used again by the next: what the system gives and takes back for each image, 14 MB for 5 million pixels,
+/// costs time, most of all where threads wait for each other there. Any number of threads may search with one memory; it holds at most as much
+/// as so many searches at a time needed (2.7 bytes per pixel; of images of more than some 50 million pixels nothing is kept).
 #[derive(Debug, Default)]
 pub struct DetectMemory(Mutex<Vec<[Whole; LEVELS]>>);
 
