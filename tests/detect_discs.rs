@@ -4,7 +4,7 @@
 mod render;
 
 use render::{Clean, Random, Spot, draw};
-use spivcal::detect::{DetectOptions, Detection, Disc, RejectionReason, find_discs};
+use spivcal::detect::{DetectMemory, DetectOptions, Detection, Disc, RejectionReason, find_discs, find_discs_with};
 use spivcal::image::{GrayView, Samples};
 use spivcal::target::{MarkKind, Polarity};
 
@@ -433,4 +433,33 @@ fn any_number_of_threads_gives_the_same_bits() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         assert_eq!(pool.install(find).unwrap(), alone, "{threads} threads");
     }
+}
+
+/// Images of other sizes and depths, one after the other and from several threads at once.
+#[test]
+fn one_memory_serves_any_images() {
+    let image = |width: usize, height: usize, u: f64| {
+        let spots = [Spot { u, v: 50.2, a: 21.0, b: 15.0, phi: 0.5 }, Spot::circle(u + 60.0, 48.7, 12.0)];
+        dark(width, height, 0.9, &spots)
+    };
+    let bytes = [image(190, 110, 50.3), image(260, 190, 120.6), image(170, 100, 45.1)];
+    let grey: Vec<Vec<u8>> = bytes.iter().map(|c| c.noisy_u8(2.0, &mut Random(8))).collect();
+    let deep: Vec<u16> = grey[1].iter().map(|x| 200 * u16::from(*x)).collect();
+    let mut views: Vec<GrayView> = bytes
+        .iter()
+        .zip(&grey)
+        .map(|(c, g)| GrayView::new(Samples::U8(g), c.width, g.len() / c.width, c.width).unwrap())
+        .collect();
+    views.push(GrayView::new(Samples::U16(&deep), 260, 190, 260).unwrap());
+    let options = DetectOptions::default();
+    let wanted: Vec<Detection> = views.iter().map(|v| find_discs(v, &options).unwrap()).collect();
+    wanted.iter().for_each(|d| assert_eq!(d.discs.len(), 2));
+    let memory = DetectMemory::default();
+    let all = |first: usize| {
+        for k in (0..views.len()).cycle().skip(first).take(3 * views.len()) {
+            assert_eq!(find_discs_with(&views[k], &options, &memory).unwrap(), wanted[k], "image {k}");
+        }
+    };
+    all(0);
+    std::thread::scope(|s| (0..4).for_each(|k| drop(s.spawn(move || all(k)))));
 }
