@@ -128,7 +128,8 @@ impl Contour {
     pub(crate) fn sector(&self, at: f64) -> usize {
         let cells = self.first.len() - 1;
         let k = self.first[((0.25 * at * cells as f64) as usize).min(cells)] as usize;
-        // No cell reaches into a third sector: arcs of equal length are at least two cells long on the diamond.
+        // No cell, 1/n long for n sectors, reaches into a third sector. A sector has the arc L/n with L >= 4 a, so the eccentric angle
+        // turns by L/(n a) >= 4/n at least, and the angle on the diamond by half of that, its slope being (|c| + |s|)^-2 >= 1/2.
         k + usize::from(at > self.end[k])
     }
 

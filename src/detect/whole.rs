@@ -39,9 +39,9 @@ pub(crate) const LEVELS: usize = 3;
 /// Memory that is kept of one search, bytes at most.
 const KEPT: usize = 128 << 20;
 
-/// Memory of searches for discs, to be used again by the next: what the system gives and takes back for each image, 14 MB for 5 million pixels,
-/// costs time, most of all where threads wait for each other there. Any number of threads may search with one memory; it holds at most as much
-/// as so many searches at a time needed (2.7 bytes per pixel; of images of more than some 50 million pixels nothing is kept).
+/// Memory of searches for discs, to be used again by the next: what the system gives and takes back for each image costs time, most of all where
+/// threads wait for each other there. Any number of threads may search with one memory; it holds what so many searches at a time needed, some 4
+/// bytes per pixel, at most 128 MB for each: what was more is given back.
 #[derive(Debug, Default)]
 pub struct DetectMemory(Mutex<Vec<[Whole; LEVELS]>>);
 
@@ -348,6 +348,8 @@ mod tests {
         let alone = both();
         let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().expect("threads");
         let shared = pool.install(both);
+        let per_pixel = alone.iter().map(Whole::bytes).sum::<usize>() as f64 / (width * height) as f64;
+        assert!((3.0..6.0).contains(&per_pixel), "{per_pixel} bytes per pixel");
         for (a, b) in alone.iter().zip(&shared) {
             assert_eq!(a.smooth, b.smooth);
             assert!(a.starts().eq(b.starts()));

@@ -428,7 +428,8 @@ impl<S: Singles> Seen<S> {
         }
     }
 
-    /// One Newton step.
+    /// One Newton step for the zero of `f(t) = e2 c s - a x s + b y c`, half the derivative of the squared distance of `(x, y)` from `(a c, b s)`,
+    /// px^2, `c = cos t`, `s = sin t`, `e2 = a^2 - b^2`, in the frame of the axes: unit vector and what is left before and after.
     #[inline(always)]
     fn turned(&self, [c, s, left]: [S; 3], x: S, y: S) -> [S; 3] {
         let (zero, one, half) = (S::splat(0.0), S::splat(1.0), S::splat(0.5));
