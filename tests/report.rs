@@ -81,6 +81,7 @@ fn the_page_is_well_formed_complete_and_loads_nothing() {
         "prior 97 %",
         "left.cx_px left.beta_rad 0.9940",
         "examples/bubbles/rig.toml",
+        "grey: target poses, green those in the sheet, each",
     ] {
         assert!(text.contains(expected), "{expected:?} is missing");
     }
@@ -161,6 +162,7 @@ fn a_poor_record_still_gives_a_page() {
     for expected in ["Do not use.", "8889.31 (sigma not determined)", "sheet = true", "No images were given"] {
         assert!(text.contains(expected), "{expected:?} is missing in {text}");
     }
+    assert!(!text.contains("green those in the sheet"), "no pose is");
     assert!(!html.contains("NaN"), "{}", &html[html.find("NaN").unwrap() - 80..][..160]);
     assert!(report::text(&record).contains("DO NOT USE"));
 }

@@ -121,10 +121,15 @@ fn space_section(out: &mut String, r: &Record) {
     } else {
         "Dashed: what each camera sees at the mean distance of the target"
     };
+    let poses = if r.views.iter().any(|v| v.in_sheet) {
+        "grey: target poses, green those in the sheet"
+    } else {
+        "grey: target poses"
+    };
     let _ = write!(
         out,
         "<h2>Cameras and sheet in space</h2>\n<div class=\"two\"><figure>{whole}<figcaption>{} · The rig frame (x right, y down, z forward) stands at the first camera; dashed black: baseline.</figcaption></figure>\n\
-         <figure>{near}<figcaption>The measured region. {sheet}; grey: target poses, each with its number and the side that is seen.\
+         <figure>{near}<figcaption>The measured region. {sheet}; {poses}, each with its number and the side that is seen.\
          </figcaption></figure></div>\n",
         camera_keys(r)
     );
