@@ -4,7 +4,8 @@
 //!     cargo run --release --example bulk_speed -- WORK THREADS [SECONDS]
 //!
 //! WORK: plane-to-pixel, pixel-to-plane (4096 points of arrays that stay in the cache), linear, cubic, lanczos, b-spline (2048 x 2048 float,
-//! the map computed on the way), components (4096 vectors), components-5000. `cpp_tests/bench/bench_bulk.cpp` lets it take turns with OpenCV and
+//! the map computed on the way), components (4096 vectors); plane-to-pixel-5000 and so on: 5000 of them, whose arrays do not lie a power of two
+//! apart. `cpp_tests/bench/bench_bulk.cpp` lets it take turns with OpenCV and
 //! numpy.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)]
@@ -19,7 +20,6 @@ use spivcal::rigid::{Motion, rotation_exp};
 use std::hint::black_box;
 use std::time::Instant;
 
-const POINTS: usize = 4096;
 const SIZE: usize = 2048;
 
 /// The paper's camera with a sensor of `SIZE` pixels: 50 mm, 500 mm, 45 degrees.
@@ -54,21 +54,21 @@ fn rate(count: usize, seconds: f64, mut call: impl FnMut()) -> [f64; 2] {
 
 fn measured(work: &str, seconds: f64) -> Option<[f64; 2]> {
     let map = map();
-    let wave = |scale: f64, step: f64| (0..POINTS).map(|i| scale * (step * i as f64).sin()).collect::<Vec<f64>>();
-    let zero = vec![0.0; POINTS];
+    let (work, count) = work.strip_suffix("-5000").map_or((work, 4096), |work| (work, 5000));
+    let wave = |scale: f64, step: f64| (0..count).map(|i| scale * (step * i as f64).sin()).collect::<Vec<f64>>();
+    let zero = vec![0.0; count];
     Some(match work {
         "plane-to-pixel" => {
             let (x, y, mut out) = (wave(40.0, 0.37), wave(40.0, 0.61), Pixels::default());
-            rate(POINTS, seconds, || map.pixel_of_sheet_into(black_box(&x), &y, &zero, &mut out).unwrap())
+            rate(count, seconds, || map.pixel_of_sheet_into(black_box(&x), &y, &zero, &mut out).unwrap())
         }
         "pixel-to-plane" => {
             let shifted = |l: Vec<f64>| l.into_iter().map(|x| x + SIZE as f64 / 2.0).collect::<Vec<f64>>();
             let (u, v) = (shifted(wave(1000.0, 0.37)), shifted(wave(1000.0, 0.61)));
             let mut out = SheetPoints::default();
-            rate(POINTS, seconds, || map.sheet_of_pixel_into(black_box(&u), &v, &zero, &mut out).unwrap())
+            rate(count, seconds, || map.sheet_of_pixel_into(black_box(&u), &v, &zero, &mut out).unwrap())
         }
-        "components" | "components-5000" => {
-            let count = if work == "components" { POINTS } else { 5000 };
+        "components" => {
             let list = |k: u32| (0..count).map(|i| ((0.37 + 0.1 * f64::from(k)) * i as f64).sin()).collect();
             let all: Vec<Vec<f64>> = (0..8).map(list).collect();
             let mut out = Components::default();

@@ -3,7 +3,8 @@
 //! A kernel is written once over [`Lanes`] and compiled for AVX-512 (8 numbers), AVX2 (4) and plain `f64` (1); [`run`] picks at run
 //! time what the processor has. Equal bits hold where a kernel keeps two rules: lanes never look at each other, and sums over
 //! points go into [`GROUP`] running sums (point i into sum i mod 8) that [`sum`] adds in one order. No operation here rounds otherwise
-//! than its plain counterpart: multiplications and additions are never fused.
+//! than its plain counterpart. A product and a sum are fused only where a kernel says so ([`Several::fused`]), and then on every machine:
+//! one without such an instruction asks the C library, slowly.
 //!
 //! Outside of `ffi` this is the one room with `unsafe` code: the processor's instructions, each used only in a function compiled for it.
 #![allow(unsafe_code)]
@@ -13,6 +14,7 @@ mod greys;
 mod raster;
 mod singles;
 mod sweep;
+mod twice;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 #[cfg(target_arch = "x86_64")]
@@ -21,8 +23,9 @@ mod x86_greys;
 pub(crate) use columns::{Column, ColumnMut};
 pub(crate) use greys::Greys;
 pub(crate) use raster::{Level, Raster};
-pub(crate) use singles::{SINGLES, Singles, sum_of_singles};
+pub(crate) use singles::{Picks, SINGLES, Singles, WithPicks, sum_of_singles};
 pub(crate) use sweep::{Each, sweep};
+pub(crate) use twice::Twice;
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -33,7 +36,7 @@ pub(crate) const GROUP: usize = 8;
 pub(crate) trait Several<X>:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
 {
-    /// How many; divides [`GROUP`] (`f64`) or [`SINGLES`] (`f32`).
+    /// How many; divides [`GROUP`] (`f64`; but for [`Twice`]) or [`SINGLES`] (`f32`).
     const N: usize;
     /// One truth value per number.
     type Mask: Copy;
@@ -45,6 +48,8 @@ pub(crate) trait Several<X>:
     fn store(self, out: &mut [X]);
     /// Square root.
     fn sqrt(self) -> Self;
+    /// `self by + plus`, rounded once.
+    fn fused(self, by: Self, plus: Self) -> Self;
     /// `self < other`; false for NaN.
     fn below(self, other: Self) -> Self::Mask;
     /// `a` where the mask is set, else `b`.
@@ -85,6 +90,11 @@ pub(crate) trait Lanes: Several<f64> {
     fn floor(self) -> Self;
     /// Both.
     fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// What the work gives where the processor can pick.
+    #[inline(always)]
+    fn with_picks<W: WithPicks>(_work: W) -> Option<W::Output> {
+        None
+    }
 }
 
 /// One number as a list of one.
@@ -108,6 +118,10 @@ macro_rules! one_number {
             #[inline(always)]
             fn sqrt(self) -> Self {
                 self.sqrt()
+            }
+            #[inline(always)]
+            fn fused(self, by: Self, plus: Self) -> Self {
+                self.mul_add(by, plus)
             }
             #[inline(always)]
             fn below(self, other: Self) -> bool {
@@ -173,7 +187,7 @@ pub(crate) fn run<K: Kernel>(kernel: K) -> K::Output {
             // SAFETY: the processor has the instructions that the function is compiled for.
             return unsafe { x86::in_avx512(kernel) };
         }
-        if is_x86_feature_detected!("avx2") {
+        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             // SAFETY: as above.
             return unsafe { x86::in_avx2(kernel) };
         }
@@ -203,7 +217,7 @@ pub(crate) fn run_all<K: Kernel + Clone>(kernel: &K) -> Vec<K::Output> {
     let mut out = vec![kernel.clone().run::<f64>()];
     #[cfg(target_arch = "x86_64")]
     {
-        if is_x86_feature_detected!("avx2") {
+        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             // SAFETY: the processor has these instructions.
             out.push(unsafe { x86::in_avx2(kernel.clone()) });
         }
@@ -240,6 +254,7 @@ mod tests {
                     x / y,
                     -x,
                     x.sqrt(),
+                    x.fused(y, L::splat(-0.7)),
                     L::select(some, x, y),
                     L::select(both, x, y),
                     x.at_least(y),
@@ -261,8 +276,9 @@ mod tests {
     #[test]
     fn all_widths_agree_to_the_bit_with_plain_numbers() {
         let all = run_all(&Everything);
-        assert_eq!(all[0].len(), 10 * GROUP);
+        assert_eq!(all[0].len(), 11 * GROUP);
         assert_eq!(all[0][0], 1.8_f64.to_bits());
+        assert_eq!(all[0][6 * GROUP], 1.5_f64.mul_add(0.3, -0.7).to_bits());
         all.iter().for_each(|one| assert_eq!(*one, all[0]));
     }
 

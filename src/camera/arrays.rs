@@ -5,7 +5,7 @@
 
 use super::{BulkCamera, Camera};
 use crate::frames::Cam;
-use crate::lanes::{Column, ColumnMut, Each, Kernel, Lanes, run, splats, sweep};
+use crate::lanes::{Column, ColumnMut, Each, Kernel, Lanes, Twice, run, splats, sweep};
 use crate::rigid::Motion;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
@@ -26,10 +26,11 @@ impl<L: Lanes> Each<L, 3, 2> for Image<L> {
     #[inline(always)]
     fn of(&self, p: [L; 3]) -> [L; 2] {
         let (r, t) = (&self.r, &self.t);
-        let x = r[0][0] * p[0] + r[0][1] * p[1] + r[0][2] * p[2] + t[0];
-        let y = r[1][0] * p[0] + r[1][1] * p[1] + r[1][2] * p[2] + t[1];
-        let z = r[2][0] * p[0] + r[2][1] * p[1] + r[2][2] * p[2] + t[2];
-        self.camera.image([x, y, z])
+        let mut q = *t;
+        for k in 0..3 {
+            q[k] = r[k][0].fused(p[0], r[k][1].fused(p[1], r[k][2].fused(p[2], t[k])));
+        }
+        self.camera.image(q)
     }
 }
 
@@ -55,7 +56,7 @@ impl<L: Lanes> LineImage<L> {
     #[inline(always)]
     pub(crate) fn at(&self, x: L) -> [L; 2] {
         let (a, f) = (&self.along, &self.foot);
-        self.camera.image([f[0] + a[0] * x, f[1] + a[1] * x, f[2] + a[2] * x])
+        self.camera.image([a[0].fused(x, f[0]), a[1].fused(x, f[1]), a[2].fused(x, f[2])])
     }
 }
 
@@ -67,13 +68,22 @@ struct Images<'a> {
     to: [ColumnMut<'a>; 2],
 }
 
+impl Images<'_> {
+    #[inline(always)]
+    fn image<L: Lanes>(&self) -> Option<Image<L>> {
+        let t = self.translation_mm;
+        Some(Image { camera: BulkCamera::of(self.camera)?, r: rows(self.rotation), t: splats([t.x, t.y, t.z]) })
+    }
+}
+
 impl Kernel for Images<'_> {
     type Output = bool;
     #[inline(always)]
     fn run<L: Lanes>(self) -> bool {
-        let Some(camera) = BulkCamera::<L>::of(self.camera) else { return false };
-        let t = self.translation_mm;
-        sweep(&Image { camera, r: rows(self.rotation), t: splats([t.x, t.y, t.z]) }, self.from, self.to)
+        match (self.image::<Twice<L>>(), self.image::<L>()) {
+            (Some(pair), Some(one)) => sweep(&pair, &one, self.from, self.to),
+            _ => false,
+        }
     }
 }
 
@@ -87,7 +97,8 @@ impl<L: Lanes> Each<L, 2, 3> for Ray<L> {
     #[inline(always)]
     fn of(&self, q: [L; 2]) -> [L; 3] {
         let d = self.camera.ray(&self.r, q);
-        let per_length = L::splat(1.0) / (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
+        let length = d[0].fused(d[0], d[1].fused(d[1], d[2] * d[2])).sqrt();
+        let per_length = L::splat(1.0) / length;
         [d[0] * per_length, d[1] * per_length, d[2] * per_length]
     }
 }
@@ -99,12 +110,21 @@ struct Rays<'a> {
     to: [ColumnMut<'a>; 3],
 }
 
+impl Rays<'_> {
+    #[inline(always)]
+    fn ray<L: Lanes>(&self) -> Option<Ray<L>> {
+        Some(Ray { camera: BulkCamera::of(self.camera)?, r: rows(self.rotation) })
+    }
+}
+
 impl Kernel for Rays<'_> {
     type Output = bool;
     #[inline(always)]
     fn run<L: Lanes>(self) -> bool {
-        let Some(camera) = BulkCamera::<L>::of(self.camera) else { return false };
-        sweep(&Ray { camera, r: rows(self.rotation) }, self.from, self.to)
+        match (self.ray::<Twice<L>>(), self.ray::<L>()) {
+            (Some(pair), Some(one)) => sweep(&pair, &one, self.from, self.to),
+            _ => false,
+        }
     }
 }
 

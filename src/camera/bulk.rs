@@ -1,7 +1,7 @@
 //! Images of points and ideal points of pixels, several at a time and without derivatives, for a camera without a window.
 //!
-//! The formulas of the room's head and of [`super::radial`] in the same order, divisions by constants replaced by their reciprocals:
-//! equal to the plain path to rounding. `NaN` where that refuses.
+//! The formulas of the room's head and of [`super::radial`], arranged for few and early divisions, products and sums fused: equal to the
+//! plain path to rounding. `NaN` where that refuses.
 
 use super::{Camera, Radial};
 use crate::lanes::{Lanes, splats};
@@ -26,7 +26,7 @@ pub(crate) struct BulkCamera<L> {
     radius_squared: L,
     /// Image of the largest radius.
     image: L,
-    /// h = 1 - h_by . xd
+    /// h = 1 + h_by . xd
     h_by: [L; 2],
     /// f tx h = u_by . xd
     u_by: [L; 2],
@@ -61,7 +61,7 @@ impl<L: Lanes> BulkCamera<L> {
             radius: L::splat(radius),
             radius_squared: L::splat((radius * radius).min(f64::MAX)),
             image: L::splat(image),
-            h_by: splats([t.tb / m, t.ta / (t.cb * m)]),
+            h_by: splats([-t.tb / m, -t.ta / (t.cb * m)]),
             u_by: splats([f[0] / t.cb, f[0] * t.ta * t.tb]),
             v_by: L::splat(f[1] / t.ca),
             back_h: splats([t.sb / m, t.sa * t.cb / m]),
@@ -70,21 +70,22 @@ impl<L: Lanes> BulkCamera<L> {
         })
     }
 
-    /// Images of points of the camera frame, px.
+    /// Images of points of the camera frame, px. With g the polynomial, D = Z h: `u = cx + (g / D) u_by . (X, Y)`, `D = Z + g h_by . (X, Y)`; what
+    /// has to wait for the two divisions is kept short.
     #[inline(always)]
-    pub(crate) fn image(&self, p: [L; 3]) -> [L; 2] {
+    pub(crate) fn image(&self, [x, y, z]: [L; 3]) -> [L; 2] {
         let (zero, one) = (L::splat(0.0), L::splat(1.0));
-        let iz = one / p[2];
-        let (x, y) = (p[0] * iz, p[1] * iz);
-        let ([xd, yd], lens) = if self.outward { self.polynomial(x, y) } else { self.inverse(x, y) };
-        let h = one - (xd * self.h_by[0] + yd * self.h_by[1]);
-        let ih = one / h;
-        let u = self.center[0] + (xd * self.u_by[0] + yd * self.u_by[1]) * ih;
-        let v = self.center[1] + yd * self.v_by * ih;
+        let (across, along) = (x.fused(self.u_by[0], y * self.u_by[1]), x.fused(self.h_by[0], y * self.h_by[1]));
+        let (squared, iz) = (x.fused(x, y * y), one / z);
+        let s = squared * (iz * iz);
+        let (gain, lens) = if self.outward { self.polynomial(s) } else { self.inverse(s) };
+        let depth = gain.fused(along, z);
+        let by = gain / depth;
+        let (u, v) = (across.fused(by, self.center[0]), (y * self.v_by).fused(by, self.center[1]));
         // Comparisons with NaN are false, 1 / Z of an infinite Z is zero; the last one refuses what overflows.
         let before = L::and(zero.below(iz), lens);
         let both = u + v;
-        let bounded = L::and(zero.below(h), (both * zero).below(one));
+        let bounded = L::and(zero.below(depth), (both * zero).below(one));
         let valid = L::and(before, bounded);
         let none = L::splat(f64::NAN);
         [L::select(valid, u, none), L::select(valid, v, none)]
@@ -95,13 +96,14 @@ impl<L: Lanes> BulkCamera<L> {
     pub(crate) fn ideal(&self, u: L, v: L) -> [L; 2] {
         let (zero, one) = (L::splat(0.0), L::splat(1.0));
         let (tx, ty) = ((u - self.center[0]) * self.per_f[0], (v - self.center[1]) * self.per_f[1]);
-        let h = one + (tx * self.back_h[0] + ty * self.back_h[1]);
+        let h = tx.fused(self.back_h[0], ty.fused(self.back_h[1], one));
         let ih = one / h;
-        let (xd, yd) = ((tx * self.back_x[0] + ty * self.back_x[1]) * ih, ty * self.back_y * ih);
-        let ([x, y], lens) = if self.outward { self.inverse(xd, yd) } else { self.polynomial(xd, yd) };
+        let (xd, yd) = (tx.fused(self.back_x[0], ty * self.back_x[1]) * ih, ty * self.back_y * ih);
+        let s = xd.fused(xd, yd * yd);
+        let (gain, lens) = if self.outward { self.inverse(s) } else { self.polynomial(s) };
         let valid = L::and(L::and(zero.below(h), h.below(L::splat(f64::INFINITY))), lens);
         let none = L::splat(f64::NAN);
-        [L::select(valid, x, none), L::select(valid, y, none)]
+        [L::select(valid, xd * gain, none), L::select(valid, yd * gain, none)]
     }
 
     /// Directions (x, y, z) of the rays of pixels (u, v) in another frame, to which this rotation leads; not of unit length.
@@ -110,7 +112,7 @@ impl<L: Lanes> BulkCamera<L> {
         let [x, y] = self.ideal(u, v);
         let mut ray = [x; 3];
         for k in 0..3 {
-            ray[k] = r[k][0] * x + r[k][1] * y + r[k][2];
+            ray[k] = r[k][0].fused(x, r[k][1].fused(y, r[k][2]));
         }
         ray
     }
@@ -118,43 +120,42 @@ impl<L: Lanes> BulkCamera<L> {
     #[inline(always)]
     fn gain(&self, s: L) -> L {
         let [k1, k2, k3] = self.k;
-        L::splat(1.0) + s * (k1 + s * (k2 + s * k3))
+        s.fused(s.fused(s.fused(k3, k2), k1), L::splat(1.0))
     }
 
     #[inline(always)]
     fn growth(&self, s: L) -> L {
         let [k1, k2, k3] = self.k;
-        L::splat(1.0) + s * (L::splat(3.0) * k1 + s * (L::splat(5.0) * k2 + s * (L::splat(7.0) * k3)))
+        let by = [L::splat(3.0) * k1, L::splat(5.0) * k2, L::splat(7.0) * k3];
+        s.fused(s.fused(s.fused(by[2], by[1]), by[0]), L::splat(1.0))
     }
 
+    /// Radius after the polynomial over that before it, of the square of that before.
     #[inline(always)]
-    fn polynomial(&self, x: L, y: L) -> ([L; 2], L::Mask) {
-        let s = x * x + y * y;
-        let gain = self.gain(s);
-        ([x * gain, y * gain], s.below(self.radius_squared))
+    fn polynomial(&self, s: L) -> (L, L::Mask) {
+        (self.gain(s), s.below(self.radius_squared))
     }
 
-    /// The safeguarded Newton's method of the plain path, from the polynomial's reversed series. After a step its relative error is the square of
-    /// that step times `f'' r / (2 f')`, so that for common lenses one step is enough. A lane that has arrived stands still, so that no lane
-    /// feels the others.
+    /// Radius before the polynomial over that after it, of the square of that after: the safeguarded Newton's method of the plain path, from the
+    /// polynomial's reversed series. After a step its relative error is the square of that step times `f'' r / (2 f')`, so that for common
+    /// lenses one step is enough. A lane that has arrived stands still, so that no lane feels the others.
     #[inline(always)]
-    fn inverse(&self, x: L, y: L) -> ([L; 2], L::Mask) {
+    fn inverse(&self, s: L) -> (L, L::Mask) {
         let (zero, half, one) = (L::splat(0.0), L::splat(0.5), L::splat(1.0));
-        let s = x * x + y * y;
         if self.straight {
-            return ([x, y], s.below(L::splat(f64::INFINITY)));
+            return (one, s.below(L::splat(f64::INFINITY)));
         }
         let target = s.sqrt();
         let valid = target.below(self.image);
         let [a1, a2, a3] = self.reversed;
-        let series = one + s * (a1 + s * (a2 + s * a3));
+        let series = s.fused(s.fused(s.fused(a3, a2), a1), one);
         let mut r = (target * series.at_least(half).at_most(L::splat(2.0))).at_most(self.radius);
         let (mut low, mut high) = (zero, self.radius);
         // 1 where a lane has not arrived.
         let mut moving = L::select(L::and(valid, zero.below(target)), one, zero);
         for _ in 0..64 {
             let s = r * r;
-            let excess = r * self.gain(s) - target;
+            let excess = r.fused(self.gain(s), -target);
             let above = zero.below(excess);
             high = L::select(above, r, high);
             low = L::select(above, low, r);
@@ -162,7 +163,7 @@ impl<L: Lanes> BulkCamera<L> {
             let step = excess / growth;
             let newton = r - step;
             let [b1, b2, b3] = self.bend;
-            let far = (L::splat(NEAR) * (s * growth)).below(step * step * (s * (b1 + s * (b2 + s * b3))));
+            let far = (L::splat(NEAR) * (s * growth)).below(step * step * (s * s.fused(s.fused(b3, b2), b1)));
             let inside = L::and(low.below(newton), newton.below(high));
             let next = L::select(far, L::select(inside, newton, half * (low + high)), newton);
             r = L::select(half.below(moving), next, r);
@@ -171,8 +172,7 @@ impl<L: Lanes> BulkCamera<L> {
                 break;
             }
         }
-        let q = L::select(zero.below(target), r / target, one);
-        ([x * q, y * q], valid)
+        (L::select(zero.below(target), r / target, one), valid)
     }
 }
 

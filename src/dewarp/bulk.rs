@@ -5,7 +5,7 @@
 
 use super::map::SheetMap;
 use crate::camera::{BulkCamera, rows};
-use crate::lanes::{Column, ColumnMut, Each, Kernel, Lanes, run, splats, sweep};
+use crate::lanes::{Column, ColumnMut, Each, Kernel, Lanes, Twice, run, splats, sweep};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -31,7 +31,7 @@ impl<L: Lanes> Each<L, 3, 2> for Hit<L> {
         let depth = (q[2] - o[2]) / ray[2];
         let (zero, none) = (L::splat(0.0), L::splat(f64::NAN));
         let met = L::and(zero.below(depth), depth.below(L::splat(f64::INFINITY)));
-        [L::select(met, o[0] + ray[0] * depth, none), L::select(met, o[1] + ray[1] * depth, none)]
+        [L::select(met, ray[0].fused(depth, o[0]), none), L::select(met, ray[1].fused(depth, o[1]), none)]
     }
 }
 
@@ -42,14 +42,23 @@ struct Hits<'a> {
     to: [ColumnMut<'a>; 2],
 }
 
+impl Hits<'_> {
+    #[inline(always)]
+    fn hit<L: Lanes>(&self) -> Option<Hit<L>> {
+        let camera = BulkCamera::of(self.map.camera())?;
+        let sheet_from_cam = rows(&self.map.cam_from_sheet().rotation.transpose());
+        Some(Hit { camera, sheet_from_cam, center: splats([self.center_mm.x, self.center_mm.y, self.center_mm.z]) })
+    }
+}
+
 impl Kernel for Hits<'_> {
     type Output = bool;
     #[inline(always)]
     fn run<L: Lanes>(self) -> bool {
-        let Some(camera) = BulkCamera::<L>::of(self.map.camera()) else { return false };
-        let sheet_from_cam = rows(&self.map.cam_from_sheet().rotation.transpose());
-        let center = splats([self.center_mm.x, self.center_mm.y, self.center_mm.z]);
-        sweep(&Hit { camera, sheet_from_cam, center }, self.from, self.to)
+        match (self.hit::<Twice<L>>(), self.hit::<L>()) {
+            (Some(pair), Some(one)) => sweep(&pair, &one, self.from, self.to),
+            _ => false,
+        }
     }
 }
 

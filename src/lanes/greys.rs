@@ -9,6 +9,8 @@ use std::ops::{Add, Mul};
 pub(crate) trait Greys: Copy + Add<Output = Self> + Mul<Output = Self> {
     /// The same number everywhere.
     fn splat(x: f32) -> Self;
+    /// `self by + plus`, rounded once.
+    fn fused(self, by: Self, plus: Self) -> Self;
     /// Those of an array.
     fn load(x: &[f32; 8]) -> Self;
     /// Into an array.
@@ -62,6 +64,10 @@ impl Greys for Plain {
         Self([x; 8])
     }
     #[inline(always)]
+    fn fused(self, by: Self, plus: Self) -> Self {
+        Self::from_each(|i| self.0[i].mul_add(by.0[i], plus.0[i]))
+    }
+    #[inline(always)]
     fn load(x: &[f32; 8]) -> Self {
         Self(*x)
     }
@@ -110,7 +116,7 @@ mod tests {
             let all = [
                 a + b,
                 a * d,
-                L::Greys::splat(0.1) * a,
+                L::Greys::splat(0.1).fused(a, d),
                 a.of_fours::<0>(),
                 a.of_fours::<1>(),
                 a.of_fours::<2>(),

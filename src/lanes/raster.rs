@@ -1,6 +1,6 @@
 //! Grey levels of an image in its own depth, read window by window.
 
-use super::Greys;
+use super::{Greys, SINGLES};
 use std::marker::PhantomData;
 
 /// A grey level.
@@ -30,6 +30,9 @@ impl Level for f32 {
     }
 }
 
+/// Samples of a row from which numbers are picked.
+const LINE: usize = 2 * SINGLES;
+
 /// Samples whose rows begin `stride` samples apart, read in windows of T rows of T samples.
 #[derive(Clone, Copy)]
 pub(crate) struct Raster<'a, S, const T: usize> {
@@ -39,7 +42,7 @@ pub(crate) struct Raster<'a, S, const T: usize> {
     last: usize,
 }
 
-/// What is left of one of its windows: rows are taken from above.
+/// What is left of one of its windows: rows of T samples are taken from above.
 pub(crate) struct Window<'a, S, const T: usize> {
     next: *const S,
     left: usize,
@@ -63,13 +66,52 @@ impl<'a, S: Level, const T: usize> Raster<'a, S, T> {
     }
 }
 
+impl<S: Level> Raster<'_, S, 8> {
+    /// Samples from one row to the next.
+    #[inline(always)]
+    pub(crate) fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// Number of the sample in a column and a row, whole numbers.
+    #[inline(always)]
+    pub(crate) fn sample(&self, column: f32, row: f32) -> usize {
+        row as usize * self.stride + column as usize
+    }
+
+    /// Has a line brought near that is read soon, where there is one; nothing where the processor cannot be asked.
+    #[inline(always)]
+    pub(crate) fn fetch(&self, start: usize) {
+        #[cfg(target_arch = "x86_64")]
+        if let Some(sample) = self.samples.get(start) {
+            // SAFETY: every processor of this kind can be asked; nothing is read.
+            unsafe {
+                std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T1 }>(std::ptr::from_ref(sample).cast())
+            };
+        }
+    }
+
+    /// As many rows of thirty-two samples from one on; `None` where the image ends before.
+    #[inline(always)]
+    pub(crate) fn lines(&self, start: usize, rows: usize) -> Option<Window<'_, S, LINE>> {
+        let end = start + (rows - 1) * self.stride + LINE;
+        // SAFETY: what begins in front of `end` lies in the slice.
+        (end <= self.samples.len()).then(|| Window {
+            next: unsafe { self.samples.as_ptr().add(start) },
+            left: rows,
+            stride: self.stride,
+            memory: PhantomData,
+        })
+    }
+}
+
 impl<S: Level, const T: usize> Window<'_, S, T> {
     // Pointers from row to row: multiples of the stride would be kept and read again for every window.
     #[inline(always)]
     fn row(&mut self) -> [S; T] {
         assert!(self.left > 0);
         self.left -= 1;
-        // SAFETY: `Raster::window` saw to it that all T rows of T samples lie in the slice; the pointer may wrap behind the last.
+        // SAFETY: `Raster::window` or `Raster::lines` saw to it that all rows lie in the slice; the pointer may wrap behind the last.
         unsafe {
             let row = self.next.cast::<[S; T]>().read_unaligned();
             self.next = self.next.wrapping_add(self.stride);
@@ -87,6 +129,14 @@ fn both<S: Level, G: Greys>(a: [S; 4], b: [S; 4]) -> G {
         out[i + 4] = b[i].number();
     }
     G::load(&out)
+}
+
+impl<S: Level> Window<'_, S, LINE> {
+    /// The next row.
+    #[inline(always)]
+    pub(crate) fn samples(&mut self) -> [S; LINE] {
+        self.row()
+    }
 }
 
 impl<S: Level> Window<'_, S, 8> {

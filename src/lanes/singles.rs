@@ -2,7 +2,7 @@
 //!
 //! The rules of [`super`] hold with [`SINGLES`] running sums: bits are equal on every machine.
 
-use super::Several;
+use super::{Level, Several};
 
 /// Pixels that go through a kernel together, whatever the width.
 pub(crate) const SINGLES: usize = 16;
@@ -16,6 +16,28 @@ pub(crate) trait Singles: Several<f32> {
     fn size(self) -> Self {
         Self::select(self.below(Self::splat(0.0)), -self, self)
     }
+}
+
+/// Sixteen numbers, each of which can be picked from a line of thirty-two.
+pub(crate) trait Picks: Singles {
+    /// Thirty-two numbers.
+    type Line: Copy;
+    /// Sixteen numbers of numbers in a line.
+    type Index: Copy;
+    /// Of grey levels.
+    fn line<S: Level>(x: &[S; 2 * SINGLES]) -> Self::Line;
+    /// Of whole numbers from 0 to 31.
+    fn index(self) -> Self::Index;
+    /// From a line.
+    fn pick(line: Self::Line, index: Self::Index) -> Self;
+}
+
+/// Work for processors that can pick; `run` has to be `#[inline(always)]`.
+pub(crate) trait WithPicks {
+    /// Its result.
+    type Output;
+    /// Does it.
+    fn run<P: Picks>(self) -> Self::Output;
 }
 
 impl Singles for f32 {
@@ -64,6 +86,7 @@ mod tests {
                     x / y,
                     -x,
                     x.sqrt(),
+                    x.fused(y, S::splat(-0.7)),
                     S::select(some, x, y),
                     x.at_least(y),
                     x.at_most(y),
@@ -92,7 +115,7 @@ mod tests {
     #[test]
     fn all_widths_agree_to_the_bit_with_plain_numbers() {
         let all = run_all(&Everything);
-        assert_eq!(all[0].len(), 10 * SINGLES);
+        assert_eq!(all[0].len(), 11 * SINGLES);
         all.iter().for_each(|one| assert_eq!(*one, all[0]));
     }
 
@@ -125,6 +148,35 @@ mod tests {
                 let n = [-126, -16, 0, 112][k / SINGLES] + (k % SINGLES) as i32;
                 assert_eq!(*x, 2.0_f32.powi(n), "{n}");
             }
+        }
+    }
+
+    /// The numbers of a line at places that run forth and back.
+    struct Picked([u16; 2 * SINGLES]);
+    impl WithPicks for Picked {
+        type Output = [f32; SINGLES];
+        #[inline(always)]
+        fn run<P: Picks>(self) -> [f32; SINGLES] {
+            let (mut places, mut out) = ([0.0; SINGLES], [0.0; SINGLES]);
+            places.iter_mut().enumerate().for_each(|(i, x)| *x = (7 * i % 32) as f32);
+            P::pick(P::line(&self.0), P::load(&places).index()).store(&mut out);
+            out
+        }
+    }
+    #[derive(Clone)]
+    struct Picking;
+    impl Kernel for Picking {
+        type Output = Option<[f32; SINGLES]>;
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> Self::Output {
+            L::with_picks(Picked(std::array::from_fn(|i| 1000 + i as u16)))
+        }
+    }
+
+    #[test]
+    fn numbers_are_picked_where_the_processor_can() {
+        for picked in run_all(&Picking).into_iter().flatten() {
+            assert_eq!(picked, std::array::from_fn(|i| (1000 + 7 * i % 32) as f32));
         }
     }
 

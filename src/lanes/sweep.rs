@@ -1,6 +1,6 @@
 //! Structures of arrays, several points at a time.
 
-use super::{Column, ColumnMut, GROUP, Lanes};
+use super::{Column, ColumnMut, GROUP, Lanes, Several, Twice};
 
 /// What is done with one point of N numbers; it gives M. `of` has to be `#[inline(always)]`.
 pub(crate) trait Each<L, const N: usize, const M: usize> {
@@ -8,10 +8,12 @@ pub(crate) trait Each<L, const N: usize, const M: usize> {
     fn of(&self, x: [L; N]) -> [L; M];
 }
 
-/// Every point of columns of one length; whether all that was found is finite (`false` also where only a sum of it is not). What fills no
-/// group goes through as a group of its own, filled up with its last point, so that a point gives the same bits wherever it stands.
+/// Every point of columns of one length; whether all that was found is finite (`false` also where only a sum of it is not). The same work
+/// twice as wide, `pair`, goes as far as it can. What fills no group goes through as a group of its own, filled up with its last point, so that a
+/// point gives the same bits wherever it stands.
 #[inline(always)]
-pub(crate) fn sweep<L: Lanes, E: Each<L, N, M>, const N: usize, const M: usize>(
+pub(crate) fn sweep<L: Lanes, P: Each<Twice<L>, N, M>, E: Each<L, N, M>, const N: usize, const M: usize>(
+    pair: &P,
     each: &E,
     from: [Column; N],
     mut to: [ColumnMut; M],
@@ -19,24 +21,24 @@ pub(crate) fn sweep<L: Lanes, E: Each<L, N, M>, const N: usize, const M: usize>(
     let n = from[0].len();
     let whole = n - n % GROUP;
     // Plain loops: what is handed closures is not always compiled for the kernel's instructions.
-    let mut x = [L::splat(0.0); N];
-    let mut all = L::splat(0.0);
+    let mut x = [Twice::<L>::splat(0.0); N];
+    let mut all = Twice::<L>::splat(0.0);
     let mut i = 0;
-    // Two groups list by list: lists that lie a power of two apart take each other's lines of the cache, which the next group would read anew.
-    while i + 2 * L::N <= whole {
-        let mut y = x;
+    // List by list: lists that lie a power of two apart take each other's lines of the cache, which the next group would read anew.
+    while i + Twice::<L>::N <= whole {
         for k in 0..N {
             x[k] = from[k].lanes(i);
-            y[k] = from[k].lanes(i + L::N);
         }
-        let found = [each.of(x), each.of(y)];
+        let found = pair.of(x);
         for k in 0..M {
-            to[k].put(i, found[0][k]);
-            to[k].put(i + L::N, found[1][k]);
+            to[k].put(i, found[k]);
         }
-        all = all + (not_finite(found[0]) + not_finite(found[1]));
-        i += 2 * L::N;
+        all = all + not_finite(found);
+        i += Twice::<L>::N;
     }
+    let finite = Twice::<L>::all(all.below(Twice::<L>::splat(1.0)));
+    let mut x = [L::splat(0.0); N];
+    let mut all = L::splat(0.0);
     while i < whole {
         for k in 0..N {
             x[k] = from[k].lanes(i);
@@ -74,7 +76,7 @@ pub(crate) fn sweep<L: Lanes, E: Each<L, N, M>, const N: usize, const M: usize>(
             }
         }
     }
-    L::all(all.below(L::splat(1.0)))
+    finite & L::all(all.below(L::splat(1.0)))
 }
 
 /// Zero of either sign, or `NaN` where a number or their sum is not finite.
@@ -121,7 +123,7 @@ mod tests {
                 }
                 ([0, 1].map(|k| Column::new(all[k], n)), [2, 3, 4].map(|k| ColumnMut::new(all[k], n)))
             };
-            let finite = sweep::<L, _, 2, 3>(&Sorted, from, to.each_mut().map(|list| list.part(0, n)));
+            let finite = sweep::<L, _, _, 2, 3>(&Sorted, &Sorted, from, to.each_mut().map(|list| list.part(0, n)));
             (to.map(|list| (0..n).map(|i| list.get(i)).collect()), finite)
         }
     }

@@ -3,24 +3,25 @@
 //! A value of these types is only ever made inside a function compiled for its instructions, which [`super::run`] enters after having
 //! asked the processor: that is what makes each `unsafe` below sound.
 
-use super::{Kernel, Lanes, Several, Singles};
+use super::{Kernel, Lanes, Level, Picks, SINGLES, Several, Singles, WithPicks};
 use std::arch::x86_64::{
-    __m256, __m256d, __m512, __m512d, __mmask8, __mmask16, _CMP_LT_OQ, _MM_FROUND_NO_EXC, _MM_FROUND_TO_NEG_INF,
-    _mm_storeu_ps, _mm256_add_epi32, _mm256_add_pd, _mm256_add_ps, _mm256_and_pd, _mm256_blendv_pd, _mm256_blendv_ps,
-    _mm256_castsi256_ps, _mm256_cmp_pd, _mm256_cmp_ps, _mm256_cvtpd_ps, _mm256_cvtps_epi32, _mm256_div_pd,
-    _mm256_div_ps, _mm256_floor_pd, _mm256_loadu_pd, _mm256_loadu_ps, _mm256_movemask_pd, _mm256_movemask_ps,
-    _mm256_mul_pd, _mm256_mul_ps, _mm256_set1_epi32, _mm256_set1_pd, _mm256_set1_ps, _mm256_slli_epi32, _mm256_sqrt_pd,
-    _mm256_sqrt_ps, _mm256_storeu_pd, _mm256_storeu_ps, _mm256_sub_pd, _mm256_sub_ps, _mm256_xor_pd, _mm256_xor_ps,
-    _mm512_add_epi32, _mm512_add_pd, _mm512_add_ps, _mm512_castsi512_ps, _mm512_cmp_pd_mask, _mm512_cmp_ps_mask,
-    _mm512_cvtpd_ps, _mm512_cvtps_epi32, _mm512_div_pd, _mm512_div_ps, _mm512_loadu_pd, _mm512_loadu_ps,
-    _mm512_mask_blend_pd, _mm512_mask_blend_ps, _mm512_mul_pd, _mm512_mul_ps, _mm512_roundscale_pd, _mm512_set1_epi32,
-    _mm512_set1_pd, _mm512_set1_ps, _mm512_slli_epi32, _mm512_sqrt_pd, _mm512_sqrt_ps, _mm512_storeu_pd,
-    _mm512_storeu_ps, _mm512_sub_pd, _mm512_sub_ps,
+    __m256, __m256d, __m512, __m512d, __m512i, __mmask8, __mmask16, _CMP_LT_OQ, _MM_FROUND_NO_EXC,
+    _MM_FROUND_TO_NEG_INF, _mm_storeu_ps, _mm256_add_epi32, _mm256_add_pd, _mm256_add_ps, _mm256_and_pd,
+    _mm256_blendv_pd, _mm256_blendv_ps, _mm256_castsi256_ps, _mm256_cmp_pd, _mm256_cmp_ps, _mm256_cvtpd_ps,
+    _mm256_cvtps_epi32, _mm256_div_pd, _mm256_div_ps, _mm256_floor_pd, _mm256_fmadd_pd, _mm256_fmadd_ps,
+    _mm256_loadu_pd, _mm256_loadu_ps, _mm256_movemask_pd, _mm256_movemask_ps, _mm256_mul_pd, _mm256_mul_ps,
+    _mm256_set1_epi32, _mm256_set1_pd, _mm256_set1_ps, _mm256_slli_epi32, _mm256_sqrt_pd, _mm256_sqrt_ps,
+    _mm256_storeu_pd, _mm256_storeu_ps, _mm256_sub_pd, _mm256_sub_ps, _mm256_xor_pd, _mm256_xor_ps, _mm512_add_epi32,
+    _mm512_add_pd, _mm512_add_ps, _mm512_castsi512_ps, _mm512_cmp_pd_mask, _mm512_cmp_ps_mask, _mm512_cvtpd_ps,
+    _mm512_cvtps_epi32, _mm512_div_pd, _mm512_div_ps, _mm512_fmadd_pd, _mm512_fmadd_ps, _mm512_loadu_pd,
+    _mm512_loadu_ps, _mm512_mask_blend_pd, _mm512_mask_blend_ps, _mm512_mul_pd, _mm512_mul_ps, _mm512_permutex2var_ps,
+    _mm512_roundscale_pd, _mm512_set1_epi32, _mm512_set1_pd, _mm512_set1_ps, _mm512_slli_epi32, _mm512_sqrt_pd,
+    _mm512_sqrt_ps, _mm512_storeu_pd, _mm512_storeu_ps, _mm512_sub_pd, _mm512_sub_ps,
 };
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// Runs a kernel four numbers at a time.
-#[target_feature(enable = "avx2")]
+#[target_feature(enable = "avx2,fma")]
 pub(super) fn in_avx2<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Four>()
 }
@@ -50,7 +51,7 @@ macro_rules! register {
     (
         $(#[$words:meta])*
         $name:ident: $n:literal $number:ident in $register:ident, mask $mask:ident;
-        $add:ident $sub:ident $mul:ident $div:ident $sqrt:ident $splat:ident $load:ident $store:ident $below:ident;
+        $add:ident $sub:ident $mul:ident $div:ident $sqrt:ident $fused:ident $splat:ident $load:ident $store:ident $below:ident;
         |$x:ident| $neg:expr; |$by:ident, $a:ident, $b:ident| $select:expr; |$of:ident| $all:expr
     ) => {
         $(#[$words])*
@@ -96,6 +97,11 @@ macro_rules! register {
                 Self(unsafe { $sqrt(self.0) })
             }
             #[inline(always)]
+            fn fused(self, by: Self, plus: Self) -> Self {
+                // SAFETY: see the head of the file.
+                Self(unsafe { $fused(self.0, by.0, plus.0) })
+            }
+            #[inline(always)]
             fn below(self, other: Self) -> $mask {
                 // SAFETY: see the head of the file.
                 unsafe { $below::<_CMP_LT_OQ>(self.0, other.0) }
@@ -119,14 +125,14 @@ macro_rules! register {
 register! {
     /// Four numbers.
     Four: 4 f64 in __m256d, mask __m256d;
-    _mm256_add_pd _mm256_sub_pd _mm256_mul_pd _mm256_div_pd _mm256_sqrt_pd _mm256_set1_pd _mm256_loadu_pd _mm256_storeu_pd _mm256_cmp_pd;
+    _mm256_add_pd _mm256_sub_pd _mm256_mul_pd _mm256_div_pd _mm256_sqrt_pd _mm256_fmadd_pd _mm256_set1_pd _mm256_loadu_pd _mm256_storeu_pd _mm256_cmp_pd;
     |x| _mm256_xor_pd(x, _mm256_set1_pd(-0.0)); |mask, a, b| _mm256_blendv_pd(b, a, mask); |mask| _mm256_movemask_pd(mask) == 0b1111
 }
 
 register! {
     /// Eight numbers of single precision.
     EightSingles: 8 f32 in __m256, mask __m256;
-    _mm256_add_ps _mm256_sub_ps _mm256_mul_ps _mm256_div_ps _mm256_sqrt_ps _mm256_set1_ps _mm256_loadu_ps _mm256_storeu_ps _mm256_cmp_ps;
+    _mm256_add_ps _mm256_sub_ps _mm256_mul_ps _mm256_div_ps _mm256_sqrt_ps _mm256_fmadd_ps _mm256_set1_ps _mm256_loadu_ps _mm256_storeu_ps _mm256_cmp_ps;
     |x| _mm256_xor_ps(x, _mm256_set1_ps(-0.0)); |mask, a, b| _mm256_blendv_ps(b, a, mask); |mask| _mm256_movemask_ps(mask) == 0xff
 }
 
@@ -134,14 +140,14 @@ register! {
 register! {
     /// Eight numbers.
     Eight: 8 f64 in __m512d, mask __mmask8;
-    _mm512_add_pd _mm512_sub_pd _mm512_mul_pd _mm512_div_pd _mm512_sqrt_pd _mm512_set1_pd _mm512_loadu_pd _mm512_storeu_pd _mm512_cmp_pd_mask;
+    _mm512_add_pd _mm512_sub_pd _mm512_mul_pd _mm512_div_pd _mm512_sqrt_pd _mm512_fmadd_pd _mm512_set1_pd _mm512_loadu_pd _mm512_storeu_pd _mm512_cmp_pd_mask;
     |x| _mm512_sub_pd(_mm512_set1_pd(-0.0), x); |mask, a, b| _mm512_mask_blend_pd(mask, b, a); |mask| mask == u8::MAX
 }
 
 register! {
     /// Sixteen numbers of single precision.
     SixteenSingles: 16 f32 in __m512, mask __mmask16;
-    _mm512_add_ps _mm512_sub_ps _mm512_mul_ps _mm512_div_ps _mm512_sqrt_ps _mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm512_cmp_ps_mask;
+    _mm512_add_ps _mm512_sub_ps _mm512_mul_ps _mm512_div_ps _mm512_sqrt_ps _mm512_fmadd_ps _mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm512_cmp_ps_mask;
     |x| _mm512_sub_ps(_mm512_set1_ps(-0.0), x); |mask, a, b| _mm512_mask_blend_ps(mask, b, a); |mask| mask == u16::MAX
 }
 
@@ -202,6 +208,10 @@ impl Lanes for Eight {
     fn and(a: __mmask8, b: __mmask8) -> __mmask8 {
         a & b
     }
+    #[inline(always)]
+    fn with_picks<W: WithPicks>(work: W) -> Option<W::Output> {
+        Some(work.run::<SixteenSingles>())
+    }
 }
 
 impl Singles for EightSingles {
@@ -223,5 +233,28 @@ impl Singles for SixteenSingles {
             let exponent = _mm512_add_epi32(_mm512_cvtps_epi32(self.0), _mm512_set1_epi32(127));
             Self(_mm512_castsi512_ps(_mm512_slli_epi32::<23>(exponent)))
         }
+    }
+}
+
+impl Picks for SixteenSingles {
+    type Line = [Self; 2];
+    type Index = __m512i;
+    #[inline(always)]
+    fn line<S: Level>(x: &[S; 2 * SINGLES]) -> [Self; 2] {
+        let mut numbers = [0.0; 2 * SINGLES];
+        for i in 0..2 * SINGLES {
+            numbers[i] = x[i].number();
+        }
+        [Self::load(&numbers), Self::load(&numbers[SINGLES..])]
+    }
+    #[inline(always)]
+    fn index(self) -> __m512i {
+        // SAFETY: see the head of the file.
+        unsafe { _mm512_cvtps_epi32(self.0) }
+    }
+    #[inline(always)]
+    fn pick(line: [Self; 2], index: __m512i) -> Self {
+        // SAFETY: see the head of the file; of an index the five lowest bits count.
+        Self(unsafe { _mm512_permutex2var_ps(line[0].0, index, line[1].0) })
     }
 }

@@ -39,6 +39,10 @@ impl Greys for EightSingles {
         Several::splat(x)
     }
     #[inline(always)]
+    fn fused(self, by: Self, plus: Self) -> Self {
+        Several::fused(self, by, plus)
+    }
+    #[inline(always)]
     fn load(x: &[f32; 8]) -> Self {
         Several::load(x)
     }
