@@ -22,9 +22,12 @@
 //! the sheet, where `d_z = 0`: such pixels have no place (`NaN`).
 
 mod bulk;
+mod chebyshev;
+mod cluster;
 mod grid;
 mod kernel;
 mod map;
+mod panels;
 mod placement;
 mod resample;
 mod rows;

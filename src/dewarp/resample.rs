@@ -3,6 +3,7 @@
 use super::grid::SheetGrid;
 use super::kernel::{Kernel, Source};
 use super::map::SheetMap;
+use super::panels::Panels;
 use super::rows::{Band, Levels};
 use super::sampler::Sampler;
 use super::weights::Table;
@@ -49,10 +50,10 @@ impl Plane<'_> {
     ) {
         let Self { map, grid, z_mm } = *self;
         let table = matches!(source.kernel, Kernel::Lanczos | Kernel::BSpline).then(|| Table::of(source.kernel));
-        let table = table.as_ref();
+        let (table, panels) = (table.as_ref(), &Panels::of(grid.width_px));
         let band = ROWS * grid.width_px;
         pixels.par_chunks_mut(band).zip(valid.par_chunks_mut(band)).enumerate().for_each(|(k, (pixels, valid))| {
-            run(Band { source, table, map, grid, z_mm, first_row: k * ROWS, levels: levels(pixels), valid });
+            run(Band { source, table, panels, map, grid, z_mm, first_row: k * ROWS, levels: levels(pixels), valid });
         });
     }
 

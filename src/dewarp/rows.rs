@@ -7,10 +7,11 @@
 use super::grid::SheetGrid;
 use super::kernel::{Kernel, Source};
 use super::map::SheetMap;
-use super::weights::{Cubic, Linear, Nearest, SEGMENTS, Table, Weights};
+use super::panels::Panels;
+use super::weights::{Cubic, Linear, Nearest, Table, Weights};
 use crate::camera::{BulkCamera, LineImage};
-use crate::lanes::{self, Lanes, Level, Raster};
-use nalgebra::Vector3;
+use crate::lanes::{self, Lanes, Level, Raster, SINGLES, Twice};
+use nalgebra::{Vector2, Vector3};
 
 /// Pixels that go through all steps together.
 pub(super) const TOGETHER: usize = 64;
@@ -34,9 +35,9 @@ pub(super) struct Places {
     v_px: [f64; TOGETHER],
     /// First sample of the window, beyond 2^52.
     start: [f64; TOGETHER],
-    /// Along u and v, beyond 2^52.
-    segment: [[f64; TOGETHER]; 2],
-    /// Place in the pixel or in the segment.
+    /// Column and row of that sample.
+    pub(super) first: [[f32; TOGETHER]; 2],
+    /// Place in the pixel, from its sample or from half a sample behind it ([`Weights::FROM`]).
     pub(super) x: [[f32; TOGETHER]; 2],
 }
 
@@ -45,7 +46,7 @@ impl Places {
         u_px: [0.0; TOGETHER],
         v_px: [0.0; TOGETHER],
         start: [0.0; TOGETHER],
-        segment: [[0.0; TOGETHER]; 2],
+        first: [[0.0; TOGETHER]; 2],
         x: [[0.0; TOGETHER]; 2],
     };
 
@@ -54,39 +55,34 @@ impl Places {
         (self.start[i].to_bits() & LOWEST) as usize
     }
 
+    /// Windows of the positions; whether all of them lie in the image, which with INSIDE is known. Those that do not begin at the first sample.
     #[inline(always)]
-    pub(super) fn segment(&self, axis: usize, i: usize) -> usize {
-        self.segment[axis][i].to_bits() as usize
-    }
-
-    /// Windows of the positions; whether all of them lie in the image. Those that do not begin at the first sample.
-    #[inline(always)]
-    fn find<L: Lanes, const T: usize>(&mut self, bounds: &Bounds, pieces: bool) -> bool {
-        let (zero, low, half) = (L::splat(0.0), L::splat(-0.5), L::splat(0.5));
+    fn find<L: Lanes, const INSIDE: bool>(&mut self, bounds: &Bounds, from: f64) -> bool {
+        let (zero, low, from) = (L::splat(0.0), L::splat(-0.5), L::splat(from));
         let (stride, shift, whole_number) = (L::splat(bounds.stride), L::splat(bounds.shift), L::splat(WHOLE));
         let reach = L::splat(bounds.reach);
-        let [end_u, end_v] = bounds.end.map(L::splat);
-        let segments = L::splat(SEGMENTS as f64);
-        let mut all = zero.below(half);
+        let end = bounds.end.map(L::splat);
+        let mut all = low.below(zero);
         let mut i = 0;
         while i < TOGETHER {
-            let (u, v) = (L::load(&self.u_px[i..]), L::load(&self.v_px[i..]));
-            let (pixel_u, pixel_v) = ((u + shift).floor(), (v + shift).floor());
-            let (first_u, first_v) = (pixel_u - reach, pixel_v - reach);
-            let inside_u = L::and(low.below(first_u), first_u.below(end_u));
-            let whole = L::and(inside_u, L::and(low.below(first_v), first_v.below(end_v)));
-            all = L::and(all, whole);
-            (L::select(whole, first_v * stride + first_u, zero) + whole_number).store(&mut self.start[i..]);
-            let place = [L::select(whole, u - pixel_u, zero), L::select(whole, v - pixel_v, zero)];
+            let at = [L::load(&self.u_px[i..]), L::load(&self.v_px[i..])];
+            let (mut first, mut x) = (at, at);
             for k in 0..2 {
-                if pieces {
-                    let scaled = place[k] * segments;
-                    let segment = scaled.floor();
-                    (segment + whole_number).store(&mut self.segment[k][i..]);
-                    (scaled - segment - half).narrow(&mut self.x[k][i..]);
-                } else {
-                    place[k].narrow(&mut self.x[k][i..]);
+                let pixel = if bounds.shift == 0.0 { at[k].floor() } else { (at[k] + shift).floor() };
+                (first[k], x[k]) = (pixel - reach, at[k] - (pixel + from));
+            }
+            if !INSIDE {
+                let inside = [0, 1].map(|k| L::and(low.below(first[k]), first[k].below(end[k])));
+                let whole = L::and(inside[0], inside[1]);
+                all = L::and(all, whole);
+                for k in 0..2 {
+                    (first[k], x[k]) = (L::select(whole, first[k], zero), L::select(whole, x[k], zero));
                 }
+            }
+            (first[1].fused(stride, first[0]) + whole_number).store(&mut self.start[i..]);
+            for k in 0..2 {
+                first[k].narrow(&mut self.first[k][i..]);
+                x[k].narrow(&mut self.x[k][i..]);
             }
             i += L::N;
         }
@@ -137,6 +133,29 @@ pub(super) enum Levels<'a> {
 }
 
 impl Levels<'_> {
+    /// Levels at the first n places.
+    #[inline(always)]
+    fn all<S: Level, L: Lanes, W: Weights<T>, const T: usize>(
+        &mut self,
+        weights: &W,
+        raster: &Raster<'_, S, T>,
+        places: &Places,
+        first: usize,
+        n: usize,
+    ) {
+        let mut i = 0;
+        while i < n {
+            let levels = weights.levels::<S, L>(raster, places, i);
+            // A length that is known is written at once.
+            if n - i >= SINGLES {
+                self.put(first + i, &levels);
+            } else {
+                self.put(first + i, &levels[..n - i]);
+            }
+            i += SINGLES;
+        }
+    }
+
     #[inline(always)]
     fn put(&mut self, first: usize, levels: &[f32]) {
         let range = first..first + levels.len();
@@ -161,6 +180,7 @@ pub(super) struct Band<'a, S> {
     pub(super) source: Source<'a, S>,
     /// Of kernels that have one.
     pub(super) table: Option<&'a Table>,
+    pub(super) panels: &'a Panels,
     pub(super) map: &'a SheetMap,
     pub(super) grid: &'a SheetGrid,
     pub(super) z_mm: f64,
@@ -188,34 +208,35 @@ impl<S: Level> Band<'_, S> {
         let bounds = Bounds::new::<S, T>(&self.source);
         let raster = Raster::<S, T>::new(self.source.samples, self.source.stride);
         let raster = raster.filter(|_| bounds.end.iter().all(|e| *e > 0.0));
-        let camera = BulkCamera::<L>::of(self.map.camera());
+        let camera = BulkCamera::<Twice<L>>::of(self.map.camera());
         let width = self.grid.width_px;
-        let mut places = Places::NONE;
+        let (mut places, mut nodes) = (Places::NONE, self.panels.nodes());
         for j in 0..self.valid.len() / width {
             let [_, y_mm] = self.grid.point_mm(0.0, (self.first_row + j) as f64);
             let line = camera.map(|c| LineImage::new(c, self.map.cam_from_sheet(), y_mm, self.z_mm));
+            match &line {
+                Some(line) => self.panels.see(line, self.grid, &mut nodes),
+                None => self.panels.see_one_by_one(|column| self.position(column, y_mm), &mut nodes),
+            }
             let mut first = 0;
             while first < width {
                 let n = TOGETHER.min(width - first);
-                match &line {
-                    Some(line) => self.positions(line, first, &mut places),
-                    None => self.positions_one_by_one(first, y_mm, &mut places),
+                let between = self.panels.place::<L>(&nodes, first / TOGETHER, [&mut places.u_px, &mut places.v_px]);
+                match (&between, &line) {
+                    (Some(_), _) => (),
+                    (_, Some(line)) => self.positions(line, first, &mut places),
+                    _ => self.positions_one_by_one(first, y_mm, &mut places),
                 }
                 let to = j * width + first;
-                let whole = match &raster {
-                    Some(raster) => {
-                        let whole = places.find::<L, T>(&bounds, W::PIECES);
-                        let mut levels = [0.0; TOGETHER];
-                        let mut i = 0;
-                        while i < n {
-                            levels[i..i + 8].copy_from_slice(&weights.levels::<S, L::Greys>(raster, &places, i));
-                            i += 8;
-                        }
-                        self.levels.put(to, &levels[..n]);
-                        whole
-                    }
-                    None => false,
+                let inside = between.is_some_and(|[u, v]| bounds.whole(u[0], v[0]) && bounds.whole(u[1], v[1]));
+                let whole = match (&raster, inside) {
+                    (None, _) => false,
+                    (_, true) => places.find::<L, true>(&bounds, W::FROM),
+                    (_, false) => places.find::<L, false>(&bounds, W::FROM),
                 };
+                if let Some(raster) = &raster {
+                    self.levels.all::<S, L, W, T>(weights, raster, &places, to, n);
+                }
                 if whole {
                     self.valid[to..to + n].fill(true);
                 } else {
@@ -240,10 +261,14 @@ impl<S: Level> Band<'_, S> {
     }
 
     /// Of a camera behind a window.
+    fn position(&self, column: f64, y_mm: f64) -> Option<Vector2<f64>> {
+        let [x_mm, _] = self.grid.point_mm(column, 0.0);
+        self.map.project(&Vector3::new(x_mm, y_mm, self.z_mm))
+    }
+
     fn positions_one_by_one(&self, first: usize, y_mm: f64, places: &mut Places) {
         for i in 0..TOGETHER {
-            let [x_mm, _] = self.grid.point_mm((first + i) as f64, 0.0);
-            let q = self.map.project(&Vector3::new(x_mm, y_mm, self.z_mm));
+            let q = self.position((first + i) as f64, y_mm);
             (places.u_px[i], places.v_px[i]) = q.map_or((f64::NAN, f64::NAN), |q| (q.x, q.y));
         }
     }
@@ -275,12 +300,13 @@ mod tests {
 
     const ALL: [Kernel; 5] = [Kernel::Nearest, Kernel::Linear, Kernel::Cubic, Kernel::Lanczos, Kernel::BSpline];
 
-    /// An oblique camera with distortion, 2 px per mm, in the air or behind glass.
-    fn map(size_px: [usize; 2], window: Option<Window>) -> SheetMap {
+    /// An oblique camera with distortion, 2 px per mm, in the air or behind glass; its rows are turned by so much from those of the sheet.
+    fn map(size_px: [usize; 2], window: Option<Window>, turned_rad: f64) -> SheetMap {
         let [cx, cy] = size_px.map(|n| 0.5 * (n as f64 - 1.0));
         let mut i = Intrinsics::pinhole(1000.0, cx, cy);
         (i.alpha_rad, i.beta_rad, i.k[0]) = (0.01, 0.11, -0.3);
         let turn = rotation_exp(&Vector3::new(0.0, -0.6, 0.0)) * rotation_exp(&Vector3::new(3.1, 0.05, 0.1));
+        let turn = rotation_exp(&Vector3::new(0.0, 0.0, turned_rad)) * turn;
         let camera = Camera::new(i).unwrap().with_window(window);
         SheetMap::new(camera, Motion::new(turn, Vector3::new(0.3, -0.2, 500.0)), size_px)
     }
@@ -302,6 +328,7 @@ mod tests {
             let band = Band {
                 source: self.source,
                 table: Some(&table),
+                panels: &Panels::of(self.grid.width_px),
                 map: &self.map,
                 grid: &self.grid,
                 z_mm: 0.7,
@@ -324,7 +351,9 @@ mod tests {
             let q = map.project(&Vector3::new(x, y, 0.7)).unwrap();
             let on = (-0.5..=width - 0.5).contains(&q.x) && (-0.5..=height - 0.5).contains(&q.y);
             let wanted = if on { f64::from(source.at(q.x, q.y)) } else { 0.0 };
-            worst = worst.max((f64::from(f32::from_bits(*bits)) - wanted).abs() / scale);
+            let level = f64::from(f32::from_bits(*bits));
+            assert_eq!(level.is_nan(), wanted.is_nan(), "{:?} {q}", source.kernel);
+            worst = worst.max((level - wanted).abs() / scale);
             assert_eq!(*valid, on, "{:?} {q}", source.kernel);
             inside += usize::from(on);
         }
@@ -332,16 +361,23 @@ mod tests {
         worst
     }
 
-    /// All kernels, depths and widths of the processor, in the air and behind a window, windows beyond the border and images smaller than one.
+    /// All kernels, depths and widths of the processor, in the air and behind a window, windows beyond the border and images smaller than one; windows
+    /// of sixteen neighbours that begin in one row, in two, in up to five and further apart, and in columns further apart.
     #[test]
     fn levels_are_those_of_the_plain_path() {
         let glass = Window::new(Vector3::new(-0.1, -0.2, 1.0), 300.0, 8.0, [1.0, 1.52, 1.33]).unwrap();
-        for (size_px, grid, window) in [
-            ([90, 77], SheetGrid::over([-27.0, -21.0, 26.0, 22.0], 0.31).unwrap(), None),
-            ([90, 77], SheetGrid::over([-27.0, -21.0, 26.0, 22.0], 0.31).unwrap(), Some(glass)),
-            ([3, 2], SheetGrid::over([-0.8, -0.5, 0.8, 0.5], 0.31).unwrap(), None),
+        let grid = |mm_per_px| SheetGrid::over([-27.0, -21.0, 26.0, 22.0], mm_per_px).unwrap();
+        for (size_px, grid, window, turned_rad) in [
+            ([90, 77], grid(0.31), None, 0.0),
+            ([90, 77], grid(0.31), Some(glass), 0.0),
+            ([90, 77], grid(0.29), None, 0.3),
+            ([90, 77], grid(0.27), None, -0.5),
+            ([90, 77], grid(0.27), None, 1.5),
+            ([90, 77], grid(0.29), None, 3.0),
+            ([90, 77], grid(0.9), None, 0.1),
+            ([3, 2], SheetGrid::over([-0.8, -0.5, 0.8, 0.5], 0.31).unwrap(), None, 0.0),
         ] {
-            let (map, [w, h]) = (map(size_px, window), size_px);
+            let (map, [w, h]) = (map(size_px, window, turned_rad), size_px);
             let stride = w + 5;
             let wave = |i: usize| 0.5 + 0.5 * (0.8 * i as f64 * i as f64).sin();
             let floats: Vec<f32> = (0..stride * h).map(|i| wave(i) as f32).collect();
@@ -358,6 +394,21 @@ mod tests {
                 }
                 println!("{size_px:?} {kernel:?}: {worst:.9?} of full scale");
                 assert!(worst.iter().all(|w| *w < 1e-6), "{kernel:?}: {worst:?}");
+            }
+        }
+    }
+
+    /// What is no number hides the windows it lies in, whether their neighbours have it or not.
+    #[test]
+    fn samples_that_are_no_numbers_hide_their_windows_alone() {
+        let (size_px, stride) = ([90, 77], 91);
+        let mut samples: Vec<f32> = (0..stride * 77).map(|i| (0.8 * i as f32).sin()).collect();
+        [5000, 3210, 1234].iter().for_each(|i| samples[*i] = f32::NAN);
+        let grid = SheetGrid::over([-27.0, -21.0, 26.0, 22.0], 0.3).unwrap();
+        for turned_rad in [0.0, 0.2, -0.3] {
+            for kernel in [Kernel::Nearest, Kernel::Linear, Kernel::Cubic, Kernel::Lanczos] {
+                let source = Source { kernel, samples: &samples, stride, size_px };
+                assert!(agree(source, &map(size_px, None, turned_rad), &grid, 1.0) < 1e-6);
             }
         }
     }
