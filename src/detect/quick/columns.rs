@@ -185,11 +185,11 @@ impl Kernel for Left<'_> {
             let (block, i) = (&values[at / BLOCK], at % BLOCK);
             let mut sum = L::Single::load(&block[N][i..]);
             for k in 0..N {
-                sum = sum - L::Single::splat(self.found[k] as f32) * L::Single::load(&block[k][i..]);
+                sum = L::Single::splat(-self.found[k] as f32).fused(L::Single::load(&block[k][i..]), sum);
             }
             if self.bent {
                 for k in M..ALL {
-                    sum = sum - L::Single::splat(self.found[k] as f32) * L::Single::load(&block[k][i..]);
+                    sum = L::Single::splat(-self.found[k] as f32).fused(L::Single::load(&block[k][i..]), sum);
                 }
             }
             sum.store(&mut left[at..]);
@@ -246,7 +246,7 @@ fn tile<S: Singles, const A: usize, const B: usize>(
             for k in 0..A {
                 let a = S::load(&values[first + k][at..]);
                 for l in 0..B {
-                    sum[k][l] = sum[k][l] + a * b[l];
+                    sum[k][l] = a.fused(b[l], sum[k][l]);
                 }
             }
             at += SINGLES;
@@ -335,25 +335,27 @@ impl<S: Singles> Seen<S> {
         let (nx, ny) = (self.b * c * inverse, self.a * s * inverse);
         let (p, slope) = (edge.inside, edge.slope);
         let q = one - p;
-        let root = shown / (self.variance[0] * p + self.variance[1] * q).sqrt();
+        let root = shown / self.variance[0].fused(p, self.variance[1] * q).sqrt();
         let (px, py) = (x * self.inverse_a, y * self.inverse_b);
         let moved = self.blur * self.blur * slope;
-        let (bx, by) = (px * p + moved * nx * self.inverse_a, py * p + moved * ny * self.inverse_b);
+        let (bx, by) = (px.fused(p, moved * nx * self.inverse_a), py.fused(p, moved * ny * self.inverse_b));
         let (ox, oy) = (px - bx, py - by);
         let light = &self.light;
-        let mut step = (light[0] - light[3]) + (light[1] - light[4]) * c + (light[2] - light[5]) * s;
+        let mut step = (light[1] - light[4]).fused(c, (light[2] - light[5]).fused(s, light[0] - light[3]));
         if BENT {
-            step = step + (light[7] - light[10]) * (c * c - s * s) + (light[8] - light[11]) * (c * s + c * s);
+            let (twice, two) = ((c - s) * (c + s), c * s + c * s);
+            step = (light[7] - light[10]).fused(twice, (light[8] - light[11]).fused(two, step));
         }
         let h = root * step * slope;
         let (da, db) = (-(nx * c), -(ny * s));
         let (along, across) = (da - db, -((self.a + self.b) * c * s * inverse));
-        let mut model = (light[0] * p + light[1] * bx + light[2] * by) + (light[3] * q + light[4] * ox + light[5] * oy);
+        let inside = light[0].fused(p, light[1].fused(bx, light[2] * by));
+        let mut model = inside + light[3].fused(q, light[4].fused(ox, light[5] * oy));
         let mut columns = [S::splat(0.0); ALL];
         if BENT {
             let bends = self.bends(px, py, nx, ny, &edge);
             for k in 0..BENDS {
-                model = model + light[LIGHTS + k] * bends[k];
+                model = light[LIGHTS + k].fused(bends[k], model);
                 columns[M + k] = root * bends[k];
             }
         }
@@ -364,11 +366,11 @@ impl<S: Singles> Seen<S> {
         columns[4] = root * ox;
         columns[5] = root * oy;
         columns[6] = root * step * edge.by_blur;
-        columns[7] = -(h * (self.cos * nx - self.sin * ny));
-        columns[8] = -(h * (self.sin * nx + self.cos * ny));
+        columns[7] = h * self.sin.fused(ny, -(self.cos * nx));
+        columns[8] = -(h * self.sin.fused(nx, self.cos * ny));
         columns[9] = h * (da + db);
-        columns[10] = h * (self.cos2 * along - self.sin2 * across);
-        columns[11] = h * (self.sin2 * along + self.cos2 * across);
+        columns[10] = h * self.cos2.fused(along, -(self.sin2 * across));
+        columns[11] = h * self.sin2.fused(along, self.cos2 * across);
         columns[N] = root * (grey - model);
         (columns, h, diamond(c, s))
     }
@@ -407,7 +409,7 @@ impl<S: Singles> Seen<S> {
         let [cos, sin, left] = feet;
         for i in (0..m).step_by(S::N) {
             let (p, q) = (S::load(&x[i..]) * self.b, S::load(&y[i..]) * self.a);
-            let scale = one / (p * p + q * q).sqrt().at_least(S::splat(1e-30));
+            let scale = one / p.fused(p, q * q).sqrt().at_least(S::splat(1e-30));
             (p * scale).store(&mut cos[i..]);
             (q * scale).store(&mut sin[i..]);
             one.store(&mut left[i..]);
@@ -434,14 +436,14 @@ impl<S: Singles> Seen<S> {
     fn turned(&self, [c, s, left]: [S; 3], x: S, y: S) -> [S; 3] {
         let (zero, one, half) = (S::splat(0.0), S::splat(1.0), S::splat(0.5));
         let (ax, by) = (x * self.a, y * self.b);
-        let f = self.e2 * c * s - ax * s + by * c;
-        let df = self.e2 * (c * c - s * s) - ax * c - by * s;
+        let f = (self.e2 * c - ax).fused(s, by * c);
+        let df = self.e2.fused((c - s) * (c + s), -ax.fused(c, by * s));
         let t = S::select(df.below(zero), -(f / df), zero).at_least(-half).at_most(half) * left;
         // 1 / (1 + t^2)^(1/2) to the last digit for small turns; what it leaves of large ones goes by a step of Newton's for the length.
         let t2 = t * t;
-        let inverse = one - half * t2 * (one - S::splat(0.75) * t2);
-        let (c, s) = ((c - t * s) * inverse, (s + t * c) * inverse);
-        let length = one + left * (half - half * (c * c + s * s));
+        let inverse = t2.fused(t2.fused(S::splat(0.375), -half), one);
+        let (c, s) = ((-t).fused(s, c) * inverse, t.fused(c, s) * inverse);
+        let length = left.fused((-half).fused(c.fused(c, s * s), half), one);
         [c * length, s * length, S::select(t.size().below(S::splat(1e-3)), zero, left)]
     }
 
@@ -451,11 +453,11 @@ impl<S: Singles> Seen<S> {
         let (one, half, a, b) = (S::splat(1.0), S::splat(0.5), self.a, self.b);
         // What rounding left of the length, by a step of Newton's: near one a root cannot tell 1 + 2^-23 from one, and the foot points of
         // a whole contour would lie outside by the last digit.
-        let length = one + (half - half * (c * c + s * s));
+        let length = one + (-half).fused(c.fused(c, s * s), half);
         let (c, s) = (c * length, s * length);
         let (bc, sa) = (b * c, a * s);
-        let inverse = one / (bc * bc + sa * sa).sqrt();
-        let distance = ((x - a * c) * bc + (y - b * s) * sa) * inverse;
+        let inverse = one / bc.fused(bc, sa * sa).sqrt();
+        let distance = (-a).fused(c, x).fused(bc, (-b).fused(s, y) * sa) * inverse;
         Foot { cos: c, sin: s, distance, inverse }
     }
 
@@ -472,11 +474,11 @@ impl<S: Singles> Seen<S> {
         let turned = self.e2 * foot.sin * foot.cos;
         // kappa'^2 = (3 ab e2 s c / N^6)^2, over kappa = ab / N^3.
         let turn2_over_kappa = number(9.0) * self.ab * (turned * turned) * i4 * i4 * i1;
-        let c4 = number(0.125) * self.ab * i4 * i1 + number(5.0 / 72.0) * turn2_over_kappa;
+        let c4 = number(5.0 / 72.0).fused(turn2_over_kappa, number(0.125) * self.ab * i4 * i1);
         let eps = kappa * blur;
-        let mean = half * eps + number(3.0) * c4 * s2 * blur;
-        let bends = (number(12.0) * c4 + number(5.0 / 12.0) * turn2_over_kappa) * kappa * s2 * s2;
-        let variance = one + half * eps * eps + bends;
+        let mean = half.fused(eps, number(3.0) * c4 * s2 * blur);
+        let bends = number(12.0).fused(c4, number(5.0 / 12.0) * turn2_over_kappa) * kappa * s2 * s2;
+        let variance = (half * eps).fused(eps, one + bends);
         let r = one / variance.sqrt();
         let d = foot.distance * self.inverse_blur;
         let y = (d + mean) * r;
@@ -487,18 +489,18 @@ impl<S: Singles> Seen<S> {
         let fourth = number(0.125) * (bent * bent) * (bent * bent);
         let sixth = half * third * third;
         let (he2, he3) = (y2 - one, y * (y2 - number(3.0)));
-        let he4 = y2 * (y2 - number(6.0)) + number(3.0);
-        let he5 = y * (y2 * (y2 - number(10.0)) + number(15.0));
-        let he6 = y2 * (y2 * (y2 - number(15.0)) + number(45.0)) - number(15.0);
-        let inside = tail + f * (fourth * he3 - third * he2 + sixth * he5);
-        let shape = one - third * he3 + fourth * he4 + sixth * he6;
+        let he4 = y2.fused(y2 - number(6.0), number(3.0));
+        let he5 = y * y2.fused(y2 - number(10.0), number(15.0));
+        let he6 = y2.fused(y2.fused(y2 - number(15.0), number(45.0)), -number(15.0));
+        let inside = f.fused(fourth.fused(he3, sixth.fused(he5, -(third * he2))), tail);
+        let shape = fourth.fused(he4, sixth.fused(he6, (-third).fused(he3, one)));
         let slope = -(f * shape * r * self.inverse_blur);
-        let variance_by_blur = (eps * eps + number(4.0) * bends) * self.inverse_blur;
-        let mean_by_blur = half * kappa + number(9.0) * c4 * s2;
+        let variance_by_blur = eps.fused(eps, number(4.0) * bends) * self.inverse_blur;
+        let mean_by_blur = half.fused(kappa, number(9.0) * c4 * s2);
         let widening = half * variance_by_blur * r * r;
-        let y_by_blur = (mean_by_blur - d * self.inverse_blur) * r - y * widening;
-        let bends = number(4.0) * fourth * he3 - number(3.0) * third * he2 + number(6.0) * sixth * he5;
-        let by_blur = f * ((self.inverse_blur - widening) * bends - shape * y_by_blur);
+        let y_by_blur = (-d).fused(self.inverse_blur, mean_by_blur).fused(r, -(y * widening));
+        let bends = (number(4.0) * fourth).fused(he3, (number(6.0) * sixth).fused(he5, -(number(3.0) * third * he2)));
+        let by_blur = f * (self.inverse_blur - widening).fused(bends, -(shape * y_by_blur));
         Edge { inside, slope, by_blur, depth: y, kappa }
     }
 }
@@ -509,11 +511,8 @@ fn normal_tail<S: Singles>(z: S) -> (S, S) {
     let number = |x: f32| S::splat(x);
     let x = (z.size() * number(std::f32::consts::FRAC_1_SQRT_2)).at_most(number(6.0));
     let gauss = exp_of_negative(-(x * x));
-    let t = number(1.0) / (number(1.0) + number(0.327_591_1) * x);
-    let poly = t
-        * (number(0.254_829_6)
-            + t * (number(-0.284_496_74)
-                + t * (number(1.421_413_7) + t * (number(-1.453_152) + t * number(1.061_405_4)))));
+    let t = number(1.0) / number(0.327_591_1).fused(x, number(1.0));
+    let poly = t * powers(t, [0.254_829_6, -0.284_496_74, 1.421_413_7, -1.453_152, 1.061_405_4]);
     let half = number(0.5) * poly * gauss;
     let tail = S::select(number(0.0).below(z), half, number(1.0) - half);
     (tail, number(0.398_942_3) * gauss)
@@ -525,14 +524,20 @@ fn exp_of_negative<S: Singles>(x: S) -> S {
     let number = |x: f32| S::splat(x);
     // Adding 1.5 * 2^23 rounds to the nearest whole number.
     let round = number(12_582_912.0);
-    let n = (x * number(std::f32::consts::LOG2_E) + round) - round;
-    let r = (x - n * number(0.693_359_4)) - n * number(-2.121_944_4e-4);
-    let series = number(1.0)
-        + r * (number(1.0)
-            + r * (number(0.5)
-                + r * (number(1.0 / 6.0)
-                    + r * (number(1.0 / 24.0) + r * (number(1.0 / 120.0) + r * number(1.0 / 720.0))))));
+    let n = x.fused(number(std::f32::consts::LOG2_E), round) - round;
+    let r = n.fused(number(2.121_944_4e-4), n.fused(number(-0.693_359_4), x));
+    let series = powers(r, [1.0, 1.0, 0.5, 1.0 / 6.0, 1.0 / 24.0, 1.0 / 120.0, 1.0 / 720.0]);
     series * n.power_of_two()
+}
+
+/// `c[0] + c[1] x + c[2] x^2 + ...`
+#[inline(always)]
+fn powers<S: Singles, const K: usize>(x: S, c: [f32; K]) -> S {
+    let mut sum = S::splat(c[K - 1]);
+    for k in 1..K {
+        sum = sum.fused(x, S::splat(c[K - 1 - k]));
+    }
+    sum
 }
 
 /// Angle on the diamond, 0 to 4, as [`crate::detect::contour::diamond`].
