@@ -10,15 +10,23 @@ pub(crate) trait Level {
     fn height(&self) -> usize;
     /// Smoothed grey level at a pixel, grey.
     fn smooth(&self, u: usize, v: usize) -> f32;
-    /// Bilinear grey level, border repeated.
+    /// Bilinear grey levels at K places, border repeated.
     #[inline]
-    fn grey(&self, u_px: f64, v_px: f64) -> f64 {
-        let (width, height) = (self.width(), self.height());
-        let (u, v) = (u_px.clamp(0.0, width as f64 - 1.001), v_px.clamp(0.0, height as f64 - 1.001));
-        let (i, j) = (u as u32 as usize, v as u32 as usize);
-        let (fu, fv) = (u - i as f64, v - j as f64);
-        let [[a, b], [c, d]] = self.square(i, j);
-        (1.0 - fv) * ((1.0 - fu) * a + fu * b) + fv * ((1.0 - fu) * c + fu * d)
+    fn greys<const K: usize>(&self, u_px: &[f64; K], v_px: &[f64; K]) -> [f64; K] {
+        let last = [self.width(), self.height()].map(|n| n as f64 - 1.001);
+        let (mut first, mut part) = ([[0_u32; K]; 2], [[0.0; K]; 2]);
+        for (axis, x) in [u_px, v_px].into_iter().enumerate() {
+            for k in 0..K {
+                let x = x[k].clamp(0.0, last[axis]);
+                first[axis][k] = x as u32;
+                part[axis][k] = x - f64::from(first[axis][k]);
+            }
+        }
+        std::array::from_fn(|k| {
+            let [[a, b], [c, d]] = self.square(first[0][k] as usize, first[1][k] as usize);
+            let (fu, fv) = (part[0][k], part[1][k]);
+            (1.0 - fv) * ((1.0 - fu) * a + fu * b) + fv * ((1.0 - fu) * c + fu * d)
+        })
     }
     /// Smoothed grey levels at (u, v), (u + 1, v) and in the row below.
     fn square(&self, u: usize, v: usize) -> [[f64; 2]; 2] {
