@@ -6,6 +6,7 @@ use crate::error::{Error, Insufficient};
 use crate::image::{GrayView, Samples};
 use crate::rig_file::TargetDescription;
 use crate::target::Polarity;
+use std::ops::Range;
 
 /// An image whose grey values span no more than this part of their type's range shows nothing.
 const FLAT: f32 = 0.02;
@@ -48,25 +49,45 @@ pub(super) fn explained(e: Error, target: &TargetDescription, name: &str, view: 
 ///
 /// Every fourth row is looked at.
 pub(super) fn saturated_about(view: &GrayView<'_>, detection: &Detection, discs: &[LabelledDisc]) -> f64 {
-    let (mut high, mut equal, mut all) = (f32::NEG_INFINITY, 0usize, 0usize);
+    let mut rows = Vec::new();
     for d in discs {
         let e = &detection.discs[d.disc].ellipse;
         let reach = ABOUT_DISC * e.semi_major_px;
         let span = |middle: f64, size: usize| {
-            let from = (middle - reach).max(0.0) as usize;
-            from..((middle + reach + 1.0).max(0.0) as usize).min(size)
+            let from = ((middle - reach).max(0.0) as usize).min(size);
+            from..((middle + reach + 1.0).max(0.0) as usize).clamp(from, size)
         };
-        for v in span(e.center_px.v_px, view.height()).step_by(ROW_STEP) {
-            let columns = span(e.center_px.u_px, view.width());
-            all += columns.len();
-            for grey in columns.map(|u| view.get(u, v)) {
-                if grey > high {
-                    (high, equal) = (grey, 1);
-                } else if grey == high {
-                    equal += 1;
-                }
-            }
-        }
+        let columns = span(e.center_px.u_px, view.width());
+        let row = |v: usize| v * view.stride() + columns.start..v * view.stride() + columns.end;
+        rows.extend(span(e.center_px.v_px, view.height()).step_by(ROW_STEP).map(row));
     }
+    let (high, equal) = match view.samples() {
+        Samples::U8(s) => of_the_brightest(s, &rows, u8::MIN),
+        Samples::U16(s) => of_the_brightest(s, &rows, u16::MIN),
+        Samples::F32(s) => of_the_brightest(s, &rows, f32::NEG_INFINITY),
+    };
+    let all: usize = rows.iter().map(Range::len).sum();
     if view.may_saturate_at(high) { equal as f64 / all.max(1) as f64 } else { 0.0 }
+}
+
+/// The largest of the samples, at least `low`, and how many of them it is.
+fn of_the_brightest<S: Copy + PartialOrd + Into<f32>>(samples: &[S], rows: &[Range<usize>], low: S) -> (f32, usize) {
+    let larger = |high: S, x: &S| if *x > high { *x } else { high };
+    let high = rows.iter().fold(low, |high, row| samples[row.clone()].iter().fold(high, larger));
+    let equal = rows.iter().map(|row| samples[row.clone()].iter().filter(|x| **x == high).count()).sum();
+    (high.into(), equal)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_brightest_samples_are_counted_where_rows_say() {
+        let samples = [9_u8, 7, 3, 8, 8, 2, 8, 9, 1];
+        assert_eq!(of_the_brightest(&samples, &[1..4, 4..7], 0), (8.0, 3));
+        assert_eq!(of_the_brightest(&samples, &[0..0], 0), (0.0, 0));
+        let floats = [0.5_f32, f32::NAN, 2.5, 2.5];
+        assert_eq!(of_the_brightest(&floats, &[0..4], f32::NEG_INFINITY), (2.5, 2));
+    }
 }
