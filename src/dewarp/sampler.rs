@@ -8,7 +8,7 @@
 
 use super::kernel::{Kernel, Source, mirrored};
 use crate::image::GrayView;
-use crate::lanes::{self, Lanes, run};
+use crate::lanes::{self, Lanes, Several, Twice, run};
 use rayon::prelude::*;
 
 /// Lines that are filtered side by side.
@@ -31,7 +31,7 @@ impl Sampler {
         let mut coefficients = vec![0.0; width * height];
         let bands = coefficients.par_chunks_mut(STRIP * width).enumerate();
         if kernel == Kernel::BSpline {
-            bands.for_each_init(Vec::new, |strip, (k, band)| rows(view, k * STRIP, band, strip));
+            bands.for_each_init(Rows::default, |memory, (k, band)| rows(view, k * STRIP, band, memory));
             columns(&mut coefficients, width);
         } else {
             bands.for_each_init(Vec::new, |row, (k, band)| {
@@ -60,19 +60,34 @@ impl Sampler {
     }
 }
 
+/// Memory of one thread for [`rows`].
+#[derive(Default)]
+struct Rows {
+    row: Vec<f32>,
+    strip: Vec<[f64; STRIP]>,
+}
+
 /// Rows from number `first` on, filtered along u, into `band`.
-fn rows(view: &GrayView<'_>, first: usize, band: &mut [f32], strip: &mut Vec<[f64; STRIP]>) {
+fn rows(view: &GrayView<'_>, first: usize, band: &mut [f32], memory: &mut Rows) {
     let width = view.width();
+    let Rows { row, strip } = memory;
     strip.clear();
     strip.resize(width, [0.0; STRIP]);
-    let mut row = Vec::with_capacity(width);
-    for j in 0..band.len() / width {
-        view.row(first + j, &mut row);
-        strip.iter_mut().zip(&row).for_each(|(s, x)| s[j] = f64::from(*x));
+    for (j, out) in band.chunks_exact_mut(width).enumerate() {
+        view.row(first + j, row);
+        out.copy_from_slice(row);
+    }
+    // Square by square: a strip's columns lie far apart.
+    for u in (0..width).step_by(STRIP) {
+        for (j, row) in band.chunks_exact(width).enumerate() {
+            strip[u..].iter_mut().zip(&row[u..]).take(STRIP).for_each(|(s, x)| s[j] = f64::from(*x));
+        }
     }
     run(Prefilter { lines: strip });
-    for (j, row) in band.chunks_exact_mut(width).enumerate() {
-        row.iter_mut().zip(strip.iter()).for_each(|(x, s)| *x = s[j] as f32);
+    for u in (0..width).step_by(STRIP) {
+        for (j, row) in band.chunks_exact_mut(width).enumerate() {
+            row[u..].iter_mut().zip(&strip[u..]).take(STRIP).for_each(|(x, s)| *x = s[j] as f32);
+        }
     }
 }
 
@@ -108,9 +123,9 @@ impl lanes::Kernel for Prefilter<'_> {
         let mut k = 0;
         while k < STRIP {
             for z in POLES {
-                one_pole::<L>(self.lines, k, z);
+                one_pole::<Twice<L>>(self.lines, k, z);
             }
-            k += L::N;
+            k += Twice::<L>::N;
         }
     }
 }
@@ -125,20 +140,20 @@ fn one_pole<L: Lanes>(lines: &mut [[f64; STRIP]], k: usize, pole: f64) {
     let mut power = 1.0;
     let mut last = L::splat(0.0);
     for i in 0..reach {
-        last = last + L::splat(power) * (gain * L::load(&lines[mirrored(i as isize, n)][k..]));
+        last = L::splat(power).fused(gain * L::load(&lines[mirrored(i as isize, n)][k..]), last);
         power *= pole;
     }
     last.store(&mut lines[0][k..]);
     let mut before = last;
     for i in 1..n {
         before = last;
-        last = gain * L::load(&lines[i][k..]) + z * last;
+        last = z.fused(last, gain * L::load(&lines[i][k..]));
         last.store(&mut lines[i][k..]);
     }
-    last = L::splat(pole / (pole * pole - 1.0)) * (last + z * before);
+    last = L::splat(pole / (pole * pole - 1.0)) * z.fused(before, last);
     last.store(&mut lines[n - 1][k..]);
     for i in (0..n - 1).rev() {
-        last = z * (last - L::load(&lines[i][k..]));
+        last = z.fused(last, -(z * L::load(&lines[i][k..])));
         last.store(&mut lines[i][k..]);
     }
 }
