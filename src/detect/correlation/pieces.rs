@@ -25,7 +25,7 @@ const MOST_TILES: usize = 12;
 const CLEAR: f64 = 3.5;
 const ROUGH_PX: f64 = 2.0;
 /// Pixels beyond that, px: what the fits look at.
-const BESIDE_PX: f64 = 5.0;
+pub(super) const BESIDE_PX: f64 = 5.0;
 /// Correlation of neighbours that is worth a closer look.
 const GLANCE: f64 = 0.12;
 /// Squares that a slope must explain, over the variance that it leaves: correlated noise explains some, and light that is taken off where there
@@ -121,10 +121,11 @@ impl Tile {
             contrast,
             variance: 0.0,
         };
+        let ring = Ring::new(&own.0, side, own.1);
         for v in top..=bottom {
             for u in left..=right {
                 let (x, y) = (u as f64, v as f64);
-                let beyond = side * distance(&own.0, x, y) - own.1;
+                let beyond = if ring.may_hold(x, y) { side * distance(&own.0, x, y) - own.1 } else { -1.0 };
                 let clear = (0.0..BESIDE_PX).contains(&beyond)
                     && edges.iter().all(|(edge, clear_px)| distance(edge, x, y).abs() > *clear_px);
                 out.counts.push(f32::from(u8::from(clear)));
@@ -245,6 +246,39 @@ fn take_skirts_off(tiles: &mut [Tile]) {
         for i in (0..t.grey.len()).filter(|i| t.counts[*i] > 0.0) {
             t.grey[i] -= (t.contrast * typical[usize::from(t.bin[i])]) as f32;
         }
+    }
+}
+
+/// Where pixels can lie that are as far from an ellipse as is asked for: told without a root or a division. With r the size of `(x/a, y/b)`
+/// [`distance`] lies between `(r - 1) a` and `(r - 1) b`.
+pub(super) struct Ring<'a> {
+    frame: &'a Frame,
+    /// `1/a^2` and `1/b^2`.
+    by: [f64; 2],
+    /// Of r^2.
+    least: f64,
+    most: f64,
+}
+
+impl<'a> Ring<'a> {
+    /// From `from_px` on, [`BESIDE_PX`] wide, outside (`side` is 1) or inside (-1).
+    pub(super) fn new(frame: &'a Frame, side: f64, from_px: f64) -> Self {
+        let near = 1.0 + side * from_px / frame.a;
+        let far = 1.0 + side * (from_px + BESIDE_PX) / frame.b;
+        let square = |r: f64| r.max(0.0) * r.max(0.0);
+        Self {
+            frame,
+            by: [frame.a, frame.b].map(|x| 1.0 / (x * x)),
+            least: square(near.min(far)) * (1.0 - 1e-9),
+            most: square(near.max(far)) * (1.0 + 1e-9),
+        }
+    }
+
+    pub(super) fn may_hold(&self, u: f64, v: f64) -> bool {
+        let f = self.frame;
+        let (du, dv) = (u - f.u0, v - f.v0);
+        let (x, y) = (f.cos * du + f.sin * dv, f.cos * dv - f.sin * du);
+        (self.least..=self.most).contains(&(x * x * self.by[0] + y * y * self.by[1]))
     }
 }
 

@@ -1,5 +1,5 @@
 #![allow(clippy::expect_used)]
-use super::pieces::distance;
+use super::pieces::{BESIDE_PX, Ring, distance};
 use super::*;
 use crate::conic::{Ellipse, Frame};
 use crate::frames::Pixel;
@@ -97,5 +97,24 @@ fn inflation_is_that_of_weights_across_an_edge() {
         });
         let (kappa, wanted) = (found.inflation([c, s], blur), shared / plain);
         assert!((kappa - wanted).abs() < 0.02 * wanted, "{blur} {degrees}: {kappa} {wanted}");
+    }
+}
+
+/// Every pixel whose distance counts, and few others.
+#[test]
+fn rings_hold_what_is_as_far_as_asked_for() {
+    for (a, b, angle_rad) in [(9.0, 9.0, 0.0), (30.0, 12.0, 0.7), (14.0, 5.0, -1.2), (120.0, 90.0, 2.0)] {
+        let frame = Frame::new(&Ellipse::new(Pixel::new(150.3, 149.6), a, b, angle_rad).expect("an ellipse"));
+        for (side, from_px) in [(1.0, 2.0), (1.0, 7.5), (-1.0, 2.0), (-1.0, 6.0)] {
+            let ring = Ring::new(&frame, side, from_px);
+            let (mut held, mut inside) = (0, 0);
+            for (u, v) in (0..300).flat_map(|v| (0..300).map(move |u| (f64::from(u), f64::from(v)))) {
+                let counts = (from_px..from_px + BESIDE_PX).contains(&(side * distance(&frame, u, v)));
+                assert!(!counts || ring.may_hold(u, v), "({u}, {v}) of {a} x {b}, {side}, {from_px}");
+                held += u32::from(ring.may_hold(u, v));
+                inside += u32::from(counts);
+            }
+            assert!(held < 8 * inside + 200, "{held} for {inside} of {a} x {b}, {side}, {from_px}");
+        }
     }
 }
