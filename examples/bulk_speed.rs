@@ -5,8 +5,7 @@
 //!
 //! WORK: plane-to-pixel, pixel-to-plane (4096 points of arrays that stay in the cache), linear, cubic, lanczos, b-spline (2048 x 2048 float,
 //! the map computed on the way), components (4096 vectors); plane-to-pixel-5000 and so on: 5000 of them, whose arrays do not lie a power of two
-//! apart. `cpp_tests/bench/bench_bulk.cpp` lets it take turns with OpenCV and
-//! numpy.
+//! apart. `cpp_tests/bench/bench_bulk.cpp` lets it take turns with OpenCV and numpy.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)]
 

@@ -30,16 +30,17 @@ impl Sampler {
         let [width, height] = [view.width(), view.height()];
         let mut coefficients = vec![0.0; width * height];
         let bands = coefficients.par_chunks_mut(STRIP * width).enumerate();
+        bands.for_each_init(Memory::default, |memory, (k, band)| {
+            for (j, out) in band.chunks_exact_mut(width).enumerate() {
+                view.row(k * STRIP + j, &mut memory.row);
+                out.copy_from_slice(&memory.row);
+            }
+            if kernel == Kernel::BSpline {
+                rows(band, width, &mut memory.strip);
+            }
+        });
         if kernel == Kernel::BSpline {
-            bands.for_each_init(Rows::default, |memory, (k, band)| rows(view, k * STRIP, band, memory));
             columns(&mut coefficients, width);
-        } else {
-            bands.for_each_init(Vec::new, |row, (k, band)| {
-                for (j, out) in band.chunks_exact_mut(width).enumerate() {
-                    view.row(k * STRIP + j, row);
-                    out.copy_from_slice(row);
-                }
-            });
         }
         Self { kernel, size_px: [width, height], coefficients }
     }
@@ -60,23 +61,17 @@ impl Sampler {
     }
 }
 
-/// Memory of one thread for [`rows`].
+/// Memory of one thread.
 #[derive(Default)]
-struct Rows {
+struct Memory {
     row: Vec<f32>,
     strip: Vec<[f64; STRIP]>,
 }
 
-/// Rows from number `first` on, filtered along u, into `band`.
-fn rows(view: &GrayView<'_>, first: usize, band: &mut [f32], memory: &mut Rows) {
-    let width = view.width();
-    let Rows { row, strip } = memory;
+/// At most [`STRIP`] rows, along u, in place.
+fn rows(band: &mut [f32], width: usize, strip: &mut Vec<[f64; STRIP]>) {
     strip.clear();
     strip.resize(width, [0.0; STRIP]);
-    for (j, out) in band.chunks_exact_mut(width).enumerate() {
-        view.row(first + j, row);
-        out.copy_from_slice(row);
-    }
     // Square by square: a strip's columns lie far apart.
     for u in (0..width).step_by(STRIP) {
         for (j, row) in band.chunks_exact(width).enumerate() {
