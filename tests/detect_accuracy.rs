@@ -144,40 +144,64 @@ fn sigmas_are_true_in_large_discs_full_of_haze() {
 }
 
 /// Bubbles of 5 to 15 px, and of 60 to 180 px, full of smoke, as the simulator renders them: light carries shot noise that the ground does not show, and
-/// smoke has waves of all lengths.
+/// smoke has waves of all lengths. In the last, wisps of smoke are candidates by dozens: beside them smoke passed for noise that neighbours share, and
+/// sigmas were twice as large as errors, mean z^2 0.2.
 #[test]
 fn sigmas_are_true_in_bubbles_full_of_smoke() {
-    for (divisor, length_mm) in [(12.0, 1.5), (12.0, 0.5), (1.0, 5.0)] {
-        let simulation = simulate(&smaller_bubbles(divisor, length_mm)).unwrap();
-        let truth: serde_json::Value = serde_json::from_str(&simulation.truth_json).unwrap();
-        let (mut z2, mut count) = ([0.0; 4], 0.0);
-        for view in truth["views"].as_array().unwrap().iter().skip(1) {
-            for (camera, file) in view["images"].as_object().unwrap() {
-                let image = &simulation.images.iter().find(|(name, _)| Some(&name[..]) == file.as_str()).unwrap().1;
-                let found = find_discs(&image.view(), &DetectOptions::default()).unwrap().discs;
-                for disc in view["discs"].as_array().unwrap() {
-                    let e = &disc["images"][camera]["ellipse"];
-                    let at = |key: &str| e[key].as_f64().unwrap();
-                    let (u, v) = (e["center_px"][0].as_f64().unwrap(), e["center_px"][1].as_f64().unwrap());
-                    let away = |d: &&Disc| (d.ellipse.center_px.u_px - u).hypot(d.ellipse.center_px.v_px - v);
-                    let d = found.iter().min_by(|a, b| away(a).total_cmp(&away(b))).unwrap();
-                    let error = [
-                        d.ellipse.center_px.u_px - u,
-                        d.ellipse.center_px.v_px - v,
-                        d.ellipse.semi_major_px - at("semi_major_px"),
-                        d.ellipse.semi_minor_px - at("semi_minor_px"),
-                    ];
-                    (0..4).for_each(|k| z2[k] += error[k] * error[k] / d.covariance[(k, k)]);
-                    count += 1.0;
-                }
-            }
-        }
-        let z2 = z2.map(|x| x / count);
+    for (divisor, length_mm) in [(12.0, 1.5), (12.0, 0.5), (1.0, 5.0), (1.0, 2.0)] {
+        let errors = errors_of_bubbles(&smaller_bubbles(divisor, length_mm), 1);
+        let count = errors.len() as f64;
+        let z2: [f64; 4] =
+            std::array::from_fn(|k| errors.iter().map(|e| (e[k].0 / e[k].1).powi(2)).sum::<f64>() / count);
         println!("radii over {divisor}, smoke of {length_mm} mm: mean z^2 of {count} discs {z2:.2?}");
         // Both cameras see the same smoke: about as many independent errors as bubbles.
         let limit = 1.0 + 4.0 * (2.0 / (0.5 * count)).sqrt();
         assert!(z2.iter().all(|x| *x < limit), "{z2:?} above {limit}");
+        assert!(z2.iter().sum::<f64>() > 4.0 * 0.4, "sigmas are too large, mean z^2 {z2:?}");
     }
+}
+
+/// The brighter a stretch of the contour by noise, the more it weighed and the further out it lay: in smoke with waves of 4 to 40 px semi-minor axes came out
+/// 9.4 +- 1.3 mpx too long.
+#[test]
+fn bright_smoke_draws_no_contour_outwards() {
+    let text = include_str!("../examples/bubbles/scene.toml");
+    let cameras = text.split("[target]").next().unwrap().replace("seed = 10", "seed = 7");
+    let smoke = "[target]\nkind = \"bubbles\"\npolarity = \"bright\"\n[image]\nblur_sigma_px = 0.9\nfull_well_e = 10000\nread_noise_e = 20\n\
+        smoke = 0.3\nsmoke_length_mm = 0.7\n[random]\ncount = 8\ntilt_deg = [15, 15]\nposition_mm = [6, 4, 2]\n\
+        radii_mm = [[8, 14], [8, 14]]\nspacing_mm = [30.8, 35.0]\n[rig]\nscale = \"baseline\"\n";
+    let errors = errors_of_bubbles(&Scene::parse(&(cameras + smoke), "scene.toml").unwrap(), 0);
+    let mean = |k: usize| errors.iter().map(|e| e[k].0).sum::<f64>() / errors.len() as f64;
+    println!("axes of {} discs too long by {:.4} and {:.4} px", errors.len(), mean(2), mean(3));
+    assert!(mean(2).abs() < 0.004 && mean(3).abs() < 0.004, "axes are off by {} and {} px", mean(2), mean(3));
+}
+
+/// Errors of the discs of a scene and their sigmas, centre u, v, semi-major, semi-minor, px, from the view `first` on.
+fn errors_of_bubbles(scene: &Scene, first: usize) -> Vec<[(f64, f64); 4]> {
+    let simulation = simulate(scene).unwrap();
+    let truth: serde_json::Value = serde_json::from_str(&simulation.truth_json).unwrap();
+    let mut errors = vec![];
+    for view in truth["views"].as_array().unwrap().iter().skip(first) {
+        for (camera, file) in view["images"].as_object().unwrap() {
+            let image = &simulation.images.iter().find(|(name, _)| Some(&name[..]) == file.as_str()).unwrap().1;
+            let found = find_discs(&image.view(), &DetectOptions::default()).unwrap().discs;
+            for disc in view["discs"].as_array().unwrap() {
+                let e = &disc["images"][camera]["ellipse"];
+                let at = |key: &str| e[key].as_f64().unwrap();
+                let (u, v) = (e["center_px"][0].as_f64().unwrap(), e["center_px"][1].as_f64().unwrap());
+                let away = |d: &&Disc| (d.ellipse.center_px.u_px - u).hypot(d.ellipse.center_px.v_px - v);
+                let d = found.iter().min_by(|a, b| away(a).total_cmp(&away(b))).unwrap();
+                let off = [
+                    d.ellipse.center_px.u_px - u,
+                    d.ellipse.center_px.v_px - v,
+                    d.ellipse.semi_major_px - at("semi_major_px"),
+                    d.ellipse.semi_minor_px - at("semi_minor_px"),
+                ];
+                errors.push(std::array::from_fn(|k| (off[k], d.covariance[(k, k)].sqrt())));
+            }
+        }
+    }
+    errors
 }
 
 /// `examples/bubbles` with its bubbles made smaller.

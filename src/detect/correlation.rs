@@ -53,10 +53,10 @@ impl NoiseCorrelation {
     /// Independent pixels.
     pub(crate) const NONE: Self = Self { rho: None, allow: Allowance::NONE };
 
-    /// From the pixels beside the edges of candidates; `inside` tells whether those inside count, which smoke forbids.
-    pub(crate) fn of(view: &GrayView, candidates: &[&Candidate], inside: bool) -> Self {
+    /// From the pixels beside the edges of `discs`, clear of those of all `candidates`; `inside` tells whether those inside count, which smoke forbids.
+    pub(crate) fn of(view: &GrayView, candidates: &[&Candidate], discs: &[&Candidate], inside: bool) -> Self {
         let least = if matches!(view.samples(), Samples::F32(_)) { 0.0 } else { LEAST_VARIANCE };
-        let tiles = tiles(view, candidates, inside);
+        let tiles = tiles(view, candidates, discs, inside);
         if tiles.iter().filter(|t| !t.seem_independent()).count() * 2 < tiles.len() {
             return Self::NONE;
         }

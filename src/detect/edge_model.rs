@@ -24,6 +24,11 @@
 //! exact in the light. The light comes first in the elimination, so the Schur complement on the geometry and with it the price of not
 //! knowing blur and light are at hand.
 //!
+//! The step `E` that turns a shift of the edge into grey levels is that of the light as solved before. Where the light is free at each node, the
+//! noise that makes a stretch seem brighter also moves its edge: weighing it by its own step would favour the brighter, and draw all contours outwards (by 9 mpx
+//! in smoke of 30 % with waves of 4 to 40 px, twice the sigma). So there the step is averaged over a stretch long against those that share an
+//! error, which costs a few per cent of the information at most.
+//!
 //! A small disc cannot tell its size from blur; a weak prior holds what the data leave open: blur within `PRIOR_BLUR_PX` of the value given.
 //!
 //! Not valid where the radius of curvature is not well above the blur, or where another edge lies within the band.
@@ -40,6 +45,8 @@ pub(crate) const PRIOR_BLUR_PX: f64 = 0.3;
 const LEAST_BLUR_PX: f64 = 0.15;
 /// Blur and geometry.
 const FIXED: usize = 6;
+/// Sectors either side over which the step is averaged where the light follows nodes, a quarter of the contour at most.
+const STEP_OVER: usize = 24;
 /// Most unknowns of a surface: two sides.
 const MOST: usize = 2 * Side::MOST + FIXED;
 /// Unknowns of the light at one node: level, slope and bend on either side.
@@ -116,6 +123,9 @@ impl EdgeModel {
         for k in 0..contour.len() {
             found.shift.push(-(0..5).map(|i| contour.row[k][i] * found.change[i]).sum::<f64>());
             found.step.push(found.level[0][k] - found.level[1][k]);
+        }
+        if matches!(self.light, Light::Nodes(..)) {
+            average_around(&mut found.step, STEP_OVER);
         }
         true
     }
@@ -297,6 +307,17 @@ impl Solution {
             1 => self.blur_change_px,
             _ => light[a / 2 - 1][a % 2],
         })
+    }
+}
+
+/// The mean over `reach` places either side of each of a closed chain.
+fn average_around(values: &mut [f64], reach: usize) {
+    let (n, reach) = (values.len(), reach.min(values.len() / 4));
+    let raw = values.to_vec();
+    let mut sum: f64 = (0..=2 * reach).map(|i| raw[(n + i - reach) % n]).sum();
+    for (k, value) in values.iter_mut().enumerate() {
+        *value = sum / (2 * reach + 1) as f64;
+        sum += raw[(k + reach + 1) % n] - raw[(k + n - reach) % n];
     }
 }
 

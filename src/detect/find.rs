@@ -27,8 +27,10 @@ use rayon::prelude::*;
 const TEXTURE: f64 = 0.15;
 /// A disc with less than this part of the typical radius is dust.
 const DUST: f64 = 0.25;
-/// Images with more candidates than this show prints, not smoke.
+/// Images with more candidates than this, wisps of smoke in them apart, show prints, not smoke.
 const MOST_SMOKY: usize = 24;
+/// Contrast over that of the disc around it below which a region may be a wisp of smoke.
+const WISP: f64 = 0.5;
 /// Fewer lines than this are judged by one thread.
 const LINES_AT_ONCE: usize = 16;
 
@@ -107,10 +109,18 @@ fn refine_all<'a>(
     let around = surroundings(candidates);
     let light = SharedLight::of(view, candidates);
     let wanted: Vec<_> = candidates.iter().zip(&around).filter(|(c, _)| wanted(c.bright, options.polarity)).collect();
-    let smoke = wanted.len() <= MOST_SMOKY;
-    let noise = NoiseCorrelation::of(view, &wanted.iter().map(|w| w.0).collect::<Vec<_>>(), !smoke);
+    let all: Vec<&Candidate> = wanted.iter().map(|w| w.0).collect();
+    let in_smoke = wisps(&all);
+    let discs: Vec<&Candidate> = all.iter().zip(&in_smoke).filter(|(_, wisp)| !**wisp).map(|(c, _)| *c).collect();
+    let few = |count: usize| count <= MOST_SMOKY;
+    // Beside a wisp there is smoke, which must not pass for noise.
+    let noise = if few(discs.len()) {
+        NoiseCorrelation::of(view, &all, &discs, false)
+    } else {
+        NoiseCorrelation::of(view, &all, &all, true)
+    };
     let memory = OwnMemory::<Scratch>::new();
-    let one = |(candidate, around): &(&'a Candidate, &Surroundings)| {
+    let one = |((candidate, around), wisp): &((&'a Candidate, &Surroundings), bool)| {
         let start = Start {
             ellipse: candidate.ellipse,
             blur_px: candidate.blur_px,
@@ -120,11 +130,25 @@ fn refine_all<'a>(
             neighbours: &around.neighbours,
             slopes: light.slopes(candidate),
             noise: &noise,
-            smoke,
+            smoke: few(if *wisp { all.len() } else { discs.len() }),
         };
         (*candidate, memory.with(|scratch| refine(view, &start, options, scratch)))
     };
-    threads::side_by_side(&wanted, one)
+    threads::side_by_side(&wanted.into_iter().zip(in_smoke).collect::<Vec<_>>(), one)
+}
+
+/// Which candidates are faint against a disc that they lie in, as wisps of its smoke are.
+fn wisps(candidates: &[&Candidate]) -> Vec<bool> {
+    // Smoke is only asked for where discs are few: the largest are enough to look in.
+    let mut largest = candidates.to_vec();
+    largest.sort_by(|a, b| b.ellipse.semi_minor_px.total_cmp(&a.ellipse.semi_minor_px));
+    largest.truncate(MOST_SMOKY);
+    let in_disc = |c: &Candidate, disc: &Candidate| {
+        c.contrast < WISP * disc.contrast
+            && c.ellipse.semi_major_px < disc.ellipse.semi_minor_px
+            && disc.ellipse.implicit(c.ellipse.center_px) < 0.0
+    };
+    candidates.iter().map(|c| largest.iter().any(|disc| in_disc(c, disc))).collect()
 }
 
 fn check_options(o: &DetectOptions) -> Result<()> {

@@ -34,9 +34,9 @@ const SLANTED: f64 = 60.0;
 /// Pixels in a piece, at least.
 const LEAST_IN_TILE: usize = 60;
 
-/// Pieces of the image, evenly among the candidates.
-pub(super) fn tiles(view: &GrayView, candidates: &[&Candidate], inside: bool) -> Vec<Tile> {
-    let pieces = pieces(candidates);
+/// Pieces of the image, evenly among the `discs`, clear of the edges of all candidates.
+pub(super) fn tiles(view: &GrayView, candidates: &[&Candidate], discs: &[&Candidate], inside: bool) -> Vec<Tile> {
+    let pieces = pieces(discs);
     let step = pieces.len().div_ceil(MOST_TILES).max(1);
     let (mut out, mut within) = (Vec::new(), Vec::new());
     for (at, disc) in pieces.iter().step_by(step) {

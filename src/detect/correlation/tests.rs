@@ -36,7 +36,8 @@ fn picture(kernel: &[f64], across: &[f64], seed: u64) -> (Vec<f32>, Vec<Candidat
 fn found(kernel: &[f64], across: &[f64], seed: u64) -> NoiseCorrelation {
     let (grey, candidates) = picture(kernel, across, seed);
     let view = GrayView::new(Samples::F32(&grey), SIZE, SIZE, SIZE).expect("an image");
-    NoiseCorrelation::of(&view, &candidates.iter().collect::<Vec<_>>(), true)
+    let all: Vec<&Candidate> = candidates.iter().collect();
+    NoiseCorrelation::of(&view, &all, &all, true)
 }
 
 #[test]
