@@ -1,5 +1,6 @@
 //! From an image to discs: subpixel contours, ellipses with covariance, and the pattern they form.
 
+mod around;
 mod band;
 mod candidate;
 mod contour;

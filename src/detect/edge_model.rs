@@ -45,7 +45,7 @@ pub(crate) const PRIOR_BLUR_PX: f64 = 0.3;
 const LEAST_BLUR_PX: f64 = 0.15;
 /// Blur and geometry.
 const FIXED: usize = 6;
-/// Sectors either side over which the step is averaged where the light follows nodes, a quarter of the contour at most.
+/// Sectors either side over which the step is averaged where the light follows nodes; of short contours all around.
 const STEP_OVER: usize = 24;
 /// Most unknowns of a surface: two sides.
 const MOST: usize = 2 * Side::MOST + FIXED;
@@ -312,7 +312,7 @@ impl Solution {
 
 /// The mean over `reach` places either side of each of a closed chain.
 fn average_around(values: &mut [f64], reach: usize) {
-    let (n, reach) = (values.len(), reach.min(values.len() / 4));
+    let (n, reach) = (values.len(), reach.min((values.len() - 1) / 2));
     let raw = values.to_vec();
     let mut sum: f64 = (0..=2 * reach).map(|i| raw[(n + i - reach) % n]).sum();
     for (k, value) in values.iter_mut().enumerate() {
@@ -497,6 +497,26 @@ impl Chain {
                 value -= self.next[i] * self.right[i + 1];
             }
             self.right[i] = value;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn averages_around_a_closed_chain_are_those_taken_one_by_one() {
+        for (n, reach) in [(41_usize, 5_usize), (41, 24), (6, 24), (1, 3)] {
+            let values: Vec<f64> = (0..n).map(|k| (k as f64 * 1.7).sin() + 0.1 * k as f64).collect();
+            let mut found = values.clone();
+            average_around(&mut found, reach);
+            let reach = reach.min((n - 1) / 2);
+            for k in 0..n {
+                let around = (0..=2 * reach).map(|i| values[(k + n + i - reach) % n]);
+                let mean = around.sum::<f64>() / (2 * reach + 1) as f64;
+                assert!((found[k] - mean).abs() < 1e-13, "{n} {reach} {k}: {} and {mean}", found[k]);
+            }
         }
     }
 }

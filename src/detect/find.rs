@@ -4,13 +4,13 @@
 //! that start at a real edge are followed. A disc seen at several sizes is kept at the finest. Nothing here depends on a threshold
 //! given by the user: the least gradient follows from the noise of the image itself.
 
-use crate::conic::{Ellipse, Frame};
+use crate::conic::Ellipse;
+use crate::detect::around::{MOST_SMOKY, Surroundings, surroundings, wisps};
 use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd};
-use crate::detect::contour::NEIGHBOUR;
 use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::level::Level;
 use crate::detect::plane::{self, Floats, Source, check_finite};
-use crate::detect::refine::{Scratch, Start, reach_px, refine};
+use crate::detect::refine::{Scratch, Start, refine};
 use crate::detect::rows::ByRow;
 use crate::detect::shared_light::SharedLight;
 use crate::detect::trace::{Line, Tracer};
@@ -27,10 +27,6 @@ use rayon::prelude::*;
 const TEXTURE: f64 = 0.15;
 /// A disc with less than this part of the typical radius is dust.
 const DUST: f64 = 0.25;
-/// Images with more candidates than this, wisps of smoke in them apart, show prints, not smoke.
-const MOST_SMOKY: usize = 24;
-/// Contrast over that of the disc around it below which a region may be a wisp of smoke.
-const WISP: f64 = 0.5;
 /// Fewer lines than this are judged by one thread.
 const LINES_AT_ONCE: usize = 16;
 
@@ -135,20 +131,6 @@ fn refine_all<'a>(
         (*candidate, memory.with(|scratch| refine(view, &start, options, scratch)))
     };
     threads::side_by_side(&wanted.into_iter().zip(in_smoke).collect::<Vec<_>>(), one)
-}
-
-/// Which candidates are faint against a disc that they lie in, as wisps of its smoke are.
-fn wisps(candidates: &[&Candidate]) -> Vec<bool> {
-    // Smoke is only asked for where discs are few: the largest are enough to look in.
-    let mut largest = candidates.to_vec();
-    largest.sort_by(|a, b| b.ellipse.semi_minor_px.total_cmp(&a.ellipse.semi_minor_px));
-    largest.truncate(MOST_SMOKY);
-    let in_disc = |c: &Candidate, disc: &Candidate| {
-        c.contrast < WISP * disc.contrast
-            && c.ellipse.semi_major_px < disc.ellipse.semi_minor_px
-            && disc.ellipse.implicit(c.ellipse.center_px) < 0.0
-    };
-    candidates.iter().map(|c| largest.iter().any(|disc| in_disc(c, disc))).collect()
 }
 
 fn check_options(o: &DetectOptions) -> Result<()> {
@@ -408,71 +390,6 @@ fn drop_repeats(seen: &mut Seen) {
         }
     }
     seen.rejected = rejected;
-}
-
-/// What lies around one candidate.
-struct Surroundings {
-    /// How far the band may reach inwards, px: not into a hole of the disc.
-    inner_px: f64,
-    /// Other edges within sight.
-    neighbours: Vec<Ellipse>,
-}
-
-/// How far the bands around the candidates look at most, px.
-const SIGHT_PX: f64 = 40.0;
-
-/// Up to what gap another edge is felt, were the blur more than twice what it seems to be, px.
-fn sight_px(blur_px: f64) -> f64 {
-    (reach_px(2.0 * blur_px + 1.0) / NEIGHBOUR).min(SIGHT_PX)
-}
-
-/// Contrast over that of the disc from which a region of the other polarity inside is a hole; less is smoke.
-const HOLE: f64 = 0.5;
-
-/// What lies around each candidate: its own hole, its neighbours.
-fn surroundings(candidates: &[Candidate]) -> Vec<Surroundings> {
-    let by_row = ByRow::new(candidates.iter().map(|c| &c.ellipse));
-    candidates
-        .iter()
-        .map(|c| {
-            let e = &c.ellipse;
-            let mut around = Surroundings { inner_px: 0.9 * e.semi_minor_px, neighbours: vec![] };
-            let sight = sight_px(c.blur_px);
-            for k in by_row.near(e.center_px, e.semi_major_px + by_row.largest_px + sight) {
-                let other = &candidates[k];
-                let o = &other.ellipse;
-                let reach = e.semi_major_px + o.semi_major_px + sight;
-                let (du, dv) = (e.center_px.u_px - o.center_px.u_px, e.center_px.v_px - o.center_px.v_px);
-                if du * du + dv * dv > reach * reach || std::ptr::eq(c, other) || other.contrast <= 0.3 * c.contrast {
-                    continue;
-                }
-                let apart = du.hypot(dv);
-                if apart < 0.6 * e.semi_minor_px && o.semi_major_px < 0.85 * e.semi_minor_px {
-                    if other.bright != c.bright && other.contrast > HOLE * c.contrast {
-                        around.inner_px =
-                            around.inner_px.min(0.6 * (e.semi_minor_px - o.semi_major_px - apart).max(2.0));
-                    }
-                } else if apart > e.semi_minor_px {
-                    // A spot of the other polarity upon the contour (glare) spoils a few sectors, which show it themselves.
-                    let clear = apart - e.semi_major_px - o.semi_major_px > 2.0;
-                    if clear || other.bright == c.bright || least_gap_px(e, o) > 2.0 {
-                        around.neighbours.push(*o);
-                    }
-                }
-            }
-            around
-        })
-        .collect()
-}
-
-/// Least distance between two ellipses that lie side by side, px; not positive where they meet. To a few per cent of the smaller radius.
-fn least_gap_px(e: &Ellipse, other: &Ellipse) -> f64 {
-    let (frame, mut least) = (Frame::new(e), f64::INFINITY);
-    for k in 0..64 {
-        let p = other.point(f64::from(k) / 64.0 * std::f64::consts::TAU);
-        least = least.min(frame.foot(p.u_px, p.v_px, None).distance);
-    }
-    least
 }
 
 /// A disc around a region of the other polarity is a ring; the hole itself is no disc.

@@ -1,0 +1,118 @@
+//! What lies around a candidate: its own hole, its neighbours, the disc in whose smoke it is a wisp.
+
+use crate::conic::{Ellipse, Frame};
+use crate::detect::candidate::Candidate;
+use crate::detect::contour::NEIGHBOUR;
+use crate::detect::refine::reach_px;
+use crate::detect::rows::ByRow;
+
+/// Images with more candidates than this, wisps of smoke in them apart, show prints, not smoke.
+pub(super) const MOST_SMOKY: usize = 24;
+/// Contrast over that of the disc around it below which a region may be a wisp of smoke.
+const WISP: f64 = 0.5;
+
+/// What lies around one candidate.
+pub(super) struct Surroundings {
+    /// How far the band may reach inwards, px: not into a hole of the disc.
+    pub(super) inner_px: f64,
+    /// Other edges within sight.
+    pub(super) neighbours: Vec<Ellipse>,
+}
+
+/// How far the bands around the candidates look at most, px.
+const SIGHT_PX: f64 = 40.0;
+
+/// Up to what gap another edge is felt, were the blur more than twice what it seems to be, px.
+fn sight_px(blur_px: f64) -> f64 {
+    (reach_px(2.0 * blur_px + 1.0) / NEIGHBOUR).min(SIGHT_PX)
+}
+
+/// Contrast over that of the disc from which a region of the other polarity inside is a hole; less is smoke.
+const HOLE: f64 = 0.5;
+
+/// What lies around each candidate: its own hole, its neighbours.
+pub(super) fn surroundings(candidates: &[Candidate]) -> Vec<Surroundings> {
+    let by_row = ByRow::new(candidates.iter().map(|c| &c.ellipse));
+    candidates
+        .iter()
+        .map(|c| {
+            let e = &c.ellipse;
+            let mut around = Surroundings { inner_px: 0.9 * e.semi_minor_px, neighbours: vec![] };
+            let sight = sight_px(c.blur_px);
+            for k in by_row.near(e.center_px, e.semi_major_px + by_row.largest_px + sight) {
+                let other = &candidates[k];
+                let o = &other.ellipse;
+                let reach = e.semi_major_px + o.semi_major_px + sight;
+                let (du, dv) = (e.center_px.u_px - o.center_px.u_px, e.center_px.v_px - o.center_px.v_px);
+                if du * du + dv * dv > reach * reach || std::ptr::eq(c, other) || other.contrast <= 0.3 * c.contrast {
+                    continue;
+                }
+                let apart = du.hypot(dv);
+                if apart < 0.6 * e.semi_minor_px && o.semi_major_px < 0.85 * e.semi_minor_px {
+                    if other.bright != c.bright && other.contrast > HOLE * c.contrast {
+                        around.inner_px =
+                            around.inner_px.min(0.6 * (e.semi_minor_px - o.semi_major_px - apart).max(2.0));
+                    }
+                } else if apart > e.semi_minor_px {
+                    // A spot of the other polarity upon the contour (glare) spoils a few sectors, which show it themselves.
+                    let clear = apart - e.semi_major_px - o.semi_major_px > 2.0;
+                    if clear || other.bright == c.bright || least_gap_px(e, o) > 2.0 {
+                        around.neighbours.push(*o);
+                    }
+                }
+            }
+            around
+        })
+        .collect()
+}
+
+/// Least distance between two ellipses that lie side by side, px; not positive where they meet. To a few per cent of the smaller radius.
+fn least_gap_px(e: &Ellipse, other: &Ellipse) -> f64 {
+    let (frame, mut least) = (Frame::new(e), f64::INFINITY);
+    for k in 0..64 {
+        let p = other.point(f64::from(k) / 64.0 * std::f64::consts::TAU);
+        least = least.min(frame.foot(p.u_px, p.v_px, None).distance);
+    }
+    least
+}
+
+/// Which candidates are faint against a disc that they lie in, as wisps of its smoke are.
+pub(super) fn wisps(candidates: &[&Candidate]) -> Vec<bool> {
+    // Smoke is only asked for where discs are few: the largest are enough to look in.
+    let mut largest = candidates.to_vec();
+    largest.sort_by(|a, b| b.ellipse.semi_minor_px.total_cmp(&a.ellipse.semi_minor_px));
+    largest.truncate(MOST_SMOKY);
+    let in_disc = |c: &Candidate, disc: &Candidate| {
+        c.contrast < WISP * disc.contrast
+            && c.ellipse.semi_major_px < disc.ellipse.semi_minor_px
+            && disc.ellipse.implicit(c.ellipse.center_px) < 0.0
+    };
+    candidates.iter().map(|c| largest.iter().any(|disc| in_disc(c, disc))).collect()
+}
+
+#[cfg(test)]
+#[allow(clippy::expect_used)]
+mod tests {
+    use super::*;
+    use crate::frames::Pixel;
+
+    /// A bubble full of smoke, another beside it, a hole in it, and wisps: bright ones in the smoke, one that is none because it lies beside.
+    #[test]
+    fn wisps_are_faint_and_lie_in_a_disc() {
+        let of = |u_px: f64, semi_px: f64, contrast: f64| {
+            let ellipse = Ellipse::new(Pixel::new(u_px, 50.0), semi_px, semi_px, 0.3).expect("an ellipse");
+            Candidate { ellipse, blur_px: 1.0, bright: true, contrast, rms_px: 0.1, level: 0 }
+        };
+        let all = [
+            of(100.0, 80.0, 160.0),
+            of(300.0, 70.0, 150.0),
+            of(110.0, 12.0, 90.0),
+            of(60.0, 8.0, 40.0),
+            of(200.0, 8.0, 40.0),
+        ];
+        assert_eq!(wisps(&all.iter().collect::<Vec<_>>()), [false, false, false, true, false]);
+        // Among many discs no one looks for smoke, and it takes no longer than their number.
+        let dots: Vec<Candidate> = (0..3000).map(|k| of(f64::from(k) * 20.0, 6.0, 100.0)).collect();
+        assert!(wisps(&dots.iter().collect::<Vec<_>>()).iter().all(|w| !w));
+    }
+}
