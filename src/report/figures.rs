@@ -2,7 +2,7 @@
 
 use super::captions;
 use super::grey::{self, Background};
-use super::number::plain;
+use super::number::{count, plain};
 use super::overlay::{self, OverlayShapes};
 use super::svg::{escape, num, path_data};
 use crate::error::{Error, Result};
@@ -83,7 +83,7 @@ pub(super) fn overlay_svg(
     let silent = texts(&mut out, shapes, (width, height));
     if silent > 0 {
         let mark = if words.is_empty() { "" } else { "; " };
-        let _ = write!(words, "{mark}no room for {silent} labels");
+        let _ = write!(words, "{mark}no room for {}", count(silent, "label"));
     }
     out.push_str("</svg>");
     Ok((out, words))

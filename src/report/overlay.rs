@@ -3,7 +3,7 @@
 use super::canvas::{Canvas, Colour};
 use super::captions;
 use super::grey;
-use super::number::{nice_below, plain};
+use super::number::{count, nice_below, plain};
 use crate::conic::Ellipse;
 use crate::detect::Disc;
 use crate::error::{Error, Result};
@@ -317,7 +317,7 @@ pub fn overlay_png(image: &GrayView<'_>, shapes: &OverlayShapes) -> Result<Vec<u
         notes.push(format!("arrows: residual x {}{tail}", plain(factor, 3)));
     }
     if silent > 0 {
-        notes.push(format!("no room for {silent} labels: see the tables"));
+        notes.push(format!("no room for {}: see the tables", count(silent, "label")));
     }
     for (line, words) in notes.iter().rev().enumerate() {
         canvas.text([6.0, height as f64 - (NOTE_PX * scale * (line + 1)) as f64], words, scale, ARROW);

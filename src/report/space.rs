@@ -1,7 +1,7 @@
 //! Cameras, sheet and target poses in space, seen obliquely from behind the cameras (parallel projection).
 
 use super::captions::Room;
-use super::number::{nice_below, plain, with_unit};
+use super::number::{count, nice_below, plain, with_unit};
 use super::plots::COLOURS;
 use super::svg::{label, line, open, path, path_data};
 use crate::camera::{self, Intrinsics};
@@ -283,7 +283,7 @@ fn draw(scene: &Scene, screen: &Screen, size: [f64; 2], title: &str) -> String {
     line(&mut out, "axis", [10.0, y], [10.0 + bar_mm * scale, y]);
     label(&mut out, "tick", [16.0 + bar_mm * scale, y + 4.0], "start", &format!("{} mm", plain(bar_mm, 3)));
     if unwritten > 0 {
-        let text = format!("no room for {unwritten} name{}", if unwritten == 1 { "" } else { "s" });
+        let text = format!("no room for {}", count(unwritten, "name"));
         label(&mut out, "tick", [size[0] - 10.0, y + 4.0], "end", &text);
     }
     out.push_str("</svg>");
