@@ -6,6 +6,9 @@
 //! system tells it. The goal is a speed of 95 % of that of the library's loop.
 #![allow(unsafe_code, clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
+mod clock;
+
+use clock::{Clock, median, seconds};
 use nalgebra::{Vector2, Vector3};
 use spivcal::dewarp::{Pixels, SheetMap, SheetPoints};
 use spivcal::ffi::*;
@@ -21,31 +24,9 @@ const ROUNDS: usize = 31;
 /// The made-up scene that the random calls begin with.
 const SCENE: &str = include_str!("../fuzz/corpus/calibration/scene.json");
 
-/// Nanoseconds that this thread has run, or those that have passed.
+/// Nanoseconds that this thread has run.
 fn now_ns(start: Instant) -> f64 {
-    #[cfg(target_os = "linux")]
-    {
-        #[repr(C)]
-        struct Time {
-            s: std::ffi::c_long,
-            ns: std::ffi::c_long,
-        }
-        unsafe extern "C" {
-            fn clock_gettime(clock: i32, time: *mut Time) -> i32;
-        }
-        const THREAD: i32 = 3;
-        let mut time = Time { s: 0, ns: 0 };
-        // SAFETY: the time can be written. (What /proc tells of a thread is as old as the last tick.)
-        if unsafe { clock_gettime(THREAD, &mut time) } == 0 {
-            return 1e9 * time.s as f64 + time.ns as f64;
-        }
-    }
-    start.elapsed().as_nanos() as f64
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
+    1e9 * seconds(Clock::Thread, start)
 }
 
 /// Inputs and outputs of either way.

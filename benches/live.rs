@@ -10,6 +10,9 @@
 //! `valgrind --tool=callgrind`.
 #![allow(unsafe_code, clippy::unwrap_used, clippy::print_stdout, missing_docs)]
 
+mod clock;
+
+use clock::{Clock, median, seconds};
 use spivcal::detect::{DetectMemory, DetectOptions, find_discs_with};
 use spivcal::error::Result;
 use spivcal::image::GrayImage;
@@ -22,31 +25,9 @@ use std::time::Instant;
 
 const ROUNDS: usize = 21;
 
-/// Milliseconds that all threads of this process have run, or those that have passed.
+/// Milliseconds that all threads of this process have run.
 fn processor_ms(start: Instant) -> f64 {
-    #[cfg(target_os = "linux")]
-    {
-        #[repr(C)]
-        struct Time {
-            s: std::ffi::c_long,
-            ns: std::ffi::c_long,
-        }
-        unsafe extern "C" {
-            fn clock_gettime(clock: i32, time: *mut Time) -> i32;
-        }
-        const PROCESS: i32 = 2;
-        let mut time = Time { s: 0, ns: 0 };
-        // SAFETY: the time can be written.
-        if unsafe { clock_gettime(PROCESS, &mut time) } == 0 {
-            return 1e3 * time.s as f64 + 1e-6 * time.ns as f64;
-        }
-    }
-    1e3 * start.elapsed().as_secs_f64()
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
+    1e3 * seconds(Clock::Process, start)
 }
 
 /// What one kind of work took in all rounds.
