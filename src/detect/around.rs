@@ -96,7 +96,7 @@ mod tests {
     use super::*;
     use crate::frames::Pixel;
 
-    /// A bubble full of smoke, another beside it, a hole in it, and wisps: bright ones in the smoke, one that is none because it lies beside.
+    /// A bubble full of smoke, another beside it, and in the first what is too strong for a wisp, and a wisp; the last lies between the bubbles.
     #[test]
     fn wisps_are_faint_and_lie_in_a_disc() {
         let of = |u_px: f64, semi_px: f64, contrast: f64| {
@@ -111,8 +111,5 @@ mod tests {
             of(200.0, 8.0, 40.0),
         ];
         assert_eq!(wisps(&all.iter().collect::<Vec<_>>()), [false, false, false, true, false]);
-        // Among many discs no one looks for smoke, and it takes no longer than their number.
-        let dots: Vec<Candidate> = (0..3000).map(|k| of(f64::from(k) * 20.0, 6.0, 100.0)).collect();
-        assert!(wisps(&dots.iter().collect::<Vec<_>>()).iter().all(|w| !w));
     }
 }

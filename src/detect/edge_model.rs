@@ -24,10 +24,11 @@
 //! exact in the light. The light comes first in the elimination, so the Schur complement on the geometry and with it the price of not
 //! knowing blur and light are at hand.
 //!
-//! The step `E` that turns a shift of the edge into grey levels is that of the light as solved before. Where the light is free at each node, the
-//! noise that makes a stretch seem brighter also moves its edge: weighing it by its own step would favour the brighter, and draw all contours outwards (by 9 mpx
-//! in smoke of 30 % with waves of 4 to 40 px, twice the sigma). So there the step is averaged over a stretch long against those that share an
-//! error, which costs a few per cent of the information at most.
+//! The step `E = L_in - L_out` that turns a shift of the edge into grey levels is that of the light as solved before. Where the light is free at each
+//! node, the noise that makes a stretch seem brighter also moves its edge: weighing it by its own step favours the brighter and draws all contours
+//! outwards (test `bright_smoke_draws_no_contour_outwards`). So there sector `k` takes the mean of `L_in - L_out` over the sectors `k - 24 .. k + 24`, of
+//! short contours over all. The sums stay without bias for any `E` that does not know of their errors; of the information remains
+//! `<E>^2 / <E^2>`, for `E` that scatters by a fifth 0.96.
 //!
 //! A small disc cannot tell its size from blur; a weak prior holds what the data leave open: blur within `PRIOR_BLUR_PX` of the value given.
 //!
@@ -312,7 +313,11 @@ impl Solution {
 
 /// The mean over `reach` places either side of each of a closed chain.
 fn average_around(values: &mut [f64], reach: usize) {
-    let (n, reach) = (values.len(), reach.min((values.len() - 1) / 2));
+    let n = values.len();
+    if n == 0 {
+        return;
+    }
+    let reach = reach.min((n - 1) / 2);
     let raw = values.to_vec();
     let mut sum: f64 = (0..=2 * reach).map(|i| raw[(n + i - reach) % n]).sum();
     for (k, value) in values.iter_mut().enumerate() {
@@ -511,6 +516,7 @@ mod tests {
             let values: Vec<f64> = (0..n).map(|k| (k as f64 * 1.7).sin() + 0.1 * k as f64).collect();
             let mut found = values.clone();
             average_around(&mut found, reach);
+            average_around(&mut [], reach);
             let reach = reach.min((n - 1) / 2);
             for k in 0..n {
                 let around = (0..=2 * reach).map(|i| values[(k + n + i - reach) % n]);

@@ -110,11 +110,8 @@ fn refine_all<'a>(
     let discs: Vec<&Candidate> = all.iter().zip(&in_smoke).filter(|(_, wisp)| !**wisp).map(|(c, _)| *c).collect();
     let few = |count: usize| count <= MOST_SMOKY;
     // Beside a wisp there is smoke, which must not pass for noise.
-    let noise = if few(discs.len()) {
-        NoiseCorrelation::of(view, &all, &discs, false)
-    } else {
-        NoiseCorrelation::of(view, &all, &all, true)
-    };
+    let smoke = few(discs.len());
+    let noise = NoiseCorrelation::of(view, &all, if smoke { &discs } else { &all }, !smoke);
     let memory = OwnMemory::<Scratch>::new();
     let one = |((candidate, around), wisp): &((&'a Candidate, &Surroundings), bool)| {
         let start = Start {
@@ -126,7 +123,7 @@ fn refine_all<'a>(
             neighbours: &around.neighbours,
             slopes: light.slopes(candidate),
             noise: &noise,
-            smoke: few(if *wisp { all.len() } else { discs.len() }),
+            smoke: if *wisp { few(all.len()) } else { smoke },
         };
         (*candidate, memory.with(|scratch| refine(view, &start, options, scratch)))
     };
