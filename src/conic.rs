@@ -28,7 +28,7 @@ pub use circle::image_of_circle;
 pub(crate) use feet::Feet;
 pub(crate) use fit::fit_geometric_from;
 pub use fit::{EllipseFit, fit_direct, fit_geometric};
-pub(crate) use foot::Frame;
+pub(crate) use foot::{Frame, OnContour};
 pub(crate) use geometry::{covariance_from_regular, from_regular, parameters_by_regular, to_regular};
 
 use crate::frames::Pixel;

@@ -5,6 +5,7 @@ mod band;
 mod candidate;
 mod contour;
 mod correlation;
+mod dense;
 mod edge_model;
 mod exact;
 mod find;

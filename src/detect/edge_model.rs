@@ -36,6 +36,7 @@
 
 use crate::conic::{Ellipse, from_regular, to_regular};
 use crate::detect::contour::Contour;
+use crate::detect::dense::{Dense, FIXED};
 use crate::detect::light::{Light, NodePrior, Side};
 use crate::detect::sectors::{LOCAL, Sectors};
 use nalgebra::{SMatrix, SVector};
@@ -44,8 +45,6 @@ use nalgebra::{SMatrix, SVector};
 pub(crate) const PRIOR_BLUR_PX: f64 = 0.3;
 /// Half the standard deviation of the area of a pixel, px.
 const LEAST_BLUR_PX: f64 = 0.15;
-/// Blur and geometry.
-const FIXED: usize = 6;
 /// Sectors either side over which the step is averaged where the light follows nodes; of short contours all around.
 const STEP_OVER: usize = 24;
 /// Most unknowns of a surface: two sides.
@@ -331,91 +330,6 @@ fn place_between(k: usize, count: usize, nodes: usize) -> (usize, usize, f64) {
     let x = (k as f64 + 0.5) / count as f64 * nodes as f64;
     let i = (x as usize).min(nodes - 1);
     (i, if i + 1 == nodes { 0 } else { i + 1 }, x - i as f64)
-}
-
-/// Dense normal equations, blur and geometry last.
-#[derive(Debug, Default, Clone)]
-pub(crate) struct Dense {
-    /// Lower triangle, row by row; the Cholesky factor once solved.
-    pub(crate) matrix: Vec<f64>,
-    /// Right side; the unknowns once solved.
-    pub(crate) right: Vec<f64>,
-    /// Normal matrix of the geometry alone, before anything was eliminated.
-    pub(crate) alone: SMatrix<f64, 5, 5>,
-    /// Covariance of the geometry.
-    pub(crate) covariance: SMatrix<f64, 5, 5>,
-    pub(crate) widen: f64,
-}
-
-impl Dense {
-    pub(crate) fn clear(&mut self, n: usize) {
-        self.matrix.clear();
-        self.matrix.resize(n * n, 0.0);
-        self.right.clear();
-        self.right.resize(n, 0.0);
-        self.alone = SMatrix::zeros();
-    }
-
-    fn add_last(&mut self, n: usize, fixed: &SMatrix<f64, FIXED, FIXED>, right: &SVector<f64, FIXED>) {
-        let at = n - FIXED;
-        for i in 0..FIXED {
-            for j in 0..=i {
-                self.matrix[(at + i) * n + at + j] += fixed[(i, j)];
-            }
-            self.right[at + i] += right[i];
-        }
-        self.alone += fixed.fixed_view::<5, 5>(1, 1);
-    }
-
-    /// Solves in place (lower triangle) and says how well the geometry is known; false where the matrix is not positive definite.
-    pub(crate) fn solve(&mut self, n: usize) -> bool {
-        self.unknowns(n) && self.geometry(n)
-    }
-
-    /// Solves in place (lower triangle); false where the matrix is not positive definite.
-    pub(crate) fn unknowns(&mut self, n: usize) -> bool {
-        let a = &mut self.matrix;
-        for j in 0..n {
-            let before = a[j * n + j];
-            let mut diagonal = before * (1.0 + 1e-12);
-            for k in 0..j {
-                diagonal -= a[j * n + k] * a[j * n + k];
-            }
-            if !(diagonal > 1e-13 * before && diagonal.is_finite()) {
-                return false;
-            }
-            let root = diagonal.sqrt();
-            a[j * n + j] = root;
-            for i in j + 1..n {
-                let (head, tail) = a.split_at_mut(i * n);
-                let (row_j, row_i) = (&head[j * n..j * n + j], &tail[..j]);
-                let dot: f64 = row_j.iter().zip(row_i).map(|(x, y)| x * y).sum();
-                tail[j] = (tail[j] - dot) / root;
-            }
-        }
-        let b = &mut self.right;
-        for i in 0..n {
-            let dot: f64 = (0..i).map(|k| a[i * n + k] * b[k]).sum();
-            b[i] = (b[i] - dot) / a[i * n + i];
-        }
-        for i in (0..n).rev() {
-            let dot: f64 = (i + 1..n).map(|k| a[k * n + i] * b[k]).sum();
-            b[i] = (b[i] - dot) / a[i * n + i];
-        }
-        true
-    }
-
-    /// Covariance of the geometry, from the factor; false where the geometry is not fixed.
-    pub(crate) fn geometry(&mut self, n: usize) -> bool {
-        let a = &self.matrix;
-        // The last block of the factor is that of the Schur complement on the geometry.
-        let lower = SMatrix::<f64, 5, 5>::from_fn(|i, j| if j <= i { a[(n - 5 + i) * n + n - 5 + j] } else { 0.0 });
-        let (Some(root), Some(alone)) = (lower.try_inverse(), self.alone.try_inverse()) else { return false };
-        let ratio: f64 = (0..5).map(|k| root.column(k).norm_squared() / alone[(k, k)]).sum();
-        self.widen = (ratio / 5.0).max(1.0).sqrt();
-        self.covariance = root.transpose() * root;
-        self.widen.is_finite()
-    }
 }
 
 /// Products of the unknowns at a node.

@@ -16,6 +16,8 @@
 //! is at most slanted says as much under louder noise. Noise inside is what is left over the degrees of freedom that the waves did not
 //! spend, for light carries shot noise that the ground does not show. Of small discs these are few: then the mean is over the noise as
 //! well, which may be four times louder where there is more light (`ln (variance / outside) ~ N(0, ln 4)`), but hardly quieter (`ln 1.3`).
+//! Of large discs ([`is_large`]) a field is asked for where light along the contour changes slowly, and must leave no more than noise; nodes along
+//! the contour ([`crate::detect::light`]) follow what is faster.
 //!
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
@@ -26,14 +28,17 @@
 mod field;
 mod hidden;
 mod left;
+mod products;
+mod waves;
 pub(crate) use field::Field;
 pub(crate) use left::Share;
 
-use crate::conic::{Ellipse, Frame, from_regular, to_regular};
+use crate::conic::{Ellipse, Frame, OnContour, from_regular, to_regular};
 use crate::detect::band::{Band, LANES, Reach};
 use crate::detect::contour::Contour;
 use crate::detect::correlation::Allowance;
-use crate::detect::edge_model::{Dense, PRIOR_BLUR_PX};
+use crate::detect::dense::{Dense, FIXED};
+use crate::detect::edge_model::PRIOR_BLUR_PX;
 use crate::detect::light::Side;
 use crate::detect::profile::{Lanes, Profile, Profiled};
 use crate::detect::refine::{Start, reach_px};
@@ -41,20 +46,21 @@ use crate::detect::rim::{Rim, Seen};
 use crate::detect::shared_light::in_axes;
 use crate::detect::surface::{At, on_contour};
 use crate::image::GrayView;
-use crate::lanes::{self, Kernel, Lanes as Width};
+use crate::lanes;
 use field::{MOST_LOUD, PRIOR_PIXELS, Verdict};
 use hidden::Hidden;
 use left::Within;
 use nalgebra::{SMatrix, SVector};
+use products::{CHUNK, Products};
+use waves::{Turns, Waves};
 
-/// Blur and geometry.
-const FIXED: usize = 6;
-/// Pixels whose columns are stored before their products are taken.
-const CHUNK: usize = 64;
+/// Pixels that are looked at or passed over together.
+const SLICE: usize = 64;
 /// Rounds at most.
 const MOST_ROUNDS: usize = 8;
-/// Longest contour around which a field is fitted, px: its price grows with the area, and the short waves in large discs are too many; nodes along the contour do as well there.
-pub(crate) const MOST_CONTOUR_PX: f64 = 130.0;
+/// Longest contour around which a field is fitted whatever the light, px: short waves in large discs are too many, and nodes along the contour do as
+/// well there.
+const MOST_CONTOUR_PX: f64 = 130.0;
 /// Product of curvature and blur above which the local profile no longer holds.
 pub(crate) const SMALL: f64 = 0.33;
 /// How much `chi^2` must fall for a slope of the light: its two coefficients, 3.5 standard deviations, and 4 for having looked.
@@ -93,6 +99,7 @@ pub(crate) struct Exact {
     rim: Rim,
     count: usize,
     columns: Vec<f64>,
+    turns: Turns,
     /// The slopes expected, in the axes of the ellipse.
     expected: [[f64; 2]; 2],
     /// Step of the light at each pixel while the light is not known; empty otherwise.
@@ -161,16 +168,16 @@ impl Exact {
     /// Columns of `LANES` pixels from place `i` on, each times the root of its weight, into `at` of the chunk.
     fn fill(&mut self, state: &State, frame: &Frame, i: usize, at: usize) {
         let lanes = self.profile(state, i);
-        let seen = state.exact_rim().then(|| self.rim.seen(&eight(&self.band.x, i), &eight(&self.band.y, i)));
-        let lights = Self::lights(state);
-        for l in 0..LANES {
-            if i + l >= self.count {
-                (0..=lights + FIXED).for_each(|j| self.columns[at + l + j * CHUNK] = 0.0);
-            } else if let Some(seen) = &seen {
-                self.fill_from_rim(state, &lanes, seen, i + l, at + l);
-            } else {
-                self.fill_from_profile(state, frame, &lanes, i + l, at + l);
-            }
+        let shown = LANES.min(self.count.saturating_sub(i));
+        if state.exact_rim() {
+            let seen = self.rim.seen(&eight(&self.band.x, i), &eight(&self.band.y, i));
+            (0..shown).for_each(|l| self.fill_from_rim(state, &lanes, &seen, i + l, at + l));
+        } else if shown > 0 {
+            self.fill_from_profile(state, frame, &lanes, (i, shown), at);
+        }
+        if shown < LANES {
+            (0..=Self::lights(state) + FIXED)
+                .for_each(|j| self.columns[at + j * CHUNK + shown..at + j * CHUNK + LANES].fill(0.0));
         }
     }
 
@@ -237,15 +244,56 @@ impl Exact {
         self.inside[p] = inside;
     }
 
-    fn fill_from_profile(&mut self, state: &State, frame: &Frame, lanes: &Lanes<LANES>, p: usize, at: usize) {
-        let (a, b, l) = (state.ellipse.semi_major_px, state.ellipse.semi_minor_px, p % LANES);
-        let (c, s) = (self.band.cos[p], self.band.sin[p]);
-        let foot = frame.on_contour(c, s);
+    /// Those of `shown` pixels from place `i` on.
+    fn fill_from_profile(
+        &mut self,
+        state: &State,
+        frame: &Frame,
+        lanes: &Lanes<LANES>,
+        (i, shown): (usize, usize),
+        at: usize,
+    ) {
+        // Places behind the last pixel show that pixel; nothing comes of them.
+        let place = |l: usize| l.min(shown - 1);
+        let feet: [OnContour; LANES] = std::array::from_fn(|l| {
+            let p = i + place(l);
+            frame.on_contour(self.band.cos[p], self.band.sin[p])
+        });
+        let pixels: [At; LANES] = std::array::from_fn(|l| self.pixel(state, lanes, &feet[l], (i + place(l), place(l))));
+        let root = pixels.map(|pixel| Self::weight(state, pixel.inside).sqrt());
+        let (light, columns, turns) = (&self.light, &mut self.columns[at..], &mut self.turns);
+        let (mut of_waves, mut waves) = ([0.0; LANES], 0);
+        if let Some(field) = &state.field {
+            of_waves = lanes::run(Waves { field, pixels: &pixels, root: &root, light, columns, turns });
+            waves = 2 * field.waves.len();
+        }
+        let j = Self::lights(state);
+        for l in 0..shown {
+            let (p, at) = (i + l, at + l);
+            let (root, slope) = (root[l], pixels[l].slope);
+            let held = if self.light.is_empty() { self.held.get(p).copied() } else { None };
+            let on_edge = held.unwrap_or_else(|| self.step_at(state, self.band.cos[p], self.band.sin[p]));
+            let response = on_edge * slope + of_waves[l];
+            let expected = self.fill_polynomials(state, &pixels[l], root, at, waves);
+            let step = if slope.abs() > 1e-9 { response / slope } else { state.step };
+            self.columns[at + j * CHUNK] = root * step * lanes.by_blur[l];
+            for (m, row) in feet[l].row.iter().enumerate() {
+                self.columns[at + (j + 1 + m) * CHUNK] = root * response * row;
+            }
+            self.columns[at + (j + FIXED) * CHUNK] = root * (self.band.grey[p] - expected);
+            self.response[p] = root * response;
+            self.inside[p] = pixels[l].inside;
+        }
+    }
+
+    /// The pixel at place `p`, whose profile is that of lane `l`, as the columns of light need it.
+    fn pixel(&self, state: &State, lanes: &Lanes<LANES>, foot: &OnContour, (p, l): (usize, usize)) -> At {
+        let (a, b) = (state.ellipse.semi_major_px, state.ellipse.semi_minor_px);
         let (normal, slope, curvature) = (foot.climb, lanes.slope[l], self.band.curvature[p]);
         let tangent = [-normal[1] * b / a, normal[0] * a / b];
         let (across, along) = (-slope * lanes.depth[l] / state.blur_px, curvature * slope);
         let bend = |i: usize, j: usize| across * normal[i] * normal[j] + along * tangent[i] * tangent[j];
-        let pixel = At {
+        At {
             place: [self.band.x[p] / a, self.band.y[p] / b],
             normal,
             tangent,
@@ -259,38 +307,16 @@ impl Exact {
             density: lanes.density[l],
             distance: self.band.distance[p],
             narrow: lanes.narrow[l],
-        };
-        let root = Self::weight(state, pixel.inside).sqrt();
-        let held = if self.light.is_empty() { self.held.get(p).copied() } else { None };
-        let mut response = held.unwrap_or_else(|| self.step_at(state, c, s)) * slope;
-        let mut j = 0;
-        for k in state.field.as_ref().map_or(&[][..], |f| &f.waves[..]) {
-            let ([x, y], [dx, dy]) = pixel.wave(*k);
-            self.columns[at + j * CHUNK] = root * x;
-            self.columns[at + (j + 1) * CHUNK] = root * y;
-            if !self.light.is_empty() {
-                response += self.light[j] * dx + self.light[j + 1] * dy;
-            }
-            j += 2;
         }
-        let expected = self.fill_polynomials(state, &pixel, root, at, j);
-        let j = Self::lights(state);
-        let step = if slope.abs() > 1e-9 { response / slope } else { state.step };
-        self.columns[at + j * CHUNK] = root * step * lanes.by_blur[l];
-        for (m, row) in foot.row.iter().enumerate() {
-            self.columns[at + (j + 1 + m) * CHUNK] = root * response * row;
-        }
-        self.columns[at + (j + FIXED) * CHUNK] = root * (self.band.grey[p] - expected);
-        self.response[p] = root * response;
-        self.inside[p] = pixel.inside;
     }
 
     /// Sets up what all pixels share.
     fn prepare(&mut self, state: &State, frame: &Frame) {
         self.expected = in_axes(&state.ellipse, state.slopes);
         let n = Self::lights(state) + FIXED + 1;
-        self.columns.clear();
-        self.columns.resize(n * CHUNK, 0.0);
+        if self.columns.len() < n * CHUNK {
+            self.columns.resize(n * CHUNK, 0.0);
+        }
         for list in [&mut self.response, &mut self.inside] {
             list.clear();
             list.resize(self.band.len(), 0.0);
@@ -308,16 +334,18 @@ impl Exact {
         self.gram.clear();
         self.gram.resize(n * n, 0.0);
         self.prepare(state, &frame);
-        let total = self.band.len();
-        for start in (0..total).step_by(CHUNK) {
-            let end = (start + CHUNK).min(total);
-            if !(start / CHUNK).is_multiple_of(self.thinned.max(1)) {
-                continue;
-            }
+        let (total, thinned) = (self.band.len(), self.thinned.max(1));
+        let mut used = 0;
+        for start in (0..total).step_by(SLICE * thinned) {
+            let end = (start + SLICE).min(total);
             for i in (start..end).step_by(LANES) {
-                self.fill(state, &frame, i, i - start);
+                self.fill(state, &frame, i, used);
+                used += LANES;
             }
-            lanes::run(Products { columns: &self.columns, used: end - start, n, gram: &mut self.gram });
+            if used + SLICE > CHUNK || start + SLICE * thinned >= total {
+                lanes::run(Products { columns: &self.columns, used, n, gram: &mut self.gram });
+                used = 0;
+            }
         }
     }
 
@@ -540,37 +568,13 @@ impl Exact {
     }
 }
 
+/// Whether a disc is fitted with a field only where the light changes slowly.
+pub(crate) fn is_large(e: &Ellipse) -> bool {
+    e.perimeter_px() > MOST_CONTOUR_PX
+}
+
 /// `LANES` numbers of a list from place `i` on.
 #[inline(always)]
 fn eight(list: &[f64], i: usize) -> [f64; LANES] {
     std::array::from_fn(|l| list[i + l])
-}
-
-/// Adds the products of the first `used` entries of all pairs of columns to the lower triangle.
-struct Products<'a> {
-    columns: &'a [f64],
-    used: usize,
-    n: usize,
-    gram: &'a mut [f64],
-}
-
-impl Kernel for Products<'_> {
-    type Output = ();
-    #[inline(always)]
-    fn run<L: Width>(self) {
-        let Self { columns, used, n, gram } = self;
-        for i in 0..n {
-            let ci = &columns[i * CHUNK..i * CHUNK + used];
-            for j in 0..=i {
-                let cj = &columns[j * CHUNK..j * CHUNK + used];
-                let mut sums = [0.0; LANES];
-                for (x, y) in ci.chunks_exact(LANES).zip(cj.chunks_exact(LANES)) {
-                    for l in 0..LANES {
-                        sums[l] += x[l] * y[l];
-                    }
-                }
-                gram[i * n + j] += sums.iter().sum::<f64>();
-            }
-        }
-    }
 }

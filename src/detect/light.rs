@@ -15,6 +15,7 @@
 //! their neighbours as loosely as the pixels away from the edge show them to differ.
 //! Levels walk from node to node in steps as large as those that are seen. Slopes and bends are chains with the standard deviation of
 //! the light's derivatives along the contour and the length over which they change, `gradient / bend`, since smoke has no preferred direction.
+//! Where that length says that few waves follow the light across the disc, they do, with all pixels inside ([`crate::detect::exact`]).
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
@@ -51,6 +52,10 @@ const LEAST_SEEN: f64 = 0.75;
 /// How much `chi^2` must fall for two more coefficients: their mean, 3.5 standard deviations, and 4 for having looked.
 const WORTH: f64 = 13.0;
 
+/// Second over first derivatives up to which a hundred waves follow light across a disc, per semi-axis: waves of one to four semi-axes have 3 to 6, of a
+/// third of that 8 and more.
+const SLOW: f64 = 6.0;
+
 /// Light on both sides.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Light {
@@ -81,6 +86,9 @@ pub(crate) struct NodePrior {
     pub(crate) bend: f64,
     /// Surface about which the light varies, grey.
     about: SVector<f64, 6>,
+    /// The poorest polynomial, and whether the light follows none.
+    side: Side,
+    smoke: bool,
 }
 
 /// The same at one node, as weights of level, slope and bend.
@@ -257,9 +265,6 @@ impl<const N: usize> Fits<N> {
 
 /// What the pixels away from the edge say about one side.
 struct Verdict {
-    side: Side,
-    /// Whether no polynomial follows the light.
-    smoke: bool,
     prior: NodePrior,
     /// By how many standard deviations the stretch at each node is off the best surface, `sum r / (n variance)^(1/2)` over its `n` pixels away from the
     /// edge with residuals `r`, grey; none where too few pixels tell.
@@ -272,7 +277,7 @@ pub(crate) fn choose(contour: &Contour, sectors: &mut Sectors, step: f64, smoke:
     let nodes = ((contour.perimeter_px / NODE_PX) as usize).clamp(6, MOST_NODES);
     let verdicts = judge_both(contour, sectors, step, nodes);
     if !smoke && !smoky(&verdicts) {
-        return Light::Surface(verdicts.map(|v| v.side));
+        return Light::Surface(verdicts.map(|v| v.prior.side));
     }
     let without = if smoke { None } else { set_aside(contour, sectors, step, nodes, &verdicts) };
     without.map_or_else(|| Light::Nodes(nodes, verdicts.map(|v| v.prior)), Light::Surface)
@@ -283,7 +288,7 @@ fn judge_both(contour: &Contour, sectors: &Sectors, step: f64, nodes: usize) -> 
 }
 
 fn smoky(verdicts: &[Verdict; 2]) -> bool {
-    verdicts.iter().any(|v| v.smoke)
+    verdicts.iter().any(|v| v.prior.smoke)
 }
 
 /// Glare and dirt upon even light look like smoke: nodes would follow their skirts, and slacken all around the contour. Hides the stretches that
@@ -318,7 +323,7 @@ fn set_aside(
         let verdicts = judge_both(contour, sectors, step, nodes);
         if !smoky(&verdicts) {
             sectors.hide(&hidden);
-            return Some(verdicts.map(|v| v.side));
+            return Some(verdicts.map(|v| v.prior.side));
         }
         off_now = off(&verdicts);
     }
@@ -362,37 +367,32 @@ fn within_sectors(contour: &Contour, sectors: &Sectors, side: usize, about: &SVe
 
 fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: usize) -> Verdict {
     let floor = 1e-4 * step;
-    let mut verdict = Verdict {
-        side: Side::plain(0, step),
-        smoke: false,
-        prior: NodePrior { about_gradient: floor, gradient: floor, bend: floor, about: SVector::zeros() },
-        off: vec![],
-    };
+    let (mut poorest, about) = (Side::plain(0, step), SVector::zeros());
+    let still = NodePrior { about_gradient: floor, gradient: floor, bend: floor, about, side: poorest, smoke: false };
     let fits = Fits::new(contour, sectors, side);
     let seen: f64 = (0..contour.len()).filter(|k| sectors.keep[*k]).map(|k| sectors.away[side][k].n).sum();
     let Some(degrees) = fits.degrees().filter(|_| seen >= 12.0) else {
         // Too few pixels to ask. On a small disc a gradient of the light and a shift of the centre look alike; a large one can bear it.
-        verdict.side.degree = usize::from(contour.perimeter_px > 40.0);
-        return verdict;
+        poorest.degree = usize::from(contour.perimeter_px > 40.0);
+        return Verdict { prior: NodePrior { side: poorest, ..still }, off: vec![] };
     };
     let about = stretches(contour, sectors, side, nodes, &degrees[2].1);
     let least = (1e-6 * step).powi(2).max(1e-300);
     let whole = degrees[2].0 / (seen - 5.0);
     let variance = within_sectors(contour, sectors, side, &degrees[2].1).unwrap_or(whole).max(least);
-    verdict.side = fits.side(&degrees, variance, seen, step);
+    poorest = fits.side(&degrees, variance, seen, step);
     let leaning: Vec<usize> = ORDER.iter().chain(&LEANING).copied().collect();
     let leans = fits
         .left_by(&leaning)
         .is_some_and(|(left, _)| fits.left_by(&ORDER).is_some_and(|(without, _)| (without - left) / variance > LEANS));
-    verdict.off = about.iter().map(|x| if told(x) { x.y / (x.n * variance).sqrt() } else { 0.0 }).collect();
-    verdict.smoke = leans || varies(&verdict.off, about.iter().filter(|x| told(x)).count());
+    let off: Vec<f64> = about.iter().map(|x| if told(x) { x.y / (x.n * variance).sqrt() } else { 0.0 }).collect();
+    let smoke = leans || varies(&off, about.iter().filter(|x| told(x)).count());
     let raw = stretches(contour, sectors, side, nodes, &SVector::zeros());
     let derivatives = |of: &[Away]| rough_derivatives(contour, of, variance).map(|x| x.max(floor));
     let [gradient, bend] = derivatives(&raw);
     let about_gradient = derivatives(&about)[0];
     let surface = degrees[2].1.fixed_rows::<{ Side::MOST }>(0).into_owned();
-    verdict.prior = NodePrior { about_gradient, gradient, bend, about: surface };
-    verdict
+    Verdict { prior: NodePrior { about_gradient, gradient, bend, about: surface, side: poorest, smoke }, off }
 }
 
 /// Whether a stretch has pixels enough for a mean.
@@ -448,6 +448,14 @@ fn differences(contour: &Contour, raw: &[Away], variance: f64, apart: usize) -> 
 }
 
 impl Light {
+    /// What either side follows beside a field of waves where light at nodes changes slowly enough inside for few of them to do, and follows a
+    /// polynomial outside; none elsewhere.
+    pub(crate) fn beside_slow_waves(&self) -> Option<[Side; 2]> {
+        let Light::Nodes(nodes, [inside, outside]) = self else { return None };
+        let slow = inside.per_length(*nodes) < SLOW && !outside.smoke;
+        slow.then_some([Side::plain(0, outside.side.step), outside.side])
+    }
+
     /// Third derivative of the light on either side, which no model follows, grey in units of the semi-axes; zero for a surface.
     pub(crate) fn bends(&self) -> [f64; 2] {
         match self {

@@ -22,7 +22,8 @@ mod pixels;
 use crate::conic::{Ellipse, Frame, from_regular, to_regular};
 use crate::detect::contour::Contour;
 use crate::detect::correlation::Allowance;
-use crate::detect::edge_model::{Dense, PRIOR_BLUR_PX};
+use crate::detect::dense::{Dense, FIXED};
+use crate::detect::edge_model::PRIOR_BLUR_PX;
 use crate::detect::exact::{SLOPE, SMALL, Share};
 use crate::detect::light::Side;
 use crate::detect::refine::reach_px;
@@ -36,8 +37,6 @@ use pixels::{Collect, Pixels, Rings};
 
 /// Unknowns of the light.
 const LIGHTS: usize = 6;
-/// Blur and geometry.
-const FIXED: usize = 6;
 /// Unknowns.
 const N: usize = LIGHTS + FIXED;
 /// Columns: the unknowns and the grey value.

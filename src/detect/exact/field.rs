@@ -1,9 +1,10 @@
 //! Smoke as a random field: its lattice of waves, its prior, and what not knowing it costs.
 
-use super::{CHUNK, Exact, FIXED, State};
+use super::{Exact, SLICE, State, is_large};
 use crate::conic::{Ellipse, from_regular, to_regular};
 use crate::detect::band::{LANES, Reach};
 use crate::detect::contour::Contour;
+use crate::detect::dense::FIXED;
 use crate::detect::light::Side;
 use crate::image::GrayView;
 use nalgebra::{SMatrix, SVector};
@@ -11,6 +12,8 @@ use std::f64::consts::{PI, SQRT_2, TAU};
 
 /// Phase over one blur beyond which waves are left out: the image shows less than a third of their height.
 const SHORTEST: f64 = 1.57;
+/// Wave numbers beyond which smooth light has next to nothing, over its length: on small discs, and on large ones, whose pixels tell a thousandth from nothing.
+const CUT: [f64; 2] = [4.5, 6.5];
 /// Waves at most; the shortest are left out first.
 const MOST_WAVES: f64 = 120.0;
 /// Gain in twice the logarithm of the likelihood that a field must bring.
@@ -52,7 +55,7 @@ impl Spectrum {
     /// Lengths tried, in semi-axes. Of the short waves of turbulence only amplitude and length together are seen.
     const fn lengths(self) -> &'static [f64] {
         match self {
-            Self::Smooth => &[0.27, 0.36, 0.48, 0.64, 0.85, 1.15],
+            Self::Smooth => &[0.27, 0.36, 0.48, 0.64, 0.85, 1.15, 1.6, 2.2],
             Self::Karman => &[0.4, 1.0, 2.5],
         }
     }
@@ -80,6 +83,10 @@ pub(crate) struct Field {
     length: f64,
     pub(super) amplitude: f64,
     pub(super) waves: Vec<[f64; 2]>,
+    /// Each in steps of the lattice, their lengths, and the most of them along either axis.
+    pub(super) steps: Vec<[i32; 2]>,
+    pub(super) spacing: [f64; 2],
+    pub(super) most: [usize; 2],
     /// Prior variances of the heights for an amplitude of one.
     pub(super) variances: Vec<f64>,
 }
@@ -90,18 +97,19 @@ impl Field {
         let axes = [e.semi_major_px, e.semi_minor_px];
         let spacing = axes.map(|a| TAU / (2.0 * (1.0 + 2.5 * blur_px / a) + spectrum.margin(length)));
         let shortest = match spectrum {
-            Spectrum::Smooth => axes.map(|a| (4.5 / length).min(SHORTEST * a / blur_px)),
+            Spectrum::Smooth => axes.map(|a| (CUT[usize::from(is_large(e))] / length).min(SHORTEST * a / blur_px)),
             Spectrum::Karman => axes.map(|a| SHORTEST * a / blur_px),
         };
         let count = 0.5 * PI * shortest[0] / spacing[0] * shortest[1] / spacing[1];
         let shortest = shortest.map(|k| k * (MOST_WAVES / count).sqrt().min(1.0));
         let most = [0, 1].map(|i| (shortest[i] / spacing[i]) as i32);
-        let mut field = Self { spectrum, length, ..Self::default() };
+        let mut field = Self { spectrum, length, spacing, most: most.map(|m| m as usize), ..Self::default() };
         for i in 0..=most[0] {
             for j in -most[1]..=most[1] {
                 let k = [f64::from(i) * spacing[0], f64::from(j) * spacing[1]];
                 if (i > 0 || j > 0) && (k[0] / shortest[0]).hypot(k[1] / shortest[1]) < 1.0 {
                     field.waves.push(k);
+                    field.steps.push([i, j]);
                     field.variances.push(spectrum.variance(k[0].hypot(k[1]) * length));
                 }
             }
@@ -261,7 +269,7 @@ impl Exact {
 
     /// Sum of the logarithms of the noise variances of the pixels summed up last.
     fn log_noise(&self, state: &State) -> f64 {
-        let chosen = (0..self.count).filter(|i| (i / CHUNK).is_multiple_of(self.thinned.max(1)));
+        let chosen = (0..self.count).filter(|i| (i / SLICE).is_multiple_of(self.thinned.max(1)));
         chosen.map(|i| -Self::weight(state, self.inside[i]).ln()).sum()
     }
 
@@ -291,11 +299,13 @@ impl Exact {
 
     fn all_fields(&self, state: &State) -> Vec<Field> {
         let (e, blur_px) = (&state.ellipse, state.blur_px);
+        // Nodes follow what turbulence mixes in large discs.
+        let large = is_large(e);
         let least = 1.8 * blur_px / (e.semi_major_px * e.semi_minor_px).sqrt();
         [Spectrum::Smooth, Spectrum::Karman]
             .iter()
             .flat_map(|s| s.lengths().iter().map(move |l| (*s, *l)))
-            .filter(|(s, l)| *s == Spectrum::Karman || *l >= least)
+            .filter(|(s, l)| if *s == Spectrum::Karman { !large } else { *l >= least })
             .map(|(s, l)| Field { amplitude: 0.15 * state.step.abs(), ..Field::new(s, l, e, blur_px) })
             .collect()
     }
@@ -363,19 +373,8 @@ impl Exact {
     /// Degrees of freedom that the waves left the pixels inside.
     pub(crate) fn free_in_field(&self, state: &State) -> f64 {
         let Some(field) = &state.field else { return self.within.count };
-        let n = Self::lights(state) + FIXED;
-        let l = &self.dense.matrix;
-        let mut column = vec![0.0; n];
-        let mut spent = 0.0;
-        for j in 0..2 * field.waves.len() {
-            let mut variance = 0.0;
-            for i in j..n {
-                let dot: f64 = l[i * n + j..i * n + i].iter().zip(&column[j..i]).map(|(x, y)| x * y).sum();
-                column[i] = (f64::from(u8::from(i == j)) - dot) / l[i * n + i];
-                variance += column[i] * column[i];
-            }
-            spent += 1.0 - variance / field.variance(j / 2);
-        }
+        let variances = self.dense.variances(2 * field.waves.len(), Self::lights(state) + FIXED);
+        let spent: f64 = variances.iter().enumerate().map(|(j, v)| 1.0 - v / field.variance(j / 2)).sum();
         self.within.count * (1.0 - (spent / self.within.all).min(0.9))
     }
 }

@@ -1,8 +1,10 @@
 //! What the fit leaves unexplained: the share of each sector, the noise of either side, and whether it looks like light.
 
-use super::{CHUNK, Exact, FIXED, State};
+use super::products::CHUNK;
+use super::{Exact, State};
 use crate::conic::Frame;
 use crate::detect::band::LANES;
+use crate::detect::dense::FIXED;
 
 /// Pairs of neighbours below which smoke may pass for noise: chance alone makes three standard deviations of their likeness a quarter.
 const FEW: f64 = 144.0;
@@ -62,11 +64,13 @@ impl Exact {
         let mut before: [Option<(usize, f64)>; 2] = [None; 2];
         for start in (0..self.count).step_by(LANES) {
             self.fill(state, &frame, start, 0);
+            let mut model = [0.0; LANES];
+            for (j, x) in self.found.iter().enumerate() {
+                model.iter_mut().zip(&self.columns[j * CHUNK..]).for_each(|(m, column)| *m += x * column);
+            }
             for l in 0..LANES.min(self.count - start) {
                 let p = start + l;
-                let column = &self.columns[l..];
-                let model: f64 = self.found.iter().enumerate().map(|(j, x)| x * column[j * CHUNK]).sum();
-                let left = column[(lights + FIXED) * CHUNK] - model;
+                let left = self.columns[(lights + FIXED) * CHUNK + l] - model[l];
                 self.left.push(left);
                 let (q, h) = (self.inside[p], self.response[p]);
                 let share = &mut self.shares[self.band.sector[p] as usize];

@@ -4,7 +4,7 @@ use super::{Found, Scratch, Start, accept, border_px, check_size, median, quanti
 use crate::conic::{Ellipse, Frame, covariance_from_regular, from_regular, to_regular};
 use crate::detect::contour::{Contour, NEIGHBOUR};
 use crate::detect::edge_model::EdgeModel;
-use crate::detect::exact::{Exact, Field, MOST_CONTOUR_PX, Share, State};
+use crate::detect::exact::{Exact, Field, Share, State, is_large};
 use crate::detect::light::{Light, Side};
 use crate::detect::quick::Clean;
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
@@ -14,10 +14,15 @@ use nalgebra::SVector;
 /// Least information of an edge point, of the largest.
 const LEAST_SHARE: f64 = 0.05;
 /// By how much the noise that a field of smoke leaves may surpass, as a variance, that which neighbouring pixels showed.
-const LOUDER: f64 = 1.5;
+/// On small discs, on large ones, which show it well.
+const LOUDER: [f64; 2] = [1.5, 1.15];
 /// Mean squared residual over the noise that says that something is not explained, and that it is.
 const UNEXPLAINED: f64 = 2.0;
 const EXPLAINED: f64 = 1.5;
+/// The same of a large disc, whose nodes are there otherwise.
+const WELL_EXPLAINED: f64 = 1.1;
+/// Longest contour with a field inside, px: its price grows with the area, 0.5 s for discs of 100 px.
+const LONGEST_PX: f64 = 900.0;
 /// Stretches of a quarter of the contour that are left out in turn.
 const STRETCHES: usize = 8;
 
@@ -130,14 +135,15 @@ pub(super) enum Exactly {
 /// The fit to single pixels, with the sectors that the rounds kept; none where it does not hold.
 pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: &mut Scratch) -> Option<Exactly> {
     let keep = s.sectors.keep.clone();
+    let large = is_large(&model.ellipse);
+    let short = model.ellipse.perimeter_px() < LONGEST_PX;
     let (sides, nodes) = match &model.light {
         Light::Surface(sides) => (*sides, false),
+        Light::Nodes(..) if !start.smoke => return None,
+        // Nodes along a long contour do as well as a field where the light changes fast, and for less.
+        Light::Nodes(..) if large => (model.light.beside_slow_waves().filter(|_| short)?, true),
         Light::Nodes(..) => ([Side::plain(1, model.step.abs()), Side::plain(0, model.step.abs())], true),
     };
-    let large = model.ellipse.perimeter_px() > MOST_CONTOUR_PX;
-    if nodes && (large || !start.smoke) {
-        return None;
-    }
     let mut state = State {
         ellipse: model.ellipse,
         blur_px: model.blur_px,
@@ -156,7 +162,7 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let mut smoky = nodes || s.exact.smoke_left(&state) || s.exact.louder_inside(&state);
     let explained = large || s.exact.misfit() < UNEXPLAINED;
     let mut clear = false;
-    if start.smoke {
+    if start.smoke && !(nodes && large) {
         // What is hidden is asked for before smoke.
         let mut found = uncover(view, &state, &kept, start, floor, smoky, s);
         if found.is_none() && !explained {
@@ -173,7 +179,7 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
         }
     }
     if smoky && start.smoke && !clear {
-        if large {
+        if large && !nodes {
             return Some(Exactly::Smoke);
         }
         match fit_smoke(view, &before, &state, start, (&keep, floor), s)? {
@@ -258,6 +264,7 @@ fn fit_smoke(
     (keep, floor): (&[bool], f64),
     s: &mut Scratch,
 ) -> Option<Option<(State, Vec<bool>)>> {
+    let large = is_large(&before.ellipse);
     let mut smoky = State { field: Some(Field::default()), ..before.clone() };
     smoky.sides[0] = Side::plain(0, before.step.abs());
     // Noise inside is told from smoke only once the smoke is known.
@@ -267,18 +274,24 @@ fn fit_smoke(
     // What is no smoke is not to pass for noise.
     let explains = |state: &State, exact: &Exact, most: f64| {
         // Of few pixels the noise is not known well.
-        let louder = LOUDER * (1.0 + 2.0 * (2.0 / exact.free_in_field(state)).sqrt());
+        let louder = LOUDER[usize::from(large)] * (1.0 + 2.0 * (2.0 / exact.free_in_field(state)).sqrt());
         state.field.is_some() && state.variance[0] < louder * inside && exact.misfit() < most
     };
-    // Smoke looked like disagreement before it was known.
-    let mut whole = smoky.clone();
-    if let Some(kept) = s.exact.settle(view, &mut whole, &mut s.fine, &vec![true; keep.len()], start, floor) {
-        if explains(&whole, &s.exact, 1.3) {
-            return Some(Some((whole, kept)));
+    if !large {
+        // Smoke looked like disagreement before it was known.
+        let mut whole = smoky.clone();
+        if let Some(kept) = s.exact.settle(view, &mut whole, &mut s.fine, &vec![true; keep.len()], start, floor) {
+            if explains(&whole, &s.exact, 1.3) {
+                return Some(Some((whole, kept)));
+            }
         }
     }
     let kept = s.exact.settle(view, &mut smoky, &mut s.fine, keep, start, floor)?;
     // Where there is another edge inside, the field must explain what it is said to be.
-    let most = if start.inner_px >= 0.85 * before.ellipse.semi_minor_px { f64::INFINITY } else { 1.5 };
+    let most = match start.inner_px >= 0.85 * before.ellipse.semi_minor_px {
+        _ if large => WELL_EXPLAINED,
+        true => f64::INFINITY,
+        false => 1.5,
+    };
     Some(explains(&smoky, &s.exact, most).then_some((smoky, kept)))
 }

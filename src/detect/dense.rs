@@ -1,0 +1,239 @@
+//! Normal equations of one disc: light first, blur and geometry last.
+//!
+//! `A x = r` by Cholesky's factor `A = L L^T`; the last block of the factor is that of the Schur complement on the geometry, so the price of not
+//! knowing light and blur is at hand. Sums of products are eight running ones, as wide as the processor is.
+
+use crate::lanes::{self, GROUP, Kernel, Lanes};
+use nalgebra::{SMatrix, SVector};
+
+/// Unknowns that come last: blur and geometry.
+pub(crate) const FIXED: usize = 6;
+/// Rows of the factor that are found side by side.
+const ROWS: usize = 4;
+
+/// Dense normal equations, blur and geometry last.
+#[derive(Debug, Default, Clone)]
+pub(crate) struct Dense {
+    /// Lower triangle, row by row; the Cholesky factor once solved.
+    pub(crate) matrix: Vec<f64>,
+    /// Right side; the unknowns once solved.
+    pub(crate) right: Vec<f64>,
+    /// Normal matrix of the geometry alone, before anything was eliminated.
+    pub(crate) alone: SMatrix<f64, 5, 5>,
+    /// Covariance of the geometry.
+    pub(crate) covariance: SMatrix<f64, 5, 5>,
+    pub(crate) widen: f64,
+}
+
+impl Dense {
+    pub(crate) fn clear(&mut self, n: usize) {
+        self.matrix.clear();
+        self.matrix.resize(n * n, 0.0);
+        self.right.clear();
+        self.right.resize(n, 0.0);
+        self.alone = SMatrix::zeros();
+    }
+
+    pub(crate) fn add_last(&mut self, n: usize, fixed: &SMatrix<f64, FIXED, FIXED>, right: &SVector<f64, FIXED>) {
+        let at = n - FIXED;
+        for i in 0..FIXED {
+            for j in 0..=i {
+                self.matrix[(at + i) * n + at + j] += fixed[(i, j)];
+            }
+            self.right[at + i] += right[i];
+        }
+        self.alone += fixed.fixed_view::<5, 5>(1, 1);
+    }
+
+    /// Solves in place (lower triangle) and says how well the geometry is known; false where the matrix is not positive definite.
+    pub(crate) fn solve(&mut self, n: usize) -> bool {
+        self.unknowns(n) && self.geometry(n)
+    }
+
+    /// Solves in place (lower triangle); false where the matrix is not positive definite.
+    pub(crate) fn unknowns(&mut self, n: usize) -> bool {
+        lanes::run(Factor { a: &mut self.matrix, n }) && {
+            substitute(&self.matrix, &mut self.right, n);
+            true
+        }
+    }
+
+    /// Variances of the first `count` of the `n` unknowns, from the factor.
+    pub(crate) fn variances(&self, count: usize, n: usize) -> Vec<f64> {
+        lanes::run(Inverse { factor: &self.matrix, n, count })
+    }
+
+    /// Covariance of the geometry, from the factor; false where the geometry is not fixed.
+    pub(crate) fn geometry(&mut self, n: usize) -> bool {
+        let a = &self.matrix;
+        // The last block of the factor is that of the Schur complement on the geometry.
+        let lower = SMatrix::<f64, 5, 5>::from_fn(|i, j| if j <= i { a[(n - 5 + i) * n + n - 5 + j] } else { 0.0 });
+        let (Some(root), Some(alone)) = (lower.try_inverse(), self.alone.try_inverse()) else { return false };
+        let ratio: f64 = (0..5).map(|k| root.column(k).norm_squared() / alone[(k, k)]).sum();
+        self.widen = (ratio / 5.0).max(1.0).sqrt();
+        self.covariance = root.transpose() * root;
+        self.widen.is_finite()
+    }
+}
+
+/// Diagonal of the inverse, from the factor.
+struct Inverse<'a> {
+    factor: &'a [f64],
+    n: usize,
+    count: usize,
+}
+
+impl Kernel for Inverse<'_> {
+    type Output = Vec<f64>;
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> Vec<f64> {
+        let Self { factor, n, count } = self;
+        let (mut column, mut out) = (vec![0.0; n], vec![0.0; count]);
+        for (j, variance) in out.iter_mut().enumerate() {
+            for i in j..n {
+                let [dot] = dots::<L, 1>(&column[j..i], [&factor[i * n + j..i * n + i]]);
+                column[i] = (if i == j { 1.0 } else { 0.0 } - dot) / factor[i * n + i];
+                *variance += column[i] * column[i];
+            }
+        }
+        out
+    }
+}
+
+/// Cholesky's factor in place of a lower triangle; false where that is not positive definite.
+struct Factor<'a> {
+    a: &'a mut [f64],
+    n: usize,
+}
+
+impl Kernel for Factor<'_> {
+    type Output = bool;
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> bool {
+        let Self { a, n } = self;
+        for j in 0..n {
+            let (head, below) = a.split_at_mut((j + 1) * n);
+            let own = &mut head[j * n..];
+            let before = own[j];
+            let [squares] = dots::<L, 1>(&own[..j], [&own[..j]]);
+            let diagonal = before * (1.0 + 1e-12) - squares;
+            if !(diagonal > 1e-13 * before && diagonal.is_finite()) {
+                return false;
+            }
+            let root = diagonal.sqrt();
+            own[j] = root;
+            let own = &own[..j];
+            let mut rows = below.chunks_exact_mut(n * ROWS);
+            for four in &mut rows {
+                let dot = dots::<L, ROWS>(own, std::array::from_fn(|i| &four[i * n..i * n + j]));
+                for i in 0..ROWS {
+                    four[i * n + j] = (four[i * n + j] - dot[i]) / root;
+                }
+            }
+            for row in rows.into_remainder().chunks_exact_mut(n) {
+                let [dot] = dots::<L, 1>(own, [&row[..j]]);
+                row[j] = (row[j] - dot) / root;
+            }
+        }
+        true
+    }
+}
+
+/// Sums of products of one list with several as long.
+#[inline(always)]
+fn dots<L: Lanes, const K: usize>(one: &[f64], others: [&[f64]; K]) -> [f64; K] {
+    let (n, whole) = (one.len(), one.len() / GROUP * GROUP);
+    let mut sums = [[0.0; GROUP]; K];
+    let mut part = 0;
+    while part < GROUP && whole > 0 {
+        let mut running = [L::splat(0.0); K];
+        let mut at = part;
+        while at < whole {
+            let x = L::load(&one[at..]);
+            for k in 0..K {
+                running[k] = x.fused(L::load(&others[k][at..]), running[k]);
+            }
+            at += GROUP;
+        }
+        for k in 0..K {
+            running[k].store(&mut sums[k][part..]);
+        }
+        part += L::N;
+    }
+    let mut out = [0.0; K];
+    for k in 0..K {
+        for i in whole..n {
+            sums[k][i - whole] = one[i].mul_add(others[k][i], sums[k][i - whole]);
+        }
+        out[k] = lanes::sum(&sums[k]);
+    }
+    out
+}
+
+/// Solves with the factor, in place.
+fn substitute(a: &[f64], b: &mut [f64], n: usize) {
+    for i in 0..n {
+        let dot: f64 = (0..i).map(|k| a[i * n + k] * b[k]).sum();
+        b[i] = (b[i] - dot) / a[i * n + i];
+    }
+    for i in (0..n).rev() {
+        let x = b[i] / a[i * n + i];
+        b[i] = x;
+        b[..i].iter_mut().zip(&a[i * n..i * n + i]).for_each(|(b, a)| *b -= a * x);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{DMatrix, DVector};
+
+    #[derive(Clone)]
+    struct Made {
+        a: Vec<f64>,
+        n: usize,
+    }
+    impl Kernel for Made {
+        type Output = Vec<u64>;
+        #[inline(always)]
+        fn run<L: Lanes>(mut self) -> Vec<u64> {
+            assert!(Factor { a: &mut self.a, n: self.n }.run::<L>());
+            self.a.into_iter().map(f64::to_bits).collect()
+        }
+    }
+
+    fn positive(n: usize) -> (Vec<f64>, Vec<f64>) {
+        let root = DMatrix::from_fn(n + 3, n, |i, j| ((i * 37 + j * 91) as f64 * 0.618).fract() - 0.5);
+        let square = root.transpose() * &root + DMatrix::identity(n, n);
+        (square.transpose().as_slice().to_vec(), (0..n).map(|i| (i as f64 * 0.7).sin()).collect())
+    }
+
+    #[test]
+    fn unknowns_are_those_of_a_library_and_all_widths_agree() {
+        for n in [6, 7, 12, 19, 41, 130] {
+            let (matrix, right) = positive(n);
+            let mut dense = Dense { matrix: matrix.clone(), right: right.clone(), ..Dense::default() };
+            dense.alone = SMatrix::identity();
+            assert!(dense.solve(n));
+            let full = DMatrix::from_row_slice(n, n, &matrix);
+            let expected = full.clone().cholesky().unwrap().solve(&DVector::from_vec(right));
+            let off = (DVector::from_vec(dense.right.clone()) - &expected).amax();
+            assert!(off < 1e-9 * expected.amax(), "{n}: {off}");
+            let inverse = full.try_inverse().unwrap();
+            let covariance = inverse.view((n - 5, n - 5), (5, 5));
+            assert!((dense.covariance - covariance).amax() < 1e-9 * covariance.amax(), "{n}");
+            let variances = dense.variances(3, n);
+            assert!((0..3).all(|i| (variances[i] / inverse[(i, i)] - 1.0).abs() < 1e-9), "{n}");
+            let all = lanes::run_all(&Made { a: matrix, n });
+            all.iter().for_each(|one| assert_eq!(*one, all[0]));
+        }
+    }
+
+    #[test]
+    fn what_is_not_positive_definite_is_refused() {
+        let mut dense = Dense { matrix: vec![1.0, 0.0, 2.0, 1.0], right: vec![1.0, 1.0], ..Dense::default() };
+        assert!(!dense.unknowns(2));
+        dense.matrix = vec![f64::NAN, 0.0, 0.0, 1.0];
+        assert!(!dense.unknowns(2));
+    }
+}
