@@ -12,10 +12,10 @@ use std::f64::consts::{PI, SQRT_2, TAU};
 
 /// Phase over one blur beyond which waves are left out: the image shows less than a third of their height.
 const SHORTEST: f64 = 1.57;
-/// Wave numbers beyond which smooth light has next to nothing, over its length: on small discs, and on large ones, whose pixels tell a thousandth from nothing.
-const CUT: [f64; 2] = [4.5, 6.5];
+/// Wave number times length beyond which smooth light has next to nothing, which is a thousandth: pixels of a whole disc tell that from nothing.
+const CUT: f64 = 6.5;
 /// Waves at most; the shortest are left out first.
-const MOST_WAVES: f64 = 120.0;
+const MOST_WAVES: f64 = 200.0;
 /// Gain in twice the logarithm of the likelihood that a field must bring.
 const WORTH: f64 = 16.0;
 /// Loss in the same from which a field has no say.
@@ -97,7 +97,7 @@ impl Field {
         let axes = [e.semi_major_px, e.semi_minor_px];
         let spacing = axes.map(|a| TAU / (2.0 * (1.0 + 2.5 * blur_px / a) + spectrum.margin(length)));
         let shortest = match spectrum {
-            Spectrum::Smooth => axes.map(|a| (CUT[usize::from(is_large(e))] / length).min(SHORTEST * a / blur_px)),
+            Spectrum::Smooth => axes.map(|a| (CUT / length).min(SHORTEST * a / blur_px)),
             Spectrum::Karman => axes.map(|a| SHORTEST * a / blur_px),
         };
         let count = 0.5 * PI * shortest[0] / spacing[0] * shortest[1] / spacing[1];

@@ -288,10 +288,13 @@ fn fit_smoke(
     }
     let kept = s.exact.settle(view, &mut smoky, &mut s.fine, keep, start, floor)?;
     // Where there is another edge inside, the field must explain what it is said to be.
-    let most = match start.inner_px >= 0.85 * before.ellipse.semi_minor_px {
-        _ if large => WELL_EXPLAINED,
-        true => f64::INFINITY,
-        false => 1.5,
+    let alone = start.inner_px >= 0.85 * before.ellipse.semi_minor_px;
+    let most = if large {
+        WELL_EXPLAINED
+    } else if alone {
+        f64::INFINITY
+    } else {
+        1.5
     };
     Some(explains(&smoky, &s.exact, most).then_some((smoky, kept)))
 }
