@@ -22,10 +22,12 @@ pub(crate) struct Dense {
     pub(crate) alone: SMatrix<f64, 5, 5>,
     /// Covariance of the geometry.
     pub(crate) covariance: SMatrix<f64, 5, 5>,
+    /// Factor by which not knowing blur and light widens the sigmas of the geometry (at least 1).
     pub(crate) widen: f64,
 }
 
 impl Dense {
+    /// Zeros for `n` unknowns.
     pub(crate) fn clear(&mut self, n: usize) {
         self.matrix.clear();
         self.matrix.resize(n * n, 0.0);
@@ -34,6 +36,7 @@ impl Dense {
         self.alone = SMatrix::zeros();
     }
 
+    /// Adds to the equations of blur and geometry.
     pub(crate) fn add_last(&mut self, n: usize, fixed: &SMatrix<f64, FIXED, FIXED>, right: &SVector<f64, FIXED>) {
         let at = n - FIXED;
         for i in 0..FIXED {
@@ -52,10 +55,11 @@ impl Dense {
 
     /// Solves in place (lower triangle); false where the matrix is not positive definite.
     pub(crate) fn unknowns(&mut self, n: usize) -> bool {
-        lanes::run(Factor { a: &mut self.matrix, n }) && {
+        let positive = lanes::run(Factor { a: &mut self.matrix, n });
+        if positive {
             substitute(&self.matrix, &mut self.right, n);
-            true
         }
+        positive
     }
 
     /// Variances of the first `count` of the `n` unknowns, from the factor.
@@ -92,7 +96,7 @@ impl Kernel for Inverse<'_> {
         for (j, variance) in out.iter_mut().enumerate() {
             for i in j..n {
                 let [dot] = dots::<L, 1>(&column[j..i], [&factor[i * n + j..i * n + i]]);
-                column[i] = (if i == j { 1.0 } else { 0.0 } - dot) / factor[i * n + i];
+                column[i] = (f64::from(u8::from(i == j)) - dot) / factor[i * n + i];
                 *variance += column[i] * column[i];
             }
         }

@@ -6,22 +6,13 @@
 //! F P + s^2 grad F . grad P + s^4/2 grad grad F : grad grad P + ...
 //! ```
 //!
-//! (the exact product rule of the heat equation). Polynomials of the second degree end there. A wave `exp(i k . x)` sees the profile at a
-//! complex place: completing the square,
-//!
-//! ```text
-//! (exp(i k . x) 1_disc) * G = F(p) P(p + i s^2 k),   distance of the complex place = d + s w,
-//! w = i q - t^2 / (2 (R/s + d/s + i q)),   q = s k . n,   t = s |k x n|,   P(d + s w) = P + phi sum_n (-w)^n / n! He_(n-1)(z)
-//! ```
+//! (the exact product rule of the heat equation). Polynomials of the second degree end there; waves: `exact/waves.rs`.
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
 //! | X, Y | `place` | 1 | place of the pixel in units of the semi-axes |
 //! | n | `normal` | 1 | outward normal at the foot point, in the frame of the axes |
 //! | z | `depth` | 1 | distance in units of the blur |
-//! | k | `wave` | 1 | wave vector in units of the semi-axes |
-//!
-//! Not valid for waves shorter than four blurs.
 
 use crate::detect::light::Side;
 

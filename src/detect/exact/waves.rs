@@ -1,4 +1,21 @@
-//! Columns of waves that reach up to a blurred edge, several pixels at a time; the formula is that of [`crate::detect::surface`].
+//! Columns of waves that reach up to a blurred edge, several pixels at a time.
+//!
+//! A wave `exp(i k . x)` up to the edge of a disc, as the image shows it far from the edge (blur included), sees the profile `P` of the edge at a complex place:
+//! completing the square,
+//!
+//! ```text
+//! (exp(i k . x) 1_disc) * G = F(p) P(p + i s^2 k),   distance of the complex place = d + s w,
+//! w = i q - t^2 / (2 (R/s + d/s + i q)),   q = s k . n,   t = s |k x n|,   P(d + s w) = P + phi sum_n (-w)^n / n! He_(n-1)(z)
+//! ```
+//!
+//! | symbol | identifier | unit | meaning |
+//! |---|---|---|---|
+//! | k | `k` | 1 | wave vector in units of the semi-axes |
+//! | n | `normal` | 1 | outward normal at the foot point, over the semi-axes, times the blur |
+//! | z | `At::depth` | 1 | distance in units of the blur |
+//! | R | 1 / `At::curvature` | px | radius of curvature |
+//!
+//! Not valid for waves shorter than four blurs.
 
 use super::field::Field;
 use super::products::CHUNK;
