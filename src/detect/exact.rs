@@ -12,10 +12,13 @@
 //! ```
 //!
 //! with all unknowns, geometry and blur among them, integrated out; the result is the mean over all of them, each with its
-//! likelihood as weight: so the sigmas say what not knowing the smoke, nor of which kind it is, costs. There is no smoke where light that
-//! is at most slanted says as much under louder noise. Noise inside is what is left over the degrees of freedom that the waves did not
+//! likelihood as weight: so the sigmas say what not knowing the smoke, nor of which kind it is, costs. Of small discs light that is
+//! at most slanted is one of them; in large ones there is no smoke where such light says as much under louder noise. An amplitude is hardly ever more than
+//! half the step (`N(0, 1/2)`), for light is nowhere negative. Noise inside is what is left over the degrees of freedom that the waves did not
 //! spend, for light carries shot noise that the ground does not show. Of small discs these are few: then the mean is over the noise as
 //! well, which may be four times louder where there is more light (`ln (variance / outside) ~ N(0, ln 4)`), but hardly quieter (`ln 1.3`).
+//! A small disc is asked for smoke where its inside is louder or less even than its ground, where its light rises and the ground does not, or where more is left
+//! than noise: weak slow smoke shows no more than a slope, and its bend would draw the contour.
 //! Of large discs ([`is_large`]) a field is asked for where light along the contour changes slowly, and must leave no more than noise; nodes along
 //! the contour ([`crate::detect::light`]) follow what is faster.
 //!
@@ -29,6 +32,7 @@ mod field;
 mod hidden;
 mod left;
 mod products;
+mod small;
 mod waves;
 pub(crate) use field::Field;
 pub(crate) use left::Share;
@@ -42,7 +46,7 @@ use crate::detect::edge_model::PRIOR_BLUR_PX;
 use crate::detect::light::Side;
 use crate::detect::profile::{Lanes, Profile, Profiled};
 use crate::detect::refine::{Start, reach_px};
-use crate::detect::rim::{Rim, Seen};
+use crate::detect::rim::Rim;
 use crate::detect::shared_light::in_axes;
 use crate::detect::surface::{At, on_contour};
 use crate::image::GrayView;
@@ -52,7 +56,7 @@ use hidden::Hidden;
 use left::Within;
 use nalgebra::{SMatrix, SVector};
 use products::{CHUNK, Products};
-use waves::{Turns, Waves};
+use waves::{Beyond, Turns, Waves};
 
 /// Pixels that are looked at or passed over together.
 const SLICE: usize = 64;
@@ -88,7 +92,7 @@ impl State {
     /// Whether the disc is so small against its blur that only the integrals along the contour hold.
     fn exact_rim(&self) -> bool {
         let e = &self.ellipse;
-        self.field.is_none() && self.blur_px * e.semi_major_px > SMALL * e.semi_minor_px * e.semi_minor_px
+        self.blur_px * e.semi_major_px > SMALL * e.semi_minor_px * e.semi_minor_px
     }
 }
 
@@ -102,7 +106,7 @@ pub(crate) struct Exact {
     turns: Turns,
     /// The slopes expected, in the axes of the ellipse.
     expected: [[f64; 2]; 2],
-    /// Step of the light at each pixel while the light is not known; empty otherwise.
+    /// Step of the light at each pixel, or at each node of the rim, while the light is not known; empty otherwise.
     held: Vec<f64>,
     /// Derivative of the grey value by the distance from the edge, and share of the disc, of each pixel.
     response: Vec<f64>,
@@ -170,8 +174,9 @@ impl Exact {
         let lanes = self.profile(state, i);
         let shown = LANES.min(self.count.saturating_sub(i));
         if state.exact_rim() {
-            let seen = self.rim.seen(&eight(&self.band.x, i), &eight(&self.band.y, i));
-            (0..shown).for_each(|l| self.fill_from_rim(state, &lanes, &seen, i + l, at + l));
+            if shown > 0 {
+                self.fill_from_rim(state, frame, &lanes, (i, shown), at);
+            }
         } else if shown > 0 {
             self.fill_from_profile(state, frame, &lanes, (i, shown), at);
         }
@@ -220,30 +225,6 @@ impl Exact {
         (0..2).map(|i| inside[i] * blurred[2 + i] + outside[i] * (bare[2 + i] - blurred[2 + i])).sum()
     }
 
-    fn fill_from_rim(&mut self, state: &State, lanes: &Lanes<LANES>, seen: &Seen, p: usize, at: usize) {
-        let (a, b, l) = (state.ellipse.semi_major_px, state.ellipse.semi_minor_px, p % LANES);
-        let (x, y) = (self.band.x[p], self.band.y[p]);
-        let (inside, bend) = (seen.inside[l], seen.bend.map(|lanes| lanes[l]));
-        let pixel = At {
-            place: [x / a, y / b],
-            blur_px: state.blur_px,
-            inside,
-            gradient: [seen.gradient[0][l] / a, seen.gradient[1][l] / b],
-            bend: [bend[0] / (a * a), bend[1] / (a * b), bend[2] / (b * b)],
-            ..At::default()
-        };
-        let root = Self::weight(state, inside.clamp(0.0, 1.0)).sqrt();
-        let expected = self.fill_polynomials(state, &pixel, root, at, 0);
-        let j = Self::lights(state);
-        self.columns[at + j * CHUNK] = root * seen.by_blur[l];
-        for (m, x) in seen.by_geometry.iter().enumerate() {
-            self.columns[at + (j + 1 + m) * CHUNK] = root * x[l];
-        }
-        self.columns[at + (j + FIXED) * CHUNK] = root * (self.band.grey[p] - expected);
-        self.response[p] = root * lanes.slope[l] * self.step_at(state, self.band.cos[p], self.band.sin[p]);
-        self.inside[p] = inside;
-    }
-
     /// Those of `shown` pixels from place `i` on.
     fn fill_from_profile(
         &mut self,
@@ -253,20 +234,9 @@ impl Exact {
         (i, shown): (usize, usize),
         at: usize,
     ) {
-        // Places behind the last pixel show that pixel; nothing comes of them.
-        let place = |l: usize| l.min(shown - 1);
-        let feet: [OnContour; LANES] = std::array::from_fn(|l| {
-            let p = i + place(l);
-            frame.on_contour(self.band.cos[p], self.band.sin[p])
-        });
-        let pixels: [At; LANES] = std::array::from_fn(|l| self.pixel(state, lanes, &feet[l], (i + place(l), place(l))));
+        let (feet, pixels) = self.feet_and_pixels(state, frame, lanes, (i, shown));
         let root = pixels.map(|pixel| Self::weight(state, pixel.inside).sqrt());
-        let (light, columns, turns) = (&self.light, &mut self.columns[at..], &mut self.turns);
-        let (mut of_waves, mut waves) = ([0.0; LANES], 0);
-        if let Some(field) = &state.field {
-            of_waves = lanes::run(Waves { field, pixels: &pixels, root: &root, light, columns, turns });
-            waves = 2 * field.waves.len();
-        }
+        let (of_waves, waves) = self.fill_waves(state, &pixels, &root, None, at);
         let j = Self::lights(state);
         for l in 0..shown {
             let (p, at) = (i + l, at + l);
@@ -284,6 +254,36 @@ impl Exact {
             self.response[p] = root * response;
             self.inside[p] = pixels[l].inside;
         }
+    }
+
+    /// Foot points and pixels of `LANES` places from `i` on; those behind the last of the `shown` pixels repeat it: nothing comes of them.
+    fn feet_and_pixels(
+        &self,
+        state: &State,
+        frame: &Frame,
+        lanes: &Lanes<LANES>,
+        (i, shown): (usize, usize),
+    ) -> ([OnContour; LANES], [At; LANES]) {
+        let place = |l: usize| l.min(shown - 1);
+        let foot = |l: usize| frame.on_contour(self.band.cos[i + place(l)], self.band.sin[i + place(l)]);
+        let feet: [OnContour; LANES] = std::array::from_fn(foot);
+        let pixels = std::array::from_fn(|l| self.pixel(state, lanes, &feet[l], (i + place(l), place(l))));
+        (feet, pixels)
+    }
+
+    /// The columns of the waves, if any; returns the derivative of their light by the distance and how many columns they are.
+    fn fill_waves(
+        &mut self,
+        state: &State,
+        pixels: &[At; LANES],
+        root: &[f64; LANES],
+        beyond: Option<&Beyond>,
+        at: usize,
+    ) -> ([f64; LANES], usize) {
+        let Some(field) = &state.field else { return ([0.0; LANES], 0) };
+        let (light, columns, turns) = (&self.light, &mut self.columns[at..], &mut self.turns);
+        let of_waves = lanes::run(Waves { field, pixels, root, light, beyond, columns, turns });
+        (of_waves, 2 * field.waves.len())
     }
 
     /// The pixel at place `p`, whose profile is that of lane `l`, as the columns of light need it.
@@ -322,8 +322,7 @@ impl Exact {
             list.resize(self.band.len(), 0.0);
         }
         if state.exact_rim() {
-            self.rim.set(frame, state.blur_px);
-            self.rim.step = self.rim.angles().map(|(c, s)| self.step_at(state, c, s)).collect();
+            self.prepare_rim(state, frame);
         }
     }
 

@@ -96,6 +96,8 @@ pub(crate) struct Quick {
     light: [f64; LIGHTS + BENDS],
     /// What is known of light that bends, where it does.
     bent: Option<[Bent; 2]>,
+    /// Whether the light inside rises across the disc and that outside does not.
+    pub(crate) slanted_inside: bool,
     pub(crate) shares: Vec<Share>,
 }
 
@@ -142,7 +144,7 @@ impl Quick {
 
     /// Fits the disc as long as it looks clean; `outer_px` is how far it may look outwards, `floor` the least variance of the noise.
     pub(crate) fn fit(&mut self, view: &GrayView, state: &mut Clean, outer_px: f64, floor: f64) -> Option<()> {
-        self.bent = None;
+        (self.bent, self.slanted_inside) = (None, false);
         // The geometry must have been solved for with the light that is there.
         let mut rounds_alike = 0;
         for round in 0..MOST_ROUNDS {
@@ -373,6 +375,7 @@ impl Quick {
 
     /// Slopes as the pixels ask: a slope is worth its price, and light that rises outside rises inside as well.
     fn solve_light(&mut self, state: &Clean) -> Option<()> {
+        self.slanted_inside = false;
         let both = self.solve(state, [true, true])?;
         let plain = self.solve(state, [false, false])?;
         if plain - both < SLOPE {
@@ -382,6 +385,7 @@ impl Quick {
         let outside = self.solve(state, [false, true])?;
         let rises =
             [plain - inside > SLOPE || outside - both > SLOPE, plain - outside > SLOPE || inside - both > SLOPE];
+        self.slanted_inside = rises[0] && !rises[1];
         self.solve(state, [rises[0] || rises[1], rises[1]]).map(|_| ())
     }
 

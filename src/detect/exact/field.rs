@@ -16,15 +16,19 @@ const SHORTEST: f64 = 1.57;
 const CUT: f64 = 6.5;
 /// Waves at most; the shortest are left out first.
 const MOST_WAVES: f64 = 200.0;
-/// Gain in twice the logarithm of the likelihood that a field must bring.
+/// Gain in twice the logarithm of the likelihood that a field must bring in a large disc, whose light nodes along the contour follow otherwise.
 const WORTH: f64 = 16.0;
+/// Loss in the same that a field may bring in a small disc: light without waves is among what its result is the mean over.
+const AFFORDED: f64 = 8.0;
 /// Loss in the same from which a field has no say.
 const NO_SAY: f64 = 16.0;
-/// Doublings of the noise inside tried in place of a field.
-pub(super) const MOST_LOUD: usize = 12;
+/// Times that noise inside is made louder by a factor of `sqrt(2)` in its variance.
+pub(super) const MOST_LOUD: usize = 24;
 /// Factors by which the variance of the noise on the side with more light may well be larger or smaller.
 const LIKELY: f64 = 4.0;
 const UNLIKELY: f64 = 1.3;
+/// Standard deviation of the amplitude of a field before seeing it, in steps of the light.
+const AMPLE: f64 = 0.5;
 /// Degrees of freedom from which the noise inside is known well enough.
 const NOISE_KNOWN: f64 = 150.0;
 /// Loss in twice the logarithm of the likelihood at which other noise is no longer tried, and steps of it at most, either way.
@@ -38,6 +42,12 @@ pub(super) const PRIOR_PIXELS: usize = 3000;
 fn prior_of_noise([inside, outside]: [f64; 2], step: f64) -> f64 {
     let louder = (inside / outside).ln() * step.signum();
     (louder / if louder > 0.0 { LIKELY } else { UNLIKELY }.ln()).powi(2)
+}
+
+/// Minus twice the logarithm of the prior of an amplitude beside a step of the light: light is nowhere negative, and a scatter of more than its mean
+/// hardly ever seen.
+fn prior_of_amplitude(amplitude: f64, step: f64) -> f64 {
+    (amplitude / (AMPLE * step)).powi(2)
 }
 
 /// How the variance of the waves falls with the wave number `k`, for a length `l`.
@@ -55,7 +65,7 @@ impl Spectrum {
     /// Lengths tried, in semi-axes. Of the short waves of turbulence only amplitude and length together are seen.
     const fn lengths(self) -> &'static [f64] {
         match self {
-            Self::Smooth => &[0.27, 0.36, 0.48, 0.64, 0.85, 1.15, 1.6, 2.2],
+            Self::Smooth => &[0.27, 0.36, 0.48, 0.64, 0.85, 1.15, 1.6, 2.2, 3.2, 4.5, 6.4],
             Self::Karman => &[0.4, 1.0, 2.5],
         }
     }
@@ -145,6 +155,10 @@ impl Exact {
     /// Keeps the step of the light that each pixel feels while another model of the light is tried.
     pub(super) fn hold_steps(&mut self, state: &State) {
         self.held.clear();
+        if state.exact_rim() {
+            self.held = self.steps_on_rim(state);
+            return;
+        }
         for start in (0..self.count).step_by(LANES) {
             let lanes = self.profile(state, start);
             for l in 0..LANES.min(self.count - start) {
@@ -204,10 +218,8 @@ impl Exact {
             if let Some(f) = &mut tried.field {
                 f.amplitude = amplitude;
             }
-            let value = self.solve(tried)?;
-            let lights = Self::lights(tried);
-            let change = SVector::from_fn(|i, _| self.found[lights + i]);
-            said.push(Said { value, amplitude, change, covariance: self.dense.covariance });
+            let value = self.solve(tried)? + prior_of_amplitude(amplitude, tried.step);
+            said.push(self.said(tried, value, amplitude));
             Some(value)
         };
         let Some(first) = evaluate(start) else { return said };
@@ -225,22 +237,26 @@ impl Exact {
         said
     }
 
-    /// What the fields given say under the noise of the state, the likelihood of that noise and its prior counted, and the least value of each.
+    /// What the fields given and, of a small disc, light without waves say under the noise of the state, that noise and its prior counted;
+    /// and the least value of each field.
     fn listen_to_all(&mut self, state: &State, fields: &[Field], amplitude: f64) -> (Vec<Said>, Vec<f64>) {
         let (mut all, mut bests) = (vec![], vec![]);
         for field in fields {
             let mut tried = State { field: Some(field.clone()), ..state.clone() };
             let mut said = self.listen(&mut tried, amplitude);
-            let noise = self.log_noise(state) + prior_of_noise(state.variance, state.step);
+            let noise = self.price_of_noise(state);
             said.iter_mut().for_each(|s| s.value += noise);
             bests.push(said.iter().map(|s| s.value).fold(f64::INFINITY, f64::min));
             all.extend(said);
         }
+        if !is_large(&state.ellipse) {
+            all.extend([0, 1].into_iter().filter_map(|degree| self.listen_plainly(state, degree)));
+        }
         (all, bests)
     }
 
-    /// Spectrum, length and amplitude with the largest likelihood; no field where none is worth it, beside light without waves under noise
-    /// inside that is doubled up to `loudest` times. Unless `afresh`, only the amplitude of a field chosen before is chosen anew.
+    /// Spectrum, length and amplitude with the largest likelihood; no field where none is worth it, beside light without waves, both under
+    /// noise inside made louder up to `loudest` times. Unless `afresh`, only the amplitude of a field chosen before is chosen anew.
     pub(super) fn choose_field(&mut self, state: &mut State, afresh: bool, loudest: usize) {
         let before = state.field.take().filter(|f| !afresh && !f.waves.is_empty());
         self.light.clear();
@@ -251,50 +267,89 @@ impl Exact {
             Some(f) => vec![f],
             None => self.all_fields(state),
         };
+        let large = is_large(&state.ellipse);
         let mut best: Option<(f64, Field)> = None;
         for field in fields {
             let start = field.amplitude;
             let mut tried = State { field: Some(field), ..state.clone() };
-            let said = self.listen(&mut tried, start);
-            let top = said.iter().min_by(|a, b| a.value.total_cmp(&b.value));
-            if let Some(top) = top.filter(|t| best.as_ref().is_none_or(|b| t.value < b.0)) {
-                best = tried.field.map(|f| (top.value, Field { amplitude: top.amplitude, ..f }));
+            let top = self.likeliest(&mut tried, start);
+            if let Some((value, amplitude)) = top.filter(|t| best.as_ref().is_none_or(|b| t.0 < b.0)) {
+                best = tried.field.map(|f| (value, Field { amplitude, ..f }));
             }
         }
-        let quiet = self.log_noise(state);
+        if let (Some(best), false) = (&mut best, large) {
+            self.make_louder(state, best, loudest);
+        }
         self.thinned = 1;
-        let best = best.map(|(value, field)| (value + quiet, field));
-        state.field = best.filter(|b| without.is_some_and(|w| b.0 + WORTH < w)).map(|b| b.1);
+        let worth = if large { WORTH } else { -AFFORDED };
+        state.field = best.filter(|b| without.is_some_and(|w| b.0 + worth < w)).map(|b| b.1);
     }
 
-    /// Sum of the logarithms of the noise variances of the pixels summed up last.
-    fn log_noise(&self, state: &State) -> f64 {
+    /// The likeliest amplitude of the field of `tried`, sought from `start` on, and its value with the price of the noise.
+    fn likeliest(&mut self, tried: &mut State, start: f64) -> Option<(f64, f64)> {
+        let said = self.listen(tried, start);
+        let top = said.iter().min_by(|a, b| a.value.total_cmp(&b.value))?;
+        Some((top.value + self.price_of_noise(tried), top.amplitude))
+    }
+
+    /// Makes the noise inside louder, up to `loudest` times, as long as the field and the value of `best` gain by it: small discs hardly show
+    /// their noise apart from their smoke.
+    fn make_louder(&mut self, state: &mut State, (value, field): &mut (f64, Field), loudest: usize) {
+        let mut tried = State { field: Some(field.clone()), ..state.clone() };
+        for _ in 0..loudest {
+            tried.variance[0] *= SQRT_2;
+            match self.likeliest(&mut tried, field.amplitude) {
+                Some((now, amplitude)) if now < *value => {
+                    (*value, field.amplitude, state.variance[0]) = (now, amplitude, tried.variance[0]);
+                }
+                _ => break,
+            }
+        }
+    }
+
+    /// Sum of the logarithms of the noise variances of the pixels summed up last, and what the prior of the noise takes for it.
+    fn price_of_noise(&self, state: &State) -> f64 {
         let chosen = (0..self.count).filter(|i| (i / SLICE).is_multiple_of(self.thinned.max(1)));
-        chosen.map(|i| -Self::weight(state, self.inside[i]).ln()).sum()
+        let logs: f64 = chosen.map(|i| -Self::weight(state, self.inside[i]).ln()).sum();
+        logs + prior_of_noise(state.variance, state.step)
     }
 
-    /// Minus twice the logarithm of the likelihood, with that of the noise, of light that is at most slanted, under the noise inside
-    /// that explains it best: light carries shot noise that the ground does not show.
+    /// Least value of light that is at most slanted, under the noise inside that explains it best: light carries shot noise that the
+    /// ground does not show.
     fn without_field(&mut self, state: &State, loudest: usize) -> Option<f64> {
         let mut least: Option<f64> = None;
         for degree in [0, 1] {
-            let mut plain = state.clone();
-            plain.sides[0] = Side { degree, ..plain.sides[0] };
-            let (sigmas, count) = (plain.sides[0].prior_sigmas(), plain.sides[0].count());
-            let slopes: f64 = sigmas[2..count].iter().map(|s| 2.0 * s.ln()).sum();
+            let mut plain = State { field: None, ..state.clone() };
             let mut quieter = f64::INFINITY;
             for _ in 0..=loudest {
-                self.sum_up(&plain);
-                let value = self.solve(&plain)? + self.log_noise(&plain) + slopes;
+                let value = self.listen_plainly(&plain, degree)?.value;
                 if value > quieter {
                     break;
                 }
                 quieter = value;
-                plain.variance[0] *= 2.0;
+                plain.variance[0] *= SQRT_2;
             }
             least = Some(least.map_or(quieter, |x| x.min(quieter)));
         }
         least
+    }
+
+    /// What light without waves, of the degree given inside, says under the noise of the state.
+    fn listen_plainly(&mut self, state: &State, degree: usize) -> Option<Said> {
+        let mut plain = State { field: None, ..state.clone() };
+        plain.sides[0] = Side { degree, ..plain.sides[0] };
+        let (sigmas, count) = (plain.sides[0].prior_sigmas(), plain.sides[0].count());
+        let slopes: f64 = sigmas[2..count].iter().map(|s| 2.0 * s.ln()).sum();
+        self.sum_up(&plain);
+        let value = self.solve(&plain)? + slopes + self.price_of_noise(&plain);
+        Some(self.said(&plain, value, 0.0))
+    }
+
+    /// What was solved last.
+    fn said(&self, state: &State, value: f64, amplitude: f64) -> Said {
+        let lights = Self::lights(state);
+        let change = SVector::from_fn(|i, _| self.found[lights + i]);
+        Said { value, amplitude, change, covariance: self.dense.covariance }
     }
 
     fn all_fields(&self, state: &State) -> Vec<Field> {

@@ -49,6 +49,15 @@ pub(super) struct Within {
     pub(super) all: f64,
 }
 
+/// Noise that a few pixels show.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Noise {
+    /// grey^2.
+    pub(crate) variance: f64,
+    /// Standard deviation of the variance, relative.
+    pub(crate) sigma: f64,
+}
+
 impl Exact {
     /// What each sector and each side leave unexplained.
     pub(super) fn shares(&mut self, state: &State, sectors: usize) {
@@ -123,9 +132,11 @@ impl Exact {
         (b.x[i] - b.x[j]).hypot(b.y[i] - b.y[j]) < 1.01
     }
 
-    /// Noise variance inside that the scatter of neighbours shows whatever the smoke; at most that of the shortest smoke is in it.
-    pub(crate) fn noise_between_neighbours(&self, state: &State) -> Option<f64> {
-        (self.within.triples > 12.0).then(|| state.variance[0] * self.within.bends / self.within.triples)
+    /// Noise inside that the scatter of neighbours shows whatever the smoke; at most that of the shortest smoke is in it.
+    pub(crate) fn noise_between_neighbours(&self, state: &State) -> Option<Noise> {
+        let Within { bends, triples, .. } = self.within;
+        // Bends at neighbouring pixels are alike, -2/3 and 1/6 one and two further on.
+        (triples > 12.0).then(|| Noise { variance: state.variance[0] * bends / triples, sigma: (3.9 / triples).sqrt() })
     }
 
     /// Whether what is left inside looks like light rather than noise: more alike from pixel to pixel than noise is.
@@ -152,6 +163,11 @@ impl Exact {
     pub(crate) fn misfit(&self) -> f64 {
         let sum = |f: &dyn Fn(&Share) -> f64| self.shares.iter().map(f).sum::<f64>();
         sum(&|s| s.squares) / sum(&|s| s.pixels).max(1.0)
+    }
+
+    /// Standard deviation of the misfit of what is explained.
+    pub(crate) fn sigma_of_misfit(&self) -> f64 {
+        (2.0 / self.shares.iter().map(|s| s.pixels).sum::<f64>().max(1.0)).sqrt()
     }
 
     /// Noise variances of either side where enough pixels show them, grey^2.

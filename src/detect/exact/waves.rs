@@ -38,6 +38,8 @@ pub(super) struct Waves<'a> {
     pub(super) pixels: &'a [At; LANES],
     pub(super) root: &'a Each,
     pub(super) light: &'a [f64],
+    /// Of discs that are small against their blur.
+    pub(super) beyond: Option<&'a Beyond>,
     pub(super) columns: &'a mut [f64],
     pub(super) turns: &'a mut Turns,
 }
@@ -64,6 +66,37 @@ impl Turns {
                     (cos[l], sin[l]) = (cos[l] * c[l] - sin[l] * s[l], sin[l] * c[l] + cos[l] * s[l]);
                 }
             }
+        }
+    }
+}
+
+/// By how much what pixels see of a disc, and the first two derivatives of that, surpass the local profile; units as in [`At`], times `s^2` and `s^4 / 2`.
+#[derive(Debug, Clone)]
+pub(super) struct Beyond {
+    inside: Each,
+    gradient: [Each; 2],
+    bend: [Each; 3],
+}
+
+impl Beyond {
+    pub(super) fn new(exact: &[At; LANES], local: &[At; LANES]) -> Self {
+        let each = |f: &dyn Fn(&At) -> f64| std::array::from_fn(|l| f(&exact[l]) - f(&local[l]));
+        let s2 = exact[0].blur_px * exact[0].blur_px;
+        Self {
+            inside: each(&|p| p.inside),
+            gradient: [0, 1].map(|i| each(&|p| s2 * p.gradient[i])),
+            bend: [0, 1, 2].map(|i| each(&|p| 0.5 * s2 * s2 * p.bend[i])),
+        }
+    }
+
+    /// Adds to real and minus the imaginary part of what a wave is multiplied with.
+    #[inline(always)]
+    fn add(&self, k: [f64; 2], a: &mut Each, b: &mut Each) {
+        let [xx, xy, yy] = [k[0] * k[0], 2.0 * k[0] * k[1], k[1] * k[1]];
+        for l in 0..LANES {
+            let bend = xx * self.bend[0][l] + xy * self.bend[1][l] + yy * self.bend[2][l];
+            a[l] += self.inside[l] - bend;
+            b[l] -= k[0] * self.gradient[0][l] + k[1] * self.gradient[1][l];
         }
     }
 }
@@ -181,12 +214,15 @@ impl Kernel for Waves<'_> {
         let none = [0.0; LANES];
         let mut response = none;
         for (w, k) in field.waves.iter().enumerate() {
-            let (a, b, da, db) = if edge.felt {
+            let (mut a, mut b, da, db) = if edge.felt {
                 let [a, b, da, db] = edge.seen(*k);
                 (a, b, da, db)
             } else {
                 (edge.inside, none, none, none)
             };
+            if let Some(beyond) = self.beyond {
+                beyond.add(*k, &mut a, &mut b);
+            }
             let [i, j] = field.steps[w];
             let ([ci, si], [cj, sj]) = (&self.turns.0[0][i as usize], &self.turns.0[1][j.unsigned_abs() as usize]);
             let sign = if j < 0 { -1.0 } else { 1.0 };
@@ -209,59 +245,70 @@ mod tests {
     use super::*;
     use crate::conic::{Ellipse, Frame};
     use crate::detect::profile::Profile;
+    use crate::detect::rim::Rim;
     use crate::frames::Pixel;
     use std::f64::consts::{PI, TAU};
 
-    const A: f64 = 22.0;
-    const B: f64 = 15.0;
-    const BLUR: f64 = 0.9;
+    /// A disc: semi-axes and blur, px.
+    #[derive(Clone, Copy)]
+    struct Blurred(f64, f64, f64);
+    const LARGE: Blurred = Blurred(22.0, 15.0, 0.9);
+    const SMALL: Blurred = Blurred(4.8, 4.0, 1.5);
+
+    fn ellipse(Blurred(a, b, _): Blurred) -> Ellipse {
+        Ellipse { center_px: Pixel::new(0.0, 0.0), semi_major_px: a, semi_minor_px: b, angle_rad: 0.0 }
+    }
 
     /// A pixel whose foot point has the eccentric angle `t`, at the distance `d` (px) outside.
-    fn pixel(t: f64, d: f64) -> At {
-        let center_px = Pixel::new(0.0, 0.0);
-        let e = Ellipse { center_px, semi_major_px: A, semi_minor_px: B, angle_rad: 0.0 };
+    fn pixel(disc: Blurred, t: f64, d: f64) -> At {
+        let (e, Blurred(a, b, blur_px)) = (ellipse(disc), disc);
         let (s, c) = t.sin_cos();
         let foot = Frame::new(&e).on_contour(c, s);
-        let seen = Profile { blur_px: BLUR, a: A, b: B }.at(&[d], &[c], &[s]);
+        let seen = Profile { blur_px, a, b }.at(&[d], &[c], &[s]);
         let normal = foot.climb;
+        let tangent = [-normal[1] * b / a, normal[0] * a / b];
+        let curvature = a * b / (a * a * s * s + b * b * c * c).powf(1.5);
+        let (across, along) = (-seen.slope[0] * seen.depth[0] / blur_px, curvature * seen.slope[0]);
+        let bend = |i: usize, j: usize| across * normal[i] * normal[j] + along * tangent[i] * tangent[j];
         At {
             place: [c + normal[0] * d, s + normal[1] * d],
             normal,
-            tangent: [-normal[1] * B / A, normal[0] * A / B],
-            blur_px: BLUR,
-            curvature: A * B / (A * A * s * s + B * B * c * c).powf(1.5),
+            tangent,
+            blur_px,
+            curvature,
             inside: seen.inside[0],
+            gradient: normal.map(|n| n * seen.slope[0]),
+            bend: [bend(0, 0), bend(0, 1), bend(1, 1)],
             slope: seen.slope[0],
             depth: seen.depth[0],
             density: seen.density[0],
             distance: d,
             narrow: seen.narrow[0],
-            ..At::default()
         }
     }
 
     /// Cosine and sine wave in the disc, blurred, at a pixel, as high as they are seen far from the edge: the integral over a fine grid.
-    fn by_grid(k: [f64; 2], place: [f64; 2]) -> [f64; 2] {
+    fn by_grid(Blurred(a, b, blur): Blurred, k: [f64; 2], place: [f64; 2]) -> [f64; 2] {
         const STEP: f64 = 0.03;
-        let reach = (6.0 * BLUR / STEP) as i32;
+        let reach = (6.0 * blur / STEP) as i32;
         let mut sum = [0.0; 2];
         for (i, j) in (-reach..=reach).flat_map(|i| (-reach..=reach).map(move |j| (i, j))) {
             let (dx, dy) = (f64::from(i) * STEP, f64::from(j) * STEP);
-            let (x, y) = (place[0] + dx / A, place[1] + dy / B);
+            let (x, y) = (place[0] + dx / a, place[1] + dy / b);
             if x * x + y * y < 1.0 {
-                let weight = STEP * STEP / (TAU * BLUR * BLUR) * (-0.5 * (dx * dx + dy * dy) / (BLUR * BLUR)).exp();
+                let weight = STEP * STEP / (TAU * blur * blur) * (-0.5 * (dx * dx + dy * dy) / (blur * blur)).exp();
                 let (sin, cos) = (k[0] * x + k[1] * y).sin_cos();
                 sum[0] += weight * cos;
                 sum[1] += weight * sin;
             }
         }
-        let faded = -0.5 * BLUR * BLUR * ((k[0] / A).powi(2) + (k[1] / B).powi(2));
+        let faded = -0.5 * blur * blur * ((k[0] / a).powi(2) + (k[1] / b).powi(2));
         sum.map(|x| x / faded.exp())
     }
 
     fn field() -> Field {
         let spacing = [1.1, 0.9];
-        let steps = vec![[0, 1], [2, -3], [4, 0], [3, 5]];
+        let steps = vec![[0, 1], [1, 1], [2, -3], [4, 0], [3, 5]];
         let waves = steps.iter().map(|[i, j]| [f64::from(*i) * spacing[0], f64::from(*j) * spacing[1]]).collect();
         let mut field = Field::default();
         (field.waves, field.steps, field.spacing, field.most) = (waves, steps, spacing, [4, 5]);
@@ -270,7 +317,7 @@ mod tests {
 
     /// Columns and response of eight pixels in every width.
     #[derive(Clone)]
-    struct Made([At; LANES], Vec<f64>);
+    struct Made([At; LANES], Vec<f64>, Option<Beyond>);
     impl Kernel for Made {
         type Output = (Vec<f64>, Each);
         #[inline(always)]
@@ -279,7 +326,15 @@ mod tests {
             let mut columns = vec![0.0; 2 * field.waves.len() * CHUNK];
             let (mut turns, root) = (Turns::default(), [1.0; LANES]);
             let (pixels, light, columns_of) = (&self.0, &self.1[..], &mut columns[..]);
-            let waves = Waves { field: &field, pixels, root: &root, light, columns: columns_of, turns: &mut turns };
+            let waves = Waves {
+                field: &field,
+                pixels,
+                root: &root,
+                light,
+                beyond: self.2.as_ref(),
+                columns: columns_of,
+                turns: &mut turns,
+            };
             let response = waves.run::<L>();
             (columns, response)
         }
@@ -289,16 +344,16 @@ mod tests {
     fn waves_up_to_an_edge_are_blurred_as_a_fine_grid_says() {
         let distances = [-6.0, -2.0, -1.1, -0.4, 0.0, 0.5, 1.3, 2.4];
         let at = |moved: f64| -> [At; LANES] {
-            std::array::from_fn(|l| pixel(0.3 + l as f64 * PI / 4.3, distances[l] + moved))
+            std::array::from_fn(|l| pixel(LARGE, 0.3 + l as f64 * PI / 4.3, distances[l] + moved))
         };
         let pixels = at(0.0);
         let light: Vec<f64> = (0..2 * field().waves.len()).map(|i| (i as f64 * 1.3).cos()).collect();
-        let all = lanes::run_all(&Made(pixels, light.clone()));
+        let all = lanes::run_all(&Made(pixels, light.clone(), None));
         all.iter().for_each(|one| assert_eq!(*one, all[0]));
         let (columns, response) = &all[0];
         for (w, k) in field().waves.iter().enumerate() {
             for l in 0..LANES {
-                let expected = by_grid(*k, pixels[l].place);
+                let expected = by_grid(LARGE, *k, pixels[l].place);
                 let found = [columns[2 * w * CHUNK + l], columns[(2 * w + 1) * CHUNK + l]];
                 let off = (found[0] - expected[0]).abs().max((found[1] - expected[1]).abs());
                 assert!(off < 1.5e-3, "wave {k:?}, {} px off the edge: {found:?} and {expected:?}", distances[l]);
@@ -307,7 +362,7 @@ mod tests {
         // The light held while the edge moves inwards by as much as the pixel moves outwards: its own gradient along the normal taken off.
         const H: f64 = 1e-4;
         let sums = |pixels: [At; LANES]| -> Each {
-            let (columns, _) = &lanes::run_all(&Made(pixels, light.clone()))[0];
+            let (columns, _) = &lanes::run_all(&Made(pixels, light.clone(), None))[0];
             std::array::from_fn(|l| (0..light.len()).map(|j| light[j] * columns[j * CHUNK + l]).sum())
         };
         let (up, down) = (sums(at(H)), sums(at(-H)));
@@ -326,5 +381,43 @@ mod tests {
             let expected = (up[l] - down[l]) / (2.0 * H) - turned;
             assert!((response[l] - expected).abs() < 5e-3, "{}: {} and {expected}", distances[l], response[l]);
         }
+    }
+
+    /// What the rim tells in place of the profile.
+    fn exactly(disc: Blurred, pixels: &[At; LANES]) -> [At; LANES] {
+        let Blurred(a, b, blur_px) = disc;
+        let mut rim = Rim::default();
+        rim.set(&Frame::new(&ellipse(disc)), blur_px);
+        rim.step = rim.angles().map(|_| 1.0).collect();
+        let seen = rim.seen(&pixels.map(|p| a * p.place[0]), &pixels.map(|p| b * p.place[1]));
+        std::array::from_fn(|l| At {
+            inside: seen.inside[l],
+            gradient: [seen.gradient[0][l] / a, seen.gradient[1][l] / b],
+            bend: [seen.bend[0][l] / (a * a), seen.bend[1][l] / (a * b), seen.bend[2][l] / (b * b)],
+            ..pixels[l]
+        })
+    }
+
+    /// Waves longer than the disc is wide, which say most of its light.
+    #[test]
+    fn waves_in_a_disc_that_is_small_against_its_blur_are_as_well() {
+        let pixels: [At; LANES] =
+            std::array::from_fn(|l| pixel(SMALL, 0.3 + l as f64 * PI / 4.3, 0.9 * l as f64 - 3.0));
+        let beyond = Beyond::new(&exactly(SMALL, &pixels), &pixels);
+        let columns = |beyond| lanes::run_all(&Made(pixels, vec![], beyond))[0].0.clone();
+        let (with, without) = (columns(Some(beyond)), columns(None));
+        let mut worst = [0.0_f64; 2];
+        for (w, k) in field().waves.iter().enumerate().filter(|(_, k)| k[0].hypot(k[1]) < 2.0) {
+            for l in 0..LANES {
+                let expected = by_grid(SMALL, *k, pixels[l].place);
+                for (worst, columns) in worst.iter_mut().zip([&with, &without]) {
+                    for i in 0..2 {
+                        *worst = worst.max((columns[(2 * w + i) * CHUNK + l] - expected[i]).abs());
+                    }
+                }
+            }
+        }
+        println!("off by {:.4}, without what is beyond the profile by {:.4}", worst[0], worst[1]);
+        assert!(worst[0] < 0.004 && worst[1] > 3.0 * worst[0], "{worst:?}");
     }
 }

@@ -16,6 +16,8 @@ const LEAST_SHARE: f64 = 0.05;
 /// By how much the noise that a field of smoke leaves may surpass, as a variance, that which neighbouring pixels showed.
 /// On small discs, on large ones, which show it well.
 const LOUDER: [f64; 2] = [1.5, 1.15];
+/// Noise inside, as a variance, of that outside, that is believed of a small disc without pixels enough to show it.
+const BELIEVED: f64 = 16.0;
 /// Mean squared residual over the noise that says that something is not explained, and that it is.
 const UNEXPLAINED: f64 = 2.0;
 const EXPLAINED: f64 = 1.5;
@@ -50,6 +52,10 @@ pub(super) fn clean_disc(
     };
     let floor = quantisation(view).max((1e-4 * start.contrast).powi(2));
     s.quick.fit(view, &mut state, outer_px, floor)?;
+    // A small disc in slow smoke looks clean but for that, and its axes come out wrong by many sigmas.
+    if start.smoke && s.quick.slanted_inside && !is_large(&state.ellipse) {
+        return None;
+    }
     s.fine.cut(&state.ellipse, &[]);
     s.quick.share_out(&s.fine);
     if !s.quick.clean(&state) || !agree(&s.quick.shares, &mut s.sorted) {
@@ -159,7 +165,10 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let floor = quantisation(view).max((1e-4 * model.step).powi(2));
     s.exact.uncovered();
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-    let mut smoky = nodes || s.exact.smoke_left(&state) || s.exact.louder_inside(&state);
+    let [inside, outside] = state.sides.map(|side| side.degree > 0);
+    let slanted = inside && !outside && !large;
+    let mut smoky = nodes || slanted || s.exact.smoke_left(&state) || s.exact.louder_inside(&state);
+    smoky |= !large && s.exact.misfit() > 1.2 + 4.0 * s.exact.sigma_of_misfit();
     let explained = large || s.exact.misfit() < UNEXPLAINED;
     let mut clear = false;
     if start.smoke && !(nodes && large) {
@@ -269,13 +278,19 @@ fn fit_smoke(
     smoky.sides[0] = Side::plain(0, before.step.abs());
     // Noise inside is told from smoke only once the smoke is known.
     let outside = s.exact.noise()[1].unwrap_or(plain.variance[1]).max(floor);
-    let inside = s.exact.noise_between_neighbours(plain).unwrap_or(outside).max(floor);
+    let shown = s.exact.noise_between_neighbours(plain);
+    let inside = shown.map_or(outside, |x| x.variance).max(floor);
     smoky.variance = [inside, outside];
+    let known = match shown {
+        Some(_) if large => inside,
+        Some(x) => inside * (1.0 + 3.0 * x.sigma),
+        None => BELIEVED * outside,
+    };
     // What is no smoke is not to pass for noise.
     let explains = |state: &State, exact: &Exact, most: f64| {
         // Of few pixels the noise is not known well.
         let louder = LOUDER[usize::from(large)] * (1.0 + 2.0 * (2.0 / exact.free_in_field(state)).sqrt());
-        state.field.is_some() && state.variance[0] < louder * inside && exact.misfit() < most
+        state.field.is_some() && state.variance[0] < louder * known && exact.misfit() < most
     };
     if !large {
         // Smoke looked like disagreement before it was known.
