@@ -293,6 +293,11 @@ impl EdgeModel {
 }
 
 impl Solution {
+    /// Covariance of the regular coordinates of the geometry, blur and light unknown.
+    pub(crate) fn covariance(&self) -> &SMatrix<f64, 5, 5> {
+        &self.dense.covariance
+    }
+
     fn take_fixed(&mut self, blur_at: usize) {
         self.blur_change_px = self.dense.right[blur_at];
         self.change.copy_from_slice(&self.dense.right[blur_at + 1..blur_at + FIXED]);

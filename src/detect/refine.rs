@@ -7,16 +7,16 @@
 //! 4. In each sector the shift of the edge along the normal, light and blur held: with residual `r`, weight `w` and response
 //!    `h = d(model)/d(shift)`, `shift = sum w r h / sum w h^2`, `sigma = (sum w h^2)^(-1/2)` (its Fisher information), times
 //!    the root of what noise that neighbouring pixels share makes of it ([`crate::detect::correlation`]).
-//! 5. The disc's ellipse is the geometric fit through these edge points; where they scatter more than the grey noise says (rough
-//!    prints, speckle), one variance is added to all until chi2 is the number of degrees of freedom. A contour that
+//! 5. The disc's ellipse is the geometric fit through these edge points, its covariance that of step 2 with blur and light integrated out; where points
+//!    scatter more than the grey noise says (rough prints, speckle), one variance is added to all until chi2 is the number of degrees of freedom. A contour that
 //!    a lens bends smoothly off the ellipse is not rough: low harmonics along the contour are set aside first.
 //!
 //! Steps 1 and 2 are repeated from the ellipse found until it stands still; two or three rounds suffice. Blur and light are common to
-//! all sectors; what their uncertainty adds to the geometry is spread evenly over the sigmas.
+//! all sectors; what their uncertainty adds to the geometry is spread evenly over the sigmas of the edge points, and stands in the covariance of the ellipse as it is.
 
 mod pixels;
 
-use crate::conic::{Ellipse, Feet, fit_geometric_from};
+use crate::conic::{Ellipse, Feet, covariance_from_regular, fit_geometric_from, to_regular};
 use crate::detect::band::{Band, Reach};
 use crate::detect::contour::Contour;
 use crate::detect::correlation::NoiseCorrelation;
@@ -113,11 +113,7 @@ pub(crate) fn refine(
                     smoke = true;
                     continue;
                 }
-                // The sums over sectors, with the ellipse that they gave.
-                _ => {
-                    let found = Found { ellipse: moved.ellipse, blur_px: moved.blur_px, covariance: None };
-                    (found, sector_edges(s))
-                }
+                _ => by_sectors(&moved, s)?,
             };
             return accept(&found, edge, &moved, start, options, &mut s.feet);
         }
@@ -369,8 +365,19 @@ fn drop_sectors(s: &mut Scratch) -> f64 {
 struct Found {
     ellipse: Ellipse,
     blur_px: f64,
-    /// Covariance of the ellipse where the fit knows it better than the edge points do.
-    covariance: Option<SMatrix<f64, 5, 5>>,
+    /// Of `(u0, v0, a, b, phi)`, whatever blur and light are.
+    covariance: SMatrix<f64, 5, 5>,
+}
+
+/// The ellipse through the edge points that the sums over sectors give, with the covariance of the fit: blur and light move all of them
+/// together, along flat sides most, which points by themselves do not tell.
+fn by_sectors(model: &EdgeModel, s: &Scratch) -> Result<(Found, EdgePoints), RejectionReason> {
+    let edge = sector_edges(s);
+    let ellipse = fit_geometric_from(&model.ellipse, &edge.u_px, &edge.v_px, &edge.sigma_px)
+        .map_err(|_| not_elliptical(f64::INFINITY, model.ellipse.semi_minor_px))?
+        .ellipse;
+    let covariance = covariance_from_regular(&to_regular(&ellipse), s.found.covariance());
+    Ok((Found { ellipse, blur_px: model.blur_px, covariance }, edge))
 }
 
 /// Edge points from the sums over sectors.
@@ -421,23 +428,13 @@ fn accept(
     // What the grey noise explains is no sign of another shape.
     let count = edge.sigma_px.len() as f64;
     let noise_px2 = edge.sigma_px.iter().map(|s| s * s).sum::<f64>() / count;
-    let (mut ellipse, independent, mut chi2, rms_px) = match &found.covariance {
-        Some(covariance) => {
-            feet.find(e, &edge.u_px, &edge.v_px);
-            let (mut chi2, mut squares) = (0.0, 0.0);
-            for (d, sigma) in feet.distance.iter().zip(&edge.sigma_px) {
-                chi2 += d * d / (sigma * sigma);
-                squares += d * d;
-            }
-            (*e, *covariance, chi2, (squares / count).sqrt())
-        }
-        None => {
-            let plain = fit_geometric_from(e, &edge.u_px, &edge.v_px, &edge.sigma_px)
-                .map_err(|_| not_elliptical(f64::INFINITY, e.semi_minor_px))?;
-            feet.find(&plain.ellipse, &edge.u_px, &edge.v_px);
-            (plain.ellipse, plain.covariance, plain.chi2, plain.rms_px)
-        }
-    };
+    feet.find(e, &edge.u_px, &edge.v_px);
+    let (mut chi2, mut squares) = (0.0, 0.0);
+    for (d, sigma) in feet.distance.iter().zip(&edge.sigma_px) {
+        chi2 += d * d / (sigma * sigma);
+        squares += d * d;
+    }
+    let (mut ellipse, rms_px) = (*e, (squares / count).sqrt());
     let shape_px = options.max_edge_rms_px + options.max_edge_rms_ratio * ellipse.semi_minor_px;
     // Noise that explains any scatter says nothing of a shape either: place and size must be known within the same limit.
     let unknown = not_elliptical(f64::INFINITY, shape_px);
@@ -445,13 +442,13 @@ fn accept(
         let within = (0..4).all(|i| covariance[(i, i)] > 0.0 && covariance[(i, i)] < limit_px * limit_px);
         within.then_some(()).ok_or(unknown)
     };
-    known(&independent, shape_px)?;
+    known(&found.covariance, shape_px)?;
     let limit_px = shape_px.hypot(noise_px2.sqrt());
     if rms_px > limit_px {
         return Err(not_elliptical(rms_px, limit_px));
     }
     let common = share_noise(&ellipse, &mut edge, start.noise, found.blur_px);
-    let mut covariance = independent * common;
+    let mut covariance = found.covariance * common;
     if common > 1.0 {
         chi2 = feet.distance.iter().zip(&edge.sigma_px).map(|(d, sigma)| (d / sigma).powi(2)).sum();
     }
@@ -461,7 +458,7 @@ fn accept(
         if roughness > 0.0 {
             let added;
             (ellipse, added) = roughen(&ellipse, &mut edge, roughness, feet).ok_or(unknown)?;
-            known(&(independent + added), shape_px.max(MOST_ROUGH * ellipse.semi_minor_px))?;
+            known(&(found.covariance + added), shape_px.max(MOST_ROUGH * ellipse.semi_minor_px))?;
             covariance += added;
         }
     }

@@ -77,7 +77,7 @@ pub(super) fn clean_disc(
     let change = s.quick.change();
     let ellipse = from_regular(&(to_regular(&state.ellipse) + change))?;
     let edge = edges(&s.fine, &s.quick.shares, None, &change, s.quick.widen());
-    let covariance = Some(covariance_from_regular(&to_regular(&ellipse), s.quick.covariance()));
+    let covariance = covariance_from_regular(&to_regular(&ellipse), s.quick.covariance());
     let found = Found { ellipse, blur_px: state.blur_px, covariance };
     let disc = accept(&found, edge, &model, start, options, &mut s.feet);
     // Where noise is allowed to look like light the longer way has the last word.
@@ -210,7 +210,7 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let (ellipse, change, blur_px) = s.exact.finished(&state)?;
     let edge = edges(&s.fine, &s.exact.shares, Some(&kept), &change, s.exact.widen());
     let covariance = covariance_from_regular(&to_regular(&ellipse), &s.exact.covariance());
-    Some(Exactly::Fitted(Box::new(Found { ellipse, blur_px, covariance: Some(covariance) }), edge))
+    Some(Exactly::Fitted(Box::new(Found { ellipse, blur_px, covariance }), edge))
 }
 
 /// The disc without the pixels that something hides, where what is left of it looks like no smoke; `plain` is what all pixels of the
