@@ -21,6 +21,8 @@ const BELIEVED: f64 = 16.0;
 /// Mean squared residual over the noise that says that something is not explained, and that it is.
 const UNEXPLAINED: f64 = 2.0;
 const EXPLAINED: f64 = 1.5;
+/// The same that passes for noise, but for chance.
+const MOST_NOISE: f64 = 1.2;
 /// The same of a large disc, whose nodes are there otherwise.
 const WELL_EXPLAINED: f64 = 1.1;
 /// Longest contour with a field inside, px: its price grows with the area, 0.5 s for discs of 100 px.
@@ -165,10 +167,7 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let floor = quantisation(view).max((1e-4 * model.step).powi(2));
     s.exact.uncovered();
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-    let [inside, outside] = state.sides.map(|side| side.degree > 0);
-    let slanted = inside && !outside && !large;
-    let mut smoky = nodes || slanted || s.exact.smoke_left(&state) || s.exact.louder_inside(&state);
-    smoky |= !large && s.exact.misfit() > 1.2 + 4.0 * s.exact.sigma_of_misfit();
+    let smoky = nodes || looks_smoky(&state, &s.exact, large);
     let explained = large || s.exact.misfit() < UNEXPLAINED;
     let mut clear = false;
     if start.smoke && !(nodes && large) {
@@ -183,7 +182,6 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
             None => {
                 s.exact.uncovered();
                 kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-                smoky |= !explained;
             }
         }
     }
@@ -211,6 +209,14 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let edge = edges(&s.fine, &s.exact.shares, Some(&kept), &change, s.exact.widen());
     let covariance = covariance_from_regular(&to_regular(&ellipse), &s.exact.covariance());
     Some(Exactly::Fitted(Box::new(Found { ellipse, blur_px, covariance }), edge))
+}
+
+/// Whether what polynomials leave looks like smoke. A small disc hardly shows that: there light that rises inside alone, and more left than
+/// noise, are enough to ask.
+fn looks_smoky(state: &State, exact: &Exact, large: bool) -> bool {
+    let [inside, outside] = state.sides.map(|side| side.degree > 0);
+    let unlike_noise = exact.misfit() > MOST_NOISE + 4.0 * exact.sigma_of_misfit();
+    exact.smoke_left(state) || exact.louder_inside(state) || !large && (inside && !outside || unlike_noise)
 }
 
 /// The disc without the pixels that something hides, where what is left of it looks like no smoke; `plain` is what all pixels of the
