@@ -78,7 +78,6 @@ pub use model::{
     CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, PairObservation,
     PlanePosition, PointObservations, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
 };
-pub use outline::OutlineNoise;
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub(crate) use posterior::{intrinsic_words, layer_words};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};

@@ -19,12 +19,14 @@
 //! the angle of a circle has no meaning, its standard deviation is reported as at most that of a uniform angle.
 
 mod circle;
+mod common;
 mod feet;
 mod fit;
 mod foot;
 mod geometry;
 
 pub use circle::image_of_circle;
+pub use common::CommonNoise;
 pub(crate) use feet::Feet;
 pub(crate) use fit::fit_geometric_from;
 pub use fit::{EllipseFit, fit_direct, fit_geometric};

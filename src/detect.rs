@@ -28,7 +28,7 @@ mod whole;
 pub use find::{find_discs, find_discs_with};
 pub use whole::DetectMemory;
 
-use crate::conic::Ellipse;
+use crate::conic::{CommonNoise, Ellipse};
 use crate::frames::Pixel;
 use crate::target::{DotId, MarkKind, Polarity};
 use nalgebra::SMatrix;
@@ -69,15 +69,27 @@ impl Default for DetectOptions {
     }
 }
 
-/// Edge points of one contour, structure of arrays; independent of each other, each with its own sigma.
+/// Edge points of one contour, structure of arrays: each with a sigma of its own, and what all of them have in common.
+///
+/// Independent points would say that an ellipse is known better than it is: what is uncertain of blur and light moves all of them
+/// together. That is in [`Disc::covariance`], and here for those who use the points in place of the ellipse.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct EdgePoints {
     /// Position, px.
     pub u_px: Vec<f64>,
     /// Position, px.
     pub v_px: Vec<f64>,
-    /// Standard deviation normal to the contour, px.
+    /// Standard deviation normal to the contour of what is a point's own, px.
     pub sigma_px: Vec<f64>,
+    /// What the distances of all points, over their sigmas, have in common.
+    pub common: CommonNoise,
+}
+
+impl EdgePoints {
+    /// How many numbers the points say.
+    pub fn count(&self) -> usize {
+        self.u_px.len() - self.common.forgotten()
+    }
 }
 
 /// One disc found in an image.

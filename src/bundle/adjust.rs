@@ -342,11 +342,11 @@ fn scale_of_camera(
     for (image, r) in model.images.iter().zip(all).filter(|(i, _)| i.camera == c) {
         let Some(r) = r else { continue };
         let unscale = image.sigma_scale * image.sigma_scale;
-        for disc in &r.discs {
+        for (seen, disc) in image.discs.iter().zip(&r.discs) {
             disc_chi2 += disc.chi2 * unscale;
             disc_dof += 3.0;
             edge_chi2 += (disc.edge_chi2 - disc.chi2) * unscale;
-            edge_dof += disc.edges.distance_px.len() as f64 - 3.0;
+            edge_dof += seen.edge.count() as f64 - 3.0;
         }
         // Points are to discs what discs are to edge points.
         let points = SeenImage::of(model, state, image).and_then(|seen| points::chi2(&seen));

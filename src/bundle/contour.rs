@@ -116,18 +116,15 @@ pub(super) fn cost(circle: &SeenCircle, seen: &DiscObservation, scale: f64, loss
         Some(foot.distance_px / (edge.sigma_px[i] * scale))
     };
     let mut sum = 0.0;
-    match &seen.outline {
-        None => {
-            for i in 0..edge.u_px.len() {
-                let r = residual(i)?;
-                sum += loss.apply(r * r).0;
-            }
+    if seen.independent() {
+        for i in 0..edge.u_px.len() {
+            let r = residual(i)?;
+            sum += loss.apply(r * r).0;
         }
-        Some(outline) => {
-            let mut all: Vec<[f64; 1]> = (0..edge.u_px.len()).map(|i| Some([residual(i)?])).collect::<Option<_>>()?;
-            outline.apply(&mut all);
-            all.iter().for_each(|[r]| sum += loss.apply(r * r).0);
-        }
+    } else {
+        let mut all: Vec<[f64; 1]> = (0..edge.u_px.len()).map(|i| Some([residual(i)?])).collect::<Option<_>>()?;
+        seen.whiten(&mut all);
+        all.iter().for_each(|[r]| sum += loss.apply(r * r).0);
     }
     sum.is_finite().then_some(0.5 * sum)
 }
@@ -148,20 +145,17 @@ pub(super) fn linearise<const E: usize>(
         Some((row::<E>(circle.camera, &foot)?.map(|x| x * iw), [foot.distance_px * iw]))
     };
     let mut sums = Sums { h: [[0.0; E]; E], b: [0.0; E], rho: 0.0 };
-    match &seen.outline {
-        None => {
-            for i in 0..edge.u_px.len() {
-                let (row, [r]) = whitened(i)?;
-                sums.add(&row, r, loss);
-            }
+    if seen.independent() {
+        for i in 0..edge.u_px.len() {
+            let (row, [r]) = whitened(i)?;
+            sums.add(&row, r, loss);
         }
-        Some(outline) => {
-            let (mut rows, mut rest): (Vec<[f64; E]>, Vec<[f64; 1]>) =
-                (0..edge.u_px.len()).map(whitened).collect::<Option<_>>()?;
-            outline.apply(&mut rows);
-            outline.apply(&mut rest);
-            rows.iter().zip(&rest).for_each(|(row, [r])| sums.add(row, *r, loss));
-        }
+    } else {
+        let (mut rows, mut rest): (Vec<[f64; E]>, Vec<[f64; 1]>) =
+            (0..edge.u_px.len()).map(whitened).collect::<Option<_>>()?;
+        seen.whiten(&mut rows);
+        seen.whiten(&mut rest);
+        rows.iter().zip(&rest).for_each(|(row, [r])| sums.add(row, *r, loss));
     }
     sums.done()
 }
@@ -239,10 +233,8 @@ pub(super) fn bend<const E: usize>(
         Some((row::<E>(circles[1].camera, &here)?.map(|x| x * iw), [here.distance_px * iw, second]))
     };
     let (mut rows, mut rest): (Vec<[f64; E]>, Vec<[f64; 2]>) = (0..edge.u_px.len()).map(bent).collect::<Option<_>>()?;
-    if let Some(outline) = &seen.outline {
-        outline.apply(&mut rows);
-        outline.apply(&mut rest);
-    }
+    seen.whiten(&mut rows);
+    seen.whiten(&mut rest);
     let mut b = SVector::zeros();
     for (row, [r, second]) in rows.iter().zip(&rest) {
         let factor = loss.weight(*r) * second;

@@ -3,7 +3,7 @@
 //!
 //! Rows go straight into the image's camera space (see [`super::assemble`]), and only those columns are formed that an adjusted unknown
 //! moves: about 14 numbers and the residual per edge point. They are collected in groups of eight points until some hundred stand
-//! there, whitened for ovals, weighted by the loss, and then multiplied into the normal matrix:
+//! there, whitened for what contours have in common, weighted by the loss, and then multiplied into the normal matrix:
 //! ```text
 //! rows   w = (n . dq/di, p x g, g, g . dC + (g . e) dR)  / sigma,   r = distance / sigma
 //! sums   N_l += w w^T   over the points l, l + 8, l + 16, ...;      H = ((N_0 + N_4) + (N_2 + N_6)) + ((N_1 + N_5) + (N_3 + N_7))
@@ -73,8 +73,6 @@ pub(super) struct Scratch {
     width: usize,
     /// Running sums of products: column, column, one of [`GROUP`].
     sums: Vec<f64>,
-    /// First and second column of an outline's basis.
-    basis: [Vec<f64>; 2],
 }
 
 /// Cost of an image's contours; `None` where a circle has no image.

@@ -1,8 +1,8 @@
 //! What is adjusted: cameras, target, views, observations; constant during a solve.
 
 use super::facts::Fact;
-use super::outline::OutlineNoise;
 use crate::camera::{INTRINSICS, LAYERS};
+use crate::conic::CommonNoise;
 use crate::detect::EdgePoints;
 use nalgebra::{DMatrix, Vector3};
 
@@ -161,8 +161,26 @@ pub struct DiscObservation {
     pub disc: usize,
     /// Its edge points.
     pub edge: EdgePoints,
-    /// What they have in common where the printed disc is not round; set by the adjustment.
-    pub outline: Option<OutlineNoise>,
+    /// What they have in common beyond that where the printed disc is not round; set by the adjustment.
+    pub outline: CommonNoise,
+}
+
+impl DiscObservation {
+    /// An outline that is round as far as is known.
+    pub fn new(disc: usize, edge: EdgePoints) -> Self {
+        Self { disc, edge, outline: CommonNoise::default() }
+    }
+
+    /// Whitens a matrix given by its rows over the sigmas of the edge points, for all that these have in common.
+    pub(super) fn whiten<const N: usize>(&self, rows: &mut [[f64; N]]) {
+        self.edge.common.apply(rows);
+        self.outline.apply(rows);
+    }
+
+    /// Whether the edge points are independent.
+    pub(super) fn independent(&self) -> bool {
+        self.edge.common.is_none() && self.outline.is_none()
+    }
 }
 
 /// The tangent features of a pair of discs in one image.
@@ -283,7 +301,7 @@ impl Model {
     pub fn counts(&self) -> Observed {
         let layout = super::layout::Places::of(self).layout();
         let of_image = |i: &ImageObservations| -> usize {
-            let edges: usize = i.discs.iter().map(|d| d.edge.u_px.len()).sum();
+            let edges: usize = i.discs.iter().map(|d| d.edge.count()).sum();
             edges + i.pairs.iter().map(|p| p.whitening.nrows()).sum::<usize>() + 2 * i.points.disc.len()
         };
         Observed {

@@ -7,11 +7,8 @@
 //! ```text
 //! k I + tau^2 B B^T,   B_i = (mm of outline -> px) / sigma_i * (cos 2 phi_i, sin 2 phi_i)
 //! ```
-//! (k the variance factor of single edge points) and are whitened by its inverse root, up to `1 / sqrt k`:
-//! ```text
-//! T = 1 - U diag(1 - 1 / sqrt(1 + tau^2 m_j / k)) U^T,   B = U diag(sqrt m) V^T
-//! ```
-//! T is formed once, from the feet of the first solution, and held: the cost stays one of least squares, its derivatives
+//! (k the variance factor of single edge points; sigmas and B after the contour was whitened for what else its points have in common) and
+//! are whitened by its inverse root, up to `1 / sqrt k` (see [`CommonNoise`]). That is formed once, from the feet of the first solution, and held: the cost stays one of least squares, its derivatives
 //! exact. Higher harmonics do not couple to a plate's pose. tau is estimated from all contours together by moments,
 //! `tau^2 = mean of |x|^2 / 2 - k tr (B^T B)^-1 / 2` with x the least-squares (a, b) of a contour, and taken for zero where it is no
 //! more than chance.
@@ -21,49 +18,14 @@ use super::contour::SeenCircle;
 use super::edges::Feet;
 use super::model::{DiscObservation, ImageObservations, Model};
 use super::state::State;
+use crate::conic::CommonNoise;
 use crate::threads::gathered;
 use nalgebra::{Matrix2, Vector2};
 
-/// What whitens the residuals of one contour.
-#[derive(Debug, Clone, PartialEq)]
-pub struct OutlineNoise {
-    /// Rows of U: two orthonormal columns over the edge points.
-    basis: Vec<Vector2<f64>>,
-    /// By how much each column is shrunk, 0 to 1.
-    shrink: Vector2<f64>,
-}
-
-impl OutlineNoise {
-    /// U column by column, continued by zeros up to `len` rows, and by how much each column is shrunk.
-    pub(super) fn split(&self, columns: &mut [Vec<f64>; 2], len: usize) -> [f64; 2] {
-        for (k, column) in columns.iter_mut().enumerate() {
-            column.clear();
-            column.extend(self.basis.iter().map(|u| u[k]));
-            column.resize(len, 0.0);
-        }
-        [self.shrink.x, self.shrink.y]
-    }
-
-    /// T times a matrix given by its rows, one per edge point.
-    pub(super) fn apply<const N: usize>(&self, rows: &mut [[f64; N]]) {
-        let mut sums = [[0.0; N]; 2];
-        for (row, u) in rows.iter().zip(&self.basis) {
-            for n in 0..N {
-                sums[0][n] += u.x * row[n];
-                sums[1][n] += u.y * row[n];
-            }
-        }
-        for (row, u) in rows.iter_mut().zip(&self.basis) {
-            for n in 0..N {
-                row[n] -= u.x * self.shrink.x * sums[0][n] + u.y * self.shrink.y * sums[1][n];
-            }
-        }
-    }
-}
-
 /// Second harmonic of one contour.
 struct Harmonic {
-    rows: Vec<Vector2<f64>>,
+    /// B, whitened for what is known of the contour already.
+    rows: Vec<[f64; 2]>,
     /// B^T B.
     information: Matrix2<f64>,
     /// Least-squares (a, b), mm.
@@ -75,33 +37,29 @@ struct Harmonic {
 impl Harmonic {
     fn of(circle: &SeenCircle, seen: &DiscObservation) -> Option<Self> {
         let (edge, feet) = (&seen.edge, Feet::of(circle, seen)?);
-        let (mut rows, mut information, mut b, mut chi2) =
-            (Vec::with_capacity(edge.u_px.len()), Matrix2::zeros(), Vector2::zeros(), 0.0);
-        for i in 0..edge.u_px.len() {
+        let row = |i: usize| {
             let (cos, sin) = (feet.direction[0][i], feet.direction[1][i]);
-            let iw = 1.0 / edge.sigma_px[i];
-            let row = Vector2::new(cos * cos - sin * sin, 2.0 * sin * cos) * (feet.px_per_mm[i] * iw);
-            let r = feet.distance_px[i] * iw;
+            let (iw, px_per_mm) = (1.0 / edge.sigma_px[i], feet.px_per_mm[i]);
+            [(cos * cos - sin * sin) * px_per_mm * iw, 2.0 * sin * cos * px_per_mm * iw, feet.distance_px[i] * iw]
+        };
+        let mut all: Vec<[f64; 3]> = (0..edge.u_px.len()).map(row).collect();
+        edge.common.apply(&mut all);
+        let (mut information, mut b, mut chi2) = (Matrix2::zeros(), Vector2::zeros(), 0.0);
+        for [x, y, r] in &all {
+            let row = Vector2::new(*x, *y);
             information += row * row.transpose();
-            b += row * r;
+            b += row * *r;
             chi2 += r * r;
-            rows.push(row);
         }
         let oval_mm = information.try_inverse()? * b;
-        let rest = [chi2 - oval_mm.dot(&b), rows.len() as f64 - 5.0];
+        let rest = [chi2 - oval_mm.dot(&b), all.len() as f64 - 5.0];
+        let rows = all.into_iter().map(|[x, y, _]| [x, y]).collect();
         (rest[1] > 0.0 && oval_mm.iter().all(|x| x.is_finite())).then_some(Self { rows, information, oval_mm, rest })
     }
 
-    /// The whitening for a given tau^2 / k.
-    fn noise(&self, ratio: f64) -> Option<OutlineNoise> {
-        let eigen = self.information.symmetric_eigen();
-        let m = eigen.eigenvalues;
-        if !(m.min() > 0.0) {
-            return None;
-        }
-        let to_basis = eigen.eigenvectors * Matrix2::from_diagonal(&m.map(|m| 1.0 / m.sqrt()));
-        let basis = self.rows.iter().map(|row| to_basis.tr_mul(row)).collect();
-        Some(OutlineNoise { basis, shrink: m.map(|m| 1.0 - 1.0 / (1.0 + ratio * m).sqrt()) })
+    /// What the points have in common for a given tau^2 / k.
+    fn noise(&self, ratio: f64) -> CommonNoise {
+        CommonNoise::of(&self.rows, &Matrix2::from_diagonal_element(ratio))
     }
 }
 
@@ -132,29 +90,4 @@ pub(super) fn whiten(model: &mut Model, state: &State) -> Option<f64> {
         model.images[*k].discs[*d].outline = h.noise(variance / factor);
     }
     Some(variance.sqrt())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// T T^T (k I + tau^2 B B^T) / k is the identity.
-    #[test]
-    fn the_transform_whitens_the_covariance() {
-        let angles: Vec<f64> = (0..9).map(|i| 0.7 * f64::from(i)).collect();
-        let rows: Vec<Vector2<f64>> =
-            angles.iter().map(|a| Vector2::new((2.0 * a).cos(), (2.0 * a).sin()) * (3.0 + a.cos())).collect();
-        let information = rows.iter().map(|r| r * r.transpose()).sum();
-        let h = Harmonic { rows: rows.clone(), information, oval_mm: Vector2::zeros(), rest: [0.0; 2] };
-        let ratio = 0.3;
-        let noise = h.noise(ratio).unwrap();
-        let mut t = [[0.0; 9]; 9];
-        (0..9).for_each(|i| t[i][i] = 1.0);
-        noise.apply(&mut t);
-        let t = nalgebra::SMatrix::<f64, 9, 9>::from_fn(|i, j| t[i][j]);
-        let covariance =
-            nalgebra::SMatrix::<f64, 9, 9>::from_fn(|i, j| f64::from(u8::from(i == j)) + ratio * rows[i].dot(&rows[j]));
-        let white = t * covariance * t.transpose();
-        assert!((white - nalgebra::SMatrix::<f64, 9, 9>::identity()).abs().max() < 1e-12, "{white}");
-    }
 }

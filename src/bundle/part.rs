@@ -42,9 +42,8 @@ pub(super) fn part(model: &Model) -> Option<Model> {
 fn thinned(image: &ImageObservations) -> ImageObservations {
     let share = ENOUGH as f64 / observed(image).max(1) as f64;
     let disc = |d: &DiscObservation| {
-        let edge = some_edge(&d.edge, share);
-        // What whitens an oval holds for all points of its contour together.
-        DiscObservation { disc: d.disc, edge, outline: None }
+        // What whitens a contour holds for all its points together.
+        DiscObservation::new(d.disc, some_edge(&d.edge, share))
     };
     ImageObservations {
         view: image.view,
@@ -69,7 +68,7 @@ fn some_edge(edge: &EdgePoints, share: f64) -> EdgePoints {
     let all = edge.u_px.len();
     let wanted = ((all as f64 * share).ceil() as usize).next_multiple_of(GROUP).min(all);
     let pick = |x: &[f64]| (0..wanted).map(|k| x[k * all / wanted]).collect();
-    EdgePoints { u_px: pick(&edge.u_px), v_px: pick(&edge.v_px), sigma_px: pick(&edge.sigma_px) }
+    EdgePoints { u_px: pick(&edge.u_px), v_px: pick(&edge.v_px), sigma_px: pick(&edge.sigma_px), ..Default::default() }
 }
 
 /// A share of the points in groups of neighbours.

@@ -9,7 +9,8 @@
 //! p   = argmin sum (d_i(p) / s_i)^2        ellipse,   C_p its covariance
 //! F   = q(X(p_0, p_1); i0)                 features: tangents X on the ideal plane, back in real pixels
 //! ```
-//! Where printed discs are oval (`outline`), the fit's residuals are whitened for it as those of the contours are.
+//! What the points of a contour have in common (blur and light, ovals of the print), the fit's residuals are whitened for as those of the
+//! contours are.
 //!
 //! The features depend on the lens that is sought. Repeating the adjustment with features held converges slowly: they follow
 //! the lens that was assumed. Here their derivative by the lens takes part, so that a round is a Gauss-Newton step of the
@@ -34,7 +35,6 @@
 
 use super::adjust::{AdjustOptions, Adjustment, adjust};
 use super::model::{DiscObservation, LensDependence, Model, PairObservation, TargetShape};
-use super::outline::OutlineNoise;
 use super::state::State;
 use crate::bitangent::{Bitangents, EXTERNAL_CROSSING, ExternalUse, POINTS, bitangents};
 use crate::camera::{Camera, INTRINSICS};
@@ -61,7 +61,7 @@ struct Straight {
 
 /// The ellipse of a contour without the lens's distortion; `None` where the lens cannot be undone or nothing fits.
 fn straight(camera: &Camera, seen: &DiscObservation) -> Option<Straight> {
-    let (edge, outline) = (&seen.edge, seen.outline.as_ref());
+    let edge = &seen.edge;
     let f = camera.intrinsics().f_px;
     let n = edge.u_px.len();
     let (mut u, mut v, mut jets) = (vec![], vec![], vec![]);
@@ -80,7 +80,7 @@ fn straight(camera: &Camera, seen: &DiscObservation) -> Option<Straight> {
         })
         .collect();
     let mut fit = fit_geometric_from(&start, &u, &v, &sigma).ok()?;
-    fit.ellipse = polished(&fit.ellipse, &u, &v, &sigma, outline)?;
+    fit.ellipse = polished(&fit.ellipse, &u, &v, &sigma, seen)?;
     let frame = Frame::new(&fit.ellipse);
     let mut rows: Vec<[f64; 5 + INTRINSICS]> = (0..n)
         .map(|i| {
@@ -90,9 +90,7 @@ fn straight(camera: &Camera, seen: &DiscObservation) -> Option<Straight> {
             std::array::from_fn(|k| if k < 5 { row[k] } else { along[k - 5] } / sigma[i])
         })
         .collect();
-    if let Some(outline) = outline {
-        outline.apply(&mut rows);
-    }
+    seen.whiten(&mut rows);
     let mut normal = SMatrix::<f64, 5, 5>::zeros();
     let mut by = SMatrix::<f64, 5, INTRINSICS>::zeros();
     for row in &rows {
@@ -102,7 +100,7 @@ fn straight(camera: &Camera, seen: &DiscObservation) -> Option<Straight> {
     }
     let regular = normal.cholesky()?.inverse();
     let at = to_regular(&fit.ellipse);
-    if outline.is_some() {
+    if !seen.independent() {
         fit.covariance = covariance_from_regular(&at, &regular);
     }
     let by_lens = parameters_by_regular(&at, &regular) * regular * by;
@@ -111,10 +109,10 @@ fn straight(camera: &Camera, seen: &DiscObservation) -> Option<Straight> {
 }
 
 /// Gauss-Newton steps more: a fit ends within about 1e-6 of its sigmas, and the rounds could not end much below that; and
-/// a disc that is not quite round is weighed as its contour is, its second harmonic by what ovals allow.
-fn polished(ellipse: &Ellipse, u: &[f64], v: &[f64], sigma: &[f64], outline: Option<&OutlineNoise>) -> Option<Ellipse> {
+/// the ellipse is weighed as its contour is, by what its points have in common.
+fn polished(ellipse: &Ellipse, u: &[f64], v: &[f64], sigma: &[f64], seen: &DiscObservation) -> Option<Ellipse> {
     let mut q = to_regular(ellipse);
-    for _ in 0..if outline.is_some() { 4 } else { 2 } {
+    for _ in 0..if seen.independent() { 2 } else { 4 } {
         let frame = Frame::new(&from_regular(&q)?);
         let mut rows: Vec<[f64; 6]> = (0..u.len())
             .map(|i| {
@@ -122,9 +120,7 @@ fn polished(ellipse: &Ellipse, u: &[f64], v: &[f64], sigma: &[f64], outline: Opt
                 std::array::from_fn(|k| foot.row.get(k).copied().unwrap_or(foot.distance) / sigma[i])
             })
             .collect();
-        if let Some(outline) = outline {
-            outline.apply(&mut rows);
-        }
+        seen.whiten(&mut rows);
         let (mut normal, mut gradient) = (SMatrix::<f64, 5, 5>::zeros(), SVector::<f64, 5>::zeros());
         for row in &rows {
             let own = SVector::<f64, 5>::from_fn(|k, _| row[k]);

@@ -80,9 +80,7 @@ fn disc_residual(image: &SeenImage, seen: &DiscObservation, scale: f64) -> Optio
         [edges.normal_u[i] * w, edges.normal_v[i] * w, w, edges.distance_px[i] * w]
     };
     let mut rows: Vec<_> = (0..seen.edge.u_px.len()).map(row).collect();
-    if let Some(outline) = &seen.outline {
-        outline.apply(&mut rows);
-    }
+    seen.whiten(&mut rows);
     let (mut n, mut b, mut edge_chi2) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
     for [u, v, grow, r] in rows {
         let row = Vector3::new(u, v, grow);

@@ -1,5 +1,6 @@
 //! Many points near one ellipse: distances, their derivatives, and the fit through points that already lie close.
 
+use super::common::{CommonNoise, LEAST};
 use super::{Ellipse, Frame, covariance_from_regular, from_regular, parameters_by_regular, to_regular};
 use crate::lanes::{self, GROUP, Kernel, Lanes};
 use nalgebra::{SMatrix, SVector};
@@ -16,6 +17,8 @@ pub(crate) struct Feet {
     pub(crate) distance: Vec<f64>,
     /// Their derivatives with respect to the regular coordinates.
     rows: Vec<[f64; 5]>,
+    /// Cosine and sine of the eccentric angle.
+    direction: Vec<[f64; 2]>,
 }
 
 struct Find<'a> {
@@ -32,6 +35,7 @@ impl Kernel for Find<'_> {
         let (frame, n) = (&self.frame, self.u.len());
         self.out.distance.clear();
         self.out.rows.clear();
+        self.out.direction.clear();
         for from in (0..n).step_by(GROUP) {
             let (mut x, mut y) = ([0.0; GROUP], [0.0; GROUP]);
             for i in 0..GROUP {
@@ -44,9 +48,15 @@ impl Kernel for Find<'_> {
             for i in 0..GROUP.min(n - from) {
                 self.out.distance.push(feet.distance[i]);
                 self.out.rows.push(frame.row_at(feet.cos[i], feet.sin[i]));
+                self.out.direction.push([feet.cos[i], feet.sin[i]]);
             }
         }
     }
+}
+
+/// Rows over the sigmas of their points.
+fn whitened<const N: usize>(rows: &[[f64; N]], sigma_px: &[f64]) -> Vec<[f64; N]> {
+    rows.iter().zip(sigma_px).map(|(row, sigma)| row.map(|x| x / sigma)).collect()
 }
 
 impl Feet {
@@ -80,6 +90,29 @@ impl Feet {
         let (whole, before) = (regular(sigma_px)?, regular(before_px)?);
         let by = parameters_by_regular(&to_regular(e), &whole);
         Some(by * (whole - before) * by.transpose())
+    }
+
+    /// By how much an ellipse with a covariance of its regular coordinates is known less well than the points, whose feet on it were found
+    /// last, would say if they were independent; none where that is next to nothing.
+    pub(crate) fn excess(&self, covariance: &SMatrix<f64, 5, 5>, sigma_px: &[f64]) -> Option<SMatrix<f64, 5, 5>> {
+        let normal = self.normal_equations(sigma_px).0;
+        if !(normal.component_mul(covariance).sum() > 5.0 + LEAST) {
+            return None;
+        }
+        Some(covariance - normal.cholesky()?.inverse())
+    }
+
+    /// What the points, whose feet were found last, have in common where the regular coordinates of their ellipse have the covariance `c`
+    /// beyond that of independent points.
+    pub(crate) fn common(&self, c: &SMatrix<f64, 5, 5>, sigma_px: &[f64]) -> CommonNoise {
+        CommonNoise::of(&whitened(&self.rows, sigma_px), c)
+    }
+
+    /// Adds that the points, whose feet on `e` were found last, say nothing but their ellipse of what a smooth lens makes of a circle.
+    pub(crate) fn forget_bends(&self, e: &Ellipse, sigma_px: &[f64], common: &mut CommonNoise) {
+        let frame = Frame::new(e);
+        let bends: Vec<[f64; 4]> = self.direction.iter().map(|[c, s]| frame.bends_at(*c, *s)).collect();
+        common.forget(&whitened(&self.rows, sigma_px), &whitened(&bends, sigma_px));
     }
 
     /// The ellipse through the points, from `e`, on which their feet were found last, with its covariance; none where a few steps do
@@ -118,6 +151,45 @@ mod tests {
     use super::*;
     use crate::conic::fit_geometric_from;
     use crate::frames::Pixel;
+
+    /// An ellipse that is known less well than its points, each for itself, say: whitened for what they have in common they say the same.
+    #[test]
+    fn points_with_what_they_have_in_common_say_what_the_ellipse_does() {
+        let e = Ellipse { center_px: Pixel::new(50.0, 40.0), semi_major_px: 13.0, semi_minor_px: 11.0, angle_rad: 0.7 };
+        let points: Vec<Pixel> = (0..43).map(|k| e.point(0.146 * f64::from(k))).collect();
+        let [u, v]: [Vec<f64>; 2] = [points.iter().map(|p| p.u_px).collect(), points.iter().map(|p| p.v_px).collect()];
+        let sigma: Vec<f64> = (0..43).map(|k| 0.02 * f64::from(1 + k % 3)).collect();
+        let mut feet = Feet::default();
+        feet.find(&e, &u, &v);
+        let own = feet.normal_equations(&sigma).0.cholesky().expect("an ellipse").inverse();
+        assert!(feet.excess(&own, &sigma).is_none());
+        let spread = SVector::from([3e-3, -2e-3, 8e-3, 1e-3, 4e-3]);
+        let whole = own * 1.5 + spread * spread.transpose();
+        let excess = feet.excess(&whole, &sigma).expect("more than points say");
+        let fit = fit_geometric_from(&e, &u, &v, &sigma).expect("a fit");
+        let shared = fit.with_common([&u, &v, &sigma], &feet.common(&excess, &sigma)).expect("a covariance").covariance;
+        let wanted = covariance_from_regular(&to_regular(&e), &whole);
+        assert!((shared - wanted).abs().max() < 1e-4 * wanted.abs().max(), "{shared} {wanted}");
+        // Nor does it say more or less of the ellipse without the bends of a smooth lens, and nothing of these.
+        let mut alone = feet.common(&excess, &sigma);
+        feet.forget_bends(&e, &sigma, &mut alone);
+        assert_eq!(alone.forgotten(), 4);
+        let fit = fit_geometric_from(&e, &u, &v, &sigma).expect("a fit");
+        let shared = fit.with_common([&u, &v, &sigma], &alone).expect("a covariance").covariance;
+        assert!((shared - wanted).abs().max() < 1e-4 * wanted.abs().max(), "{shared} {wanted}");
+        let bends: Vec<[f64; 4]> = feet.direction.iter().map(|[c, s]| Frame::new(&e).bends_at(*c, *s)).collect();
+        let of = |k: usize, i: usize| feet.rows[k].get(i).copied().unwrap_or_else(|| bends[k][i - 5]) / sigma[k];
+        let mut rows: Vec<[f64; 9]> = (0..43).map(|k| std::array::from_fn(|i| of(k, i))).collect();
+        let before = rows.clone();
+        alone.apply(&mut rows);
+        let product = |a: &[[f64; 9]], i: usize, j: usize| a.iter().map(|r| r[i] * r[j]).sum::<f64>();
+        let normal = SMatrix::<f64, 9, 9>::from_fn(|i, j| product(&rows, i, j));
+        let ellipse = normal.fixed_view::<5, 5>(0, 0).try_inverse().expect("an ellipse");
+        let (to_ellipse, own) = (normal.fixed_view::<4, 5>(5, 0), normal.fixed_view::<4, 4>(5, 5));
+        let left = own - to_ellipse * ellipse * to_ellipse.transpose();
+        let largest = (5..9).map(|i| product(&before, i, i)).fold(0.0, f64::max);
+        assert!(left.abs().max() < 1e-9 * largest, "{left}");
+    }
 
     /// Against foot points one by one and the damped fit.
     #[test]

@@ -15,7 +15,7 @@
 //!
 //! Not valid for fewer than 6 points (5 leave no redundancy for a covariance that means something) or points on a line.
 
-use crate::conic::{Ellipse, Frame, covariance_from_regular, from_regular, to_regular};
+use crate::conic::{CommonNoise, Ellipse, Frame, covariance_from_regular, from_regular, to_regular};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::frames::Pixel;
 use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen, Vector3};
@@ -83,6 +83,22 @@ fn halir_flusser(s1: &Matrix3<f64>, s2: &Matrix3<f64>, s3: &Matrix3<f64>) -> Opt
     let a1 = lower_inverse.transpose() * eigen.eigenvectors.column(best);
     let a2 = t * a1;
     Some(SVector::from([a1[0], a1[1], a1[2], a2[0], a2[1], a2[2]]))
+}
+
+impl EllipseFit {
+    /// With the covariance that follows where the points that it was fitted to have something in common.
+    pub(crate) fn with_common(mut self, [u_px, v_px, sigma_px]: [&[f64]; 3], common: &CommonNoise) -> Option<Self> {
+        if common.is_none() {
+            return Some(self);
+        }
+        let frame = Frame::new(&self.ellipse);
+        let row = |i: usize| frame.foot(u_px[i], v_px[i], None).row.map(|x| x / sigma_px[i]);
+        let mut rows: Vec<[f64; 5]> = (0..u_px.len()).map(row).collect();
+        common.apply(&mut rows);
+        let normal: SMatrix<f64, 5, 5> = rows.iter().map(|row| SVector::from(*row)).map(|x| x * x.transpose()).sum();
+        self.covariance = covariance_from_regular(&to_regular(&self.ellipse), &normal.cholesky()?.inverse());
+        Some(self)
+    }
 }
 
 /// Orthogonal-distance ellipse through points (px) with standard deviations (px) normal to the contour.

@@ -146,6 +146,16 @@ impl Frame {
         self.row(c, s, b * c * inverse, a * s * inverse, big_n)
     }
 
+    /// Cosines and sines of three and four times an eccentric angle, over the length of the tangent there: displacements that are polynomials of
+    /// third degree of the place move the contour by these harmonics and lower ones, which the ellipse has.
+    #[inline(always)]
+    pub(crate) fn bends_at(&self, c: f64, s: f64) -> [f64; 4] {
+        let share = self.b / (self.b * self.b * c * c + self.a * self.a * s * s).sqrt();
+        let (c2, s2) = (c * c - s * s, 2.0 * c * s);
+        let (c3, s3) = (c2 * c - s2 * s, s2 * c + c2 * s);
+        [c3, s3, c2 * c2 - s2 * s2, 2.0 * c2 * s2].map(|x| share * x)
+    }
+
     /// Derivative of the distance with respect to the regular coordinates, for a foot point with normal `(nx, ny)`.
     #[inline(always)]
     fn row(&self, c: f64, s: f64, nx: f64, ny: f64, big_n: f64) -> [f64; 5] {

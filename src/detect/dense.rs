@@ -18,12 +18,8 @@ pub(crate) struct Dense {
     pub(crate) matrix: Vec<f64>,
     /// Right side; the unknowns once solved.
     pub(crate) right: Vec<f64>,
-    /// Normal matrix of the geometry alone, before anything was eliminated.
-    pub(crate) alone: SMatrix<f64, 5, 5>,
     /// Covariance of the geometry.
     pub(crate) covariance: SMatrix<f64, 5, 5>,
-    /// Factor by which not knowing blur and light widens the sigmas of the geometry (at least 1).
-    pub(crate) widen: f64,
 }
 
 impl Dense {
@@ -33,7 +29,6 @@ impl Dense {
         self.matrix.resize(n * n, 0.0);
         self.right.clear();
         self.right.resize(n, 0.0);
-        self.alone = SMatrix::zeros();
     }
 
     /// Adds to the equations of blur and geometry.
@@ -45,7 +40,6 @@ impl Dense {
             }
             self.right[at + i] += right[i];
         }
-        self.alone += fixed.fixed_view::<5, 5>(1, 1);
     }
 
     /// Solves in place (lower triangle) and says how well the geometry is known; false where the matrix is not positive definite.
@@ -72,11 +66,9 @@ impl Dense {
         let a = &self.matrix;
         // The last block of the factor is that of the Schur complement on the geometry.
         let lower = SMatrix::<f64, 5, 5>::from_fn(|i, j| if j <= i { a[(n - 5 + i) * n + n - 5 + j] } else { 0.0 });
-        let (Some(root), Some(alone)) = (lower.try_inverse(), self.alone.try_inverse()) else { return false };
-        let ratio: f64 = (0..5).map(|k| root.column(k).norm_squared() / alone[(k, k)]).sum();
-        self.widen = (ratio / 5.0).max(1.0).sqrt();
+        let Some(root) = lower.try_inverse() else { return false };
         self.covariance = root.transpose() * root;
-        self.widen.is_finite()
+        self.covariance.trace().is_finite()
     }
 }
 
@@ -217,7 +209,6 @@ mod tests {
         for n in [6, 7, 12, 19, 41, 130] {
             let (matrix, right) = positive(n);
             let mut dense = Dense { matrix: matrix.clone(), right: right.clone(), ..Dense::default() };
-            dense.alone = SMatrix::identity();
             assert!(dense.solve(n));
             let full = DMatrix::from_row_slice(n, n, &matrix);
             let expected = full.clone().cholesky().unwrap().solve(&DVector::from_vec(right));

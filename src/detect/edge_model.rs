@@ -85,8 +85,6 @@ pub(crate) struct Solution {
     pub(crate) bend: [Vec<f64>; 2],
     /// Step of each sector, grey.
     pub(crate) step: Vec<f64>,
-    /// Factor by which not knowing blur and light widens the sigmas of the geometry (at least 1).
-    pub(crate) widen: f64,
     dense: Dense,
     chain: Chain,
 }
@@ -199,7 +197,6 @@ impl EdgeModel {
         if !work.solve(n) {
             return false;
         }
-        found.widen = work.widen;
         found.take_fixed(lights);
         for side in 0..2 {
             let c = &found.dense.right[if side == 0 { 0 } else { count[0] }..][..count[side]];
@@ -273,7 +270,6 @@ impl EdgeModel {
         if !found.chain.eliminate(&mut found.dense) || !found.dense.solve(BORDER) {
             return false;
         }
-        found.widen = found.dense.widen;
         found.take_fixed(NODE);
         found.chain.substitute(&found.dense.right);
         for side in 0..2 {

@@ -141,11 +141,6 @@ impl Exact {
         self.verdict.map_or(self.dense.covariance, |v| v.covariance)
     }
 
-    pub(crate) fn widen(&self) -> f64 {
-        let own = self.dense.covariance.trace();
-        self.verdict.map_or(1.0, |v| (v.covariance.trace() / own).sqrt()) * self.dense.widen
-    }
-
     /// Number of unknowns of the light.
     fn lights(state: &State) -> usize {
         let waves = state.field.as_ref().map_or(0, |f| 2 * f.waves.len());
@@ -357,8 +352,6 @@ impl Exact {
             self.dense.matrix[i * n..=i * n + i].copy_from_slice(&self.gram[i * m..=i * m + i]);
             self.dense.right[i] = self.gram[n * m + i];
         }
-        let g = |i: usize, j: usize| self.gram[(lights + 1 + i.max(j)) * m + lights + 1 + i.min(j)];
-        self.dense.alone = SMatrix::from_fn(g);
         let mut at = 0;
         let mut log_prior = 0.0;
         if let Some(field) = &state.field {

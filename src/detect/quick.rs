@@ -133,10 +133,6 @@ impl Quick {
         &self.dense.covariance
     }
 
-    pub(crate) fn widen(&self) -> f64 {
-        self.dense.widen
-    }
-
     /// Change of the geometry that the last solve asks for, px.
     pub(crate) fn change(&self) -> SVector<f64, 5> {
         SVector::from_fn(|i, _| self.found[LIGHTS + 1 + i])
@@ -331,8 +327,6 @@ impl Quick {
             }
             self.dense.right[i] = gram[place(column(i).max(N), column(i).min(N))];
         }
-        let at = LIGHTS + 1;
-        self.dense.alone = SMatrix::from_fn(|i, j| gram[place(at + i.max(j), at + i.min(j))]);
         let (weights, expected) = (self.weights_of_light(state, free), state.expected_light());
         for (i, w) in (0..bends + LIGHTS).map(|i| (i, weights[of_light(column(i))])) {
             self.dense.matrix[i * n + i] += w;

@@ -365,8 +365,10 @@ fn drop_sectors(s: &mut Scratch) -> f64 {
 struct Found {
     ellipse: Ellipse,
     blur_px: f64,
-    /// Of `(u0, v0, a, b, phi)`, whatever blur and light are.
+    /// Of the regular coordinates, whatever blur and light are.
     covariance: SMatrix<f64, 5, 5>,
+    /// Whether the light was followed along the contour: then it has taken some of what bends the contour off an ellipse for light.
+    followed: bool,
 }
 
 /// The ellipse through the edge points that the sums over sectors give, with the covariance of the fit: blur and light move all of them
@@ -376,8 +378,15 @@ fn by_sectors(model: &EdgeModel, s: &Scratch) -> Result<(Found, EdgePoints), Rej
     let ellipse = fit_geometric_from(&model.ellipse, &edge.u_px, &edge.v_px, &edge.sigma_px)
         .map_err(|_| not_elliptical(f64::INFINITY, model.ellipse.semi_minor_px))?
         .ellipse;
-    let covariance = covariance_from_regular(&to_regular(&ellipse), s.found.covariance());
-    Ok((Found { ellipse, blur_px: model.blur_px, covariance }, edge))
+    Ok((
+        Found {
+            ellipse,
+            blur_px: model.blur_px,
+            covariance: *s.found.covariance(),
+            followed: matches!(model.light, Light::Nodes(..)),
+        },
+        edge,
+    ))
 }
 
 /// Edge points from the sums over sectors.
@@ -389,7 +398,7 @@ fn sector_edges(s: &Scratch) -> EdgePoints {
         let shift = found.shift[k] + residual(s, k).0 / information;
         edge.u_px.push(contour.u[k] + shift * contour.normal_u[k]);
         edge.v_px.push(contour.v[k] + shift * contour.normal_v[k]);
-        edge.sigma_px.push(found.widen * information.powf(-0.5));
+        edge.sigma_px.push(information.powf(-0.5));
     }
     edge
 }
@@ -442,13 +451,17 @@ fn accept(
         let within = (0..4).all(|i| covariance[(i, i)] > 0.0 && covariance[(i, i)] < limit_px * limit_px);
         within.then_some(()).ok_or(unknown)
     };
-    known(&found.covariance, shape_px)?;
+    let at = to_regular(e);
+    let own = covariance_from_regular(&at, &found.covariance);
+    known(&own, shape_px)?;
     let limit_px = shape_px.hypot(noise_px2.sqrt());
     if rms_px > limit_px {
         return Err(not_elliptical(rms_px, limit_px));
     }
     let common = share_noise(&ellipse, &mut edge, start.noise, found.blur_px);
-    let mut covariance = found.covariance * common;
+    let regular = found.covariance * common;
+    let mut covariance = covariance_from_regular(&at, &regular);
+    let excess = feet.excess(&regular, &edge.sigma_px);
     if common > 1.0 {
         chi2 = feet.distance.iter().zip(&edge.sigma_px).map(|(d, sigma)| (d / sigma).powi(2)).sum();
     }
@@ -458,9 +471,15 @@ fn accept(
         if roughness > 0.0 {
             let added;
             (ellipse, added) = roughen(&ellipse, &mut edge, roughness, feet).ok_or(unknown)?;
-            known(&(found.covariance + added), shape_px.max(MOST_ROUGH * ellipse.semi_minor_px))?;
+            known(&(own + added), shape_px.max(MOST_ROUGH * ellipse.semi_minor_px))?;
             covariance += added;
         }
+    }
+    if let Some(excess) = excess {
+        edge.common = feet.common(&excess, &edge.sigma_px);
+    }
+    if found.followed {
+        feet.forget_bends(&ellipse, &edge.sigma_px, &mut edge.common);
     }
     Ok(Disc {
         ellipse,

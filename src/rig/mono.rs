@@ -177,7 +177,7 @@ fn thinned(edge: &EdgePoints) -> EdgePoints {
 fn every(edge: &EdgePoints, count: usize) -> EdgePoints {
     let step = edge.u_px.len().div_ceil(count).max(1);
     let pick = |v: &[f64]| v.iter().step_by(step).copied().collect();
-    EdgePoints { u_px: pick(&edge.u_px), v_px: pick(&edge.v_px), sigma_px: pick(&edge.sigma_px) }
+    EdgePoints { u_px: pick(&edge.u_px), v_px: pick(&edge.v_px), sigma_px: pick(&edge.sigma_px), ..Default::default() }
 }
 
 /// A model with few discs and edge points, without printing errors: to choose between starts.
@@ -203,7 +203,7 @@ pub(super) fn lightened(model: &Model) -> Model {
 
 fn thinned_discs(discs: &[DiscObservation]) -> Vec<DiscObservation> {
     let step = discs.len().div_ceil(START_DISCS).max(1);
-    let thin = |d: &DiscObservation| DiscObservation { disc: d.disc, edge: thinned(&d.edge), outline: None };
+    let thin = |d: &DiscObservation| DiscObservation::new(d.disc, thinned(&d.edge));
     discs.iter().step_by(step).map(thin).collect()
 }
 

@@ -74,7 +74,7 @@ fn tangency_points(camera: &Camera, contours: [&EdgePoints; 2]) -> Option<(Vec<V
             u.push(e.cx_px + e.f_px * p.x / p.z);
             v.push(e.cy_px + e.f_px * p.y / p.z);
         }
-        fit_geometric(&u, &v, &edge.sigma_px).ok()
+        fit_geometric(&u, &v, &edge.sigma_px).ok()?.with_common([&u, &v, &edge.sigma_px], &edge.common)
     };
     let fits = [straight(contours[0])?, straight(contours[1])?];
     let b = bitangents(&fits[0].ellipse, &fits[1].ellipse).ok()?;

@@ -449,7 +449,7 @@ fn image(
             edge.v_px.push(q.y);
             edge.sigma_px.push(SIGMA_PX);
         }
-        DiscObservation { disc: j, edge, outline: None }
+        DiscObservation::new(j, edge)
     };
     ImageObservations {
         view,

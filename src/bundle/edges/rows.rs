@@ -141,30 +141,24 @@ impl<'a> Rows<'a> {
         Some(())
     }
 
-    /// Takes out what ovals have in common, in the first `used` columns.
+    /// Takes out what the points of a contour have in common, in the first `used` columns.
     #[inline(always)]
     pub(super) fn whiten(&mut self, first: usize, seen: &DiscObservation, used: usize) {
-        let Some(outline) = &seen.outline else { return };
-        let n = filled(seen.edge.u_px.len());
-        let mut basis = std::mem::take(&mut self.scratch.basis);
-        let shrink = outline.split(&mut basis, n);
-        for column in 0..used {
-            let mut sums = [[0.0; GROUP]; 2];
-            for i in (0..n).step_by(GROUP) {
-                let row = self.group(first + i, column);
-                for (sums, basis) in sums.iter_mut().zip(&basis) {
-                    let part = &basis[i..i + GROUP];
-                    (0..GROUP).for_each(|l| sums[l] += part[l] * row[l]);
+        for (basis, shrink) in seen.edge.common.columns().chain(seen.outline.columns()) {
+            let (groups, _) = basis.as_chunks::<GROUP>();
+            for column in 0..used {
+                let mut sums = [0.0; GROUP];
+                for (i, u) in groups.iter().enumerate() {
+                    let row = self.group(first + GROUP * i, column);
+                    (0..GROUP).for_each(|l| sums[l] += u[l] * row[l]);
+                }
+                let part = shrink * lanes::sum(&sums);
+                for (i, u) in groups.iter().enumerate() {
+                    let row = self.group(first + GROUP * i, column);
+                    (0..GROUP).for_each(|l| row[l] -= u[l] * part);
                 }
             }
-            let (a, b) = (shrink[0] * lanes::sum(&sums[0]), shrink[1] * lanes::sum(&sums[1]));
-            for i in (0..n).step_by(GROUP) {
-                let (u, v) = (&basis[0][i..i + GROUP], &basis[1][i..i + GROUP]);
-                let row = self.group(first + i, column);
-                (0..GROUP).for_each(|l| row[l] -= u[l] * a + v[l] * b);
-            }
         }
-        self.scratch.basis = basis;
     }
 
     /// Sum of the loss over a contour with whitened distances in column `used - 1`; rows and distances are multiplied by the root of

@@ -8,7 +8,9 @@ use crate::bundle::model::Model;
 use crate::bundle::outline;
 use crate::bundle::rig_scene::{Noise, Scene};
 use crate::bundle::state::State;
+use crate::conic::CommonNoise;
 use crate::lanes::run_all;
+use nalgebra::Matrix3;
 
 /// A part of the largest possible value (Cauchy-Schwarz): feet are found within 1e-7 px along contours of some 50 px, and directions
 /// turn with them.
@@ -70,7 +72,7 @@ fn scenes() -> Vec<(Model, State)> {
         let scene = roughened(Scene::build(4, per_view, plane, points).with_noise(4), loss);
         out.push((scene.perturbed_by(4, 0.1), scene.model));
     }
-    // Everything free, and oval discs.
+    // Everything free, contours that have something in common, and oval discs.
     let mut scene = roughened(Scene::build(4, false, false, true).with_noise(4), Loss::Huber(2.0));
     scene.model.cameras.iter_mut().for_each(|c| c.free = [true; INTRINSICS]);
     scene.model.target.free = [true; 3];
@@ -79,8 +81,15 @@ fn scenes() -> Vec<(Model, State)> {
         let (shift, n) = (0.4 * noise.normal(), disc.edge.u_px.len());
         (0..n).for_each(|i| disc.edge.u_px[i] += shift * (2.0 * std::f64::consts::TAU * i as f64 / n as f64).cos());
     }
+    for disc in scene.model.images.iter_mut().flat_map(|i| i.discs.iter_mut().step_by(2)) {
+        let angle = |i: usize| std::f64::consts::TAU * i as f64 / disc.edge.u_px.len() as f64;
+        let row = |(i, sigma): (usize, &f64)| [1.0 / sigma, angle(i).cos() / sigma, angle(i).sin() / sigma];
+        let rows: Vec<[f64; 3]> = disc.edge.sigma_px.iter().enumerate().map(row).collect();
+        disc.edge.common = CommonNoise::of(&rows, &Matrix3::from_diagonal_element(1e-4));
+        assert!(!disc.edge.common.is_none());
+    }
     assert!(outline::whiten(&mut scene.model, &scene.truth).is_some());
-    assert!(scene.model.images.iter().all(|i| i.discs.iter().all(|d| d.outline.is_some())));
+    assert!(scene.model.images.iter().all(|i| i.discs.iter().all(|d| !d.outline.is_none())));
     out.push((scene.perturbed_by(4, 0.1), scene.model));
     out.into_iter().map(|(s, m)| (m, s)).collect()
 }

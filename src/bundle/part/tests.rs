@@ -36,7 +36,7 @@ fn a_part_is_spread_evenly_and_whole_groups() {
     let some = part(&contours).unwrap();
     for (a, b) in contours.images.iter().zip(&some.images) {
         assert_eq!((a.discs.len(), b.discs.len()), (48, 16));
-        assert!(b.discs.iter().all(|d| d.edge.u_px.len() == GROUP && d.outline.is_none()));
+        assert!(b.discs.iter().all(|d| d.edge.u_px.len() == GROUP && d.independent()));
     }
     // Few observations, and tangents, are left alone.
     let few = Scene::build(4, false, false, false).with_noise(4).model;

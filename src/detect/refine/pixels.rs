@@ -1,7 +1,7 @@
 //! The fit of one disc to single pixels: the short way of clean discs, the way of all others, and that of smoke.
 
 use super::{Found, Scratch, Start, accept, border_px, check_size, median, quantisation};
-use crate::conic::{Ellipse, Frame, covariance_from_regular, from_regular, to_regular};
+use crate::conic::{Ellipse, Frame, from_regular, to_regular};
 use crate::detect::contour::{Contour, NEIGHBOUR};
 use crate::detect::edge_model::EdgeModel;
 use crate::detect::exact::{Exact, Field, Share, State, is_large};
@@ -78,9 +78,8 @@ pub(super) fn clean_disc(
     }
     let change = s.quick.change();
     let ellipse = from_regular(&(to_regular(&state.ellipse) + change))?;
-    let edge = edges(&s.fine, &s.quick.shares, None, &change, s.quick.widen());
-    let covariance = covariance_from_regular(&to_regular(&ellipse), s.quick.covariance());
-    let found = Found { ellipse, blur_px: state.blur_px, covariance };
+    let edge = edges(&s.fine, &s.quick.shares, None, &change);
+    let found = Found { ellipse, blur_px: state.blur_px, covariance: *s.quick.covariance(), followed: false };
     let disc = accept(&found, edge, &model, start, options, &mut s.feet);
     // Where noise is allowed to look like light the longer way has the last word.
     let sure = disc.is_ok() || start.noise.is_none();
@@ -113,13 +112,7 @@ fn agree(shares: &[Share], sorted: &mut Vec<f64>) -> bool {
 }
 
 /// Edge points of the sectors that count.
-fn edges(
-    contour: &Contour,
-    shares: &[Share],
-    kept: Option<&[bool]>,
-    change: &SVector<f64, 5>,
-    widen: f64,
-) -> EdgePoints {
+fn edges(contour: &Contour, shares: &[Share], kept: Option<&[bool]>, change: &SVector<f64, 5>) -> EdgePoints {
     let mut edge = EdgePoints::default();
     let counts = |k: usize| kept.is_none_or(|l| l[k]) && shares[k].information > 0.0;
     let most = (0..shares.len()).filter(|k| counts(*k)).map(|k| shares[k].information).fold(0.0, f64::max);
@@ -128,7 +121,7 @@ fn edges(
         let shift = share.shift_px() - (0..5).map(|i| contour.row[k][i] * change[i]).sum::<f64>();
         edge.u_px.push(contour.u[k] + shift * contour.normal_u[k]);
         edge.v_px.push(contour.v[k] + shift * contour.normal_v[k]);
-        edge.sigma_px.push(widen / share.information.sqrt());
+        edge.sigma_px.push(1.0 / share.information.sqrt());
     }
     edge
 }
@@ -206,9 +199,11 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
         }
     }
     let (ellipse, change, blur_px) = s.exact.finished(&state)?;
-    let edge = edges(&s.fine, &s.exact.shares, Some(&kept), &change, s.exact.widen());
-    let covariance = covariance_from_regular(&to_regular(&ellipse), &s.exact.covariance());
-    Some(Exactly::Fitted(Box::new(Found { ellipse, blur_px, covariance }), edge))
+    let edge = edges(&s.fine, &s.exact.shares, Some(&kept), &change);
+    Some(Exactly::Fitted(
+        Box::new(Found { ellipse, blur_px, covariance: s.exact.covariance(), followed: state.field.is_some() }),
+        edge,
+    ))
 }
 
 /// Whether what polynomials leave looks like smoke. A small disc hardly shows that: there light that rises inside alone, and more left than

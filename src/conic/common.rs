@@ -1,0 +1,138 @@
+//! Noise that the points of one contour have in common.
+//!
+//! Distances of edge points over their own sigmas have the covariance `1 + R C R^T`: R one row per point, how its distance follows few
+//! numbers, over its sigma; C the covariance of these numbers, which all points share. With
+//! ```text
+//! R^T R = K K^T,   K^T C K = V diag(m) V^T,   U = R K^-T V,      R C R^T = U diag(m) U^T,   U^T U = 1
+//! ```
+//! they are whitened by `T = 1 - U diag(1 - 1 / sqrt(1 + m)) U^T`, without a matrix as large as the contour.
+//!
+//! Two kinds are known. What is uncertain of blur and light moves the contour of a disc as a whole: the five numbers of its ellipse
+//! are known less well than its edge points, each for itself, would say ([`CommonNoise::of_ellipse`]). And printed discs are ovals (see
+//! [`crate::bundle`]).
+
+use crate::lanes::GROUP;
+use nalgebra::{DMatrix, SMatrix};
+
+/// Variance, over that of independent points, below which points have nothing in common: 5 % of a standard deviation.
+pub(super) const LEAST: f64 = 0.1;
+
+/// Noise that the points of one contour have in common, in distances over their own sigmas.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct CommonNoise {
+    /// Orthonormal columns of U, each continued by zeros to whole groups.
+    columns: Vec<f64>,
+    /// By how much each column is shrunk, 0 to 1.
+    shrink: Vec<f64>,
+}
+
+impl CommonNoise {
+    /// That of numbers with the covariance `c`, which move the points by `rows`, over their sigmas; nothing where the points do not fix
+    /// the numbers.
+    pub(crate) fn of<const N: usize>(rows: &[[f64; N]], c: &SMatrix<f64, N, N>) -> Self {
+        let mut out = Self::default();
+        let mut normal = SMatrix::<f64, N, N>::zeros();
+        for row in rows {
+            for i in 0..N {
+                (0..=i).for_each(|j| normal[(i, j)] += row[i] * row[j]);
+            }
+        }
+        normal.fill_upper_triangle_with_lower_triangle();
+        // The trace of K^T C K, the sum of all m.
+        if !(normal.component_mul(c).sum() > LEAST) {
+            return out;
+        }
+        let Some(k) = normal.cholesky().map(|c| c.l()) else { return out };
+        let Some(inverse) = k.try_inverse() else { return out };
+        let excess = k.transpose() * c * k;
+        let eigen = DMatrix::from_fn(N, N, |i, j| excess[(i, j)]).symmetric_eigen();
+        for j in (0..N).filter(|j| eigen.eigenvalues[*j] > LEAST) {
+            let to_column = inverse.tr_mul(&SMatrix::<f64, N, 1>::from_fn(|i, _| eigen.eigenvectors[(i, j)]));
+            out.shrink.push(1.0 - 1.0 / (1.0 + eigen.eigenvalues[j]).sqrt());
+            out.columns.extend(rows.iter().map(|row| row.iter().zip(&to_column).map(|(r, t)| r * t).sum::<f64>()));
+            out.columns.resize(out.columns.len().next_multiple_of(GROUP), 0.0);
+        }
+        out
+    }
+
+    /// Adds that nothing is known of how the points move by `rows`, over their sigmas, beyond what the numbers that move them by `known` say.
+    pub(crate) fn forget<const K: usize, const N: usize>(&mut self, known: &[[f64; K]], rows: &[[f64; N]]) {
+        let n = known.len();
+        let all = DMatrix::from_fn(n, K + N, |i, j| if j < K { known[i][j] } else { rows[i][j - K] });
+        if n < K + N {
+            return;
+        }
+        let q = all.qr().q();
+        for j in K..K + N {
+            self.shrink.push(1.0);
+            self.columns.extend(q.column(j).iter());
+            self.columns.resize(self.columns.len().next_multiple_of(GROUP), 0.0);
+        }
+    }
+
+    /// Number of directions in which the points say nothing.
+    pub(crate) fn forgotten(&self) -> usize {
+        self.shrink.iter().filter(|s| **s >= 1.0).count()
+    }
+
+    /// True where the points are independent.
+    pub fn is_none(&self) -> bool {
+        self.shrink.is_empty()
+    }
+
+    /// Columns of U with how much each is shrunk.
+    #[inline(always)]
+    pub(crate) fn columns(&self) -> impl Iterator<Item = (&[f64], f64)> {
+        let length = self.columns.len() / self.shrink.len().max(1);
+        self.columns.chunks_exact(length.max(1)).zip(self.shrink.iter().copied())
+    }
+
+    /// T times a matrix given by its rows, one per point.
+    pub(crate) fn apply<const N: usize>(&self, rows: &mut [[f64; N]]) {
+        for (column, shrink) in self.columns() {
+            let mut sums = [0.0; N];
+            for (row, u) in rows.iter().zip(column) {
+                (0..N).for_each(|n| sums[n] += u * row[n]);
+            }
+            for (row, u) in rows.iter_mut().zip(column) {
+                (0..N).for_each(|n| row[n] -= u * shrink * sums[n]);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// T (1 + R C R^T) T^T is the identity.
+    #[test]
+    fn the_transform_whitens_the_covariance() {
+        let rows: [[f64; 3]; 13] = std::array::from_fn(|i| std::array::from_fn(|j| (0.7 * (i * (j + 1)) as f64).cos()));
+        let root = SMatrix::<f64, 3, 3>::from_fn(|i, j| {
+            (1.0 + 2.3 * i as f64 + 0.9 * j as f64).sin() + f64::from(u8::from(i == j))
+        });
+        let c = root * root.transpose();
+        let noise = CommonNoise::of(&rows, &c);
+        assert_eq!(noise.columns().count(), 3);
+        let mut t = [[0.0; 13]; 13];
+        (0..13).for_each(|i| t[i][i] = 1.0);
+        noise.apply(&mut t);
+        let t = SMatrix::<f64, 13, 13>::from_fn(|i, j| t[i][j]);
+        let r = SMatrix::<f64, 13, 3>::from_fn(|i, j| rows[i][j]);
+        let white = t * (SMatrix::<f64, 13, 13>::identity() + r * c * r.transpose()) * t.transpose();
+        assert!((white - SMatrix::<f64, 13, 13>::identity()).abs().max() < 1e-12, "{white}");
+    }
+
+    /// Independent points have nothing in common, whatever rounding makes of a covariance.
+    #[test]
+    fn independent_points_have_nothing_in_common() {
+        let rows: [[f64; 2]; 9] = std::array::from_fn(|i| [1.0, i as f64]);
+        let little = SMatrix::<f64, 2, 2>::from_diagonal_element(1e-6);
+        for c in [SMatrix::zeros(), little, -little] {
+            assert!(CommonNoise::of(&rows, &c).is_none());
+        }
+        // Nothing fixes the second number.
+        assert!(CommonNoise::of(&[[1.0, 0.0]; 9], &SMatrix::identity()).is_none());
+    }
+}
