@@ -147,6 +147,11 @@ impl Side {
         Self { degree, radial: 1e-5 * step, step }
     }
 
+    /// Standard deviation of the radial slope of light that bends along the contour as its coefficients say: it bends across as well.
+    pub(crate) fn bend_across<const N: usize>(c: &SVector<f64, N>) -> f64 {
+        (0.5 * (c[4] * c[4] + c[5] * c[5])).sqrt()
+    }
+
     /// Number of coefficients.
     pub(crate) fn count(&self) -> usize {
         2 + 2 * self.degree
@@ -234,9 +239,7 @@ impl<const N: usize> Fits<N> {
         let fall = |a: usize, b: usize| (degrees[a].0 - degrees[b].0) / variance;
         side.degree = if fall(1, 2) > WORTH && seen > 24.0 { 2 } else { usize::from(fall(0, 1) > WORTH) };
         if side.degree == 2 {
-            // Light that bends along the contour bends across it as well.
-            let c = &degrees[2].1;
-            side.radial = (0.5 * (c[4] * c[4] + c[5] * c[5])).sqrt();
+            side.radial = Side::bend_across(&degrees[2].1);
         }
         let mut with_radial: Vec<usize> = ORDER[..1 + 2 * side.degree].to_vec();
         with_radial.push(1);

@@ -223,7 +223,10 @@ impl Quick {
             let turn = self.turn(&state.ellipse);
             let side =
                 |side: usize| Bent::new(view, &self.pixels, side, &turn, (floor, &state.allow), state.step.abs()).ok();
-            let sides = Bent::of_both(side(0)?, side(1)?);
+            let mut sides = Bent::of_both(side(0)?, side(1)?);
+            if state.ellipse.perimeter_px() > bent::LONG_CONTOUR_PX && sides.iter().any(Bent::rises) {
+                sides.iter_mut().for_each(Bent::loosen);
+            }
             // Once bent it stays so, lest rounds take turns.
             if !level || self.bent.is_some() || sides.iter().any(Bent::bends) {
                 found = [0, 1].map(|side: usize| sides[side].variance);

@@ -25,6 +25,10 @@ use nalgebra::{Matrix3, SMatrix, SVector};
 /// Contours shorter than this have too few pixels beside them to tell light that bends from smoke, px.
 pub(super) const LEAST_CONTOUR_PX: f64 = 130.0;
 
+/// Along longer contours light that rises is taken to bend whether it is seen to or not, px: a bend of three standard deviations, too little to
+/// be sure of, moves the edge by half of one of its own.
+pub(super) const LONG_CONTOUR_PX: f64 = 250.0;
+
 /// Exponents of the monomials.
 const MONOMIALS: [(usize, usize); 6] = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)];
 
@@ -43,6 +47,8 @@ pub(super) struct Bent {
     /// Polynomials from monomials.
     turn: SMatrix<f64, 6, 6>,
     pub(super) side: Side,
+    /// Standard deviation of the bend across the contour that goes with the one seen along it, grey.
+    across: f64,
     /// Noise variance about a surface of the second degree, grey^2.
     pub(super) variance: Option<f64>,
 }
@@ -61,16 +67,28 @@ impl Bent {
         let moments = Moments::new(view, pixels, side);
         let turn = second_degree(turn);
         let fits = moments.fits(&turn, sums);
-        let mut out = Self { fits, turn, side: Side::plain(0, step), variance: None };
+        let mut out = Self { fits, turn, side: Side::plain(0, step), across: 0.0, variance: None };
         if sums.count() < 16.0 {
             return Ok(out);
         }
         let (left, _) = out.fits.left_by(&[0, 1, 2, 3, 4, 5]).ok_or(())?;
         let variance = sums.noise_about(left, 6.0, floor, allow)?;
         let degrees = out.fits.degrees().ok_or(())?;
+        out.across = Side::bend_across(&degrees[2].1);
         out.side = out.fits.side(&degrees, variance.max(floor), sums.count(), step);
         out.variance = Some(variance);
         Ok(out)
+    }
+
+    /// Takes the light to bend.
+    pub(super) fn loosen(&mut self) {
+        let side = &mut self.side;
+        *side = Side { degree: 2, radial: side.radial.max(self.across), ..*side };
+    }
+
+    /// Whether the light is more than level.
+    pub(super) fn rises(&self) -> bool {
+        self.side.degree > 0
     }
 
     /// Whether the light is more than level and slope.
