@@ -287,7 +287,8 @@
 #define SPIVCAL_CONTOUR_V_PX 132
 
 /**
- * Standard deviations of the edge points normal to the contour, px.
+ * Standard deviations of the edge points normal to the contour, px: of what is each point's own. What is uncertain of blur and light moves all
+ * points of a contour together; that is in the covariance of its ellipse, which independent points alone would understate.
  */
 #define SPIVCAL_CONTOUR_SIGMA_PX 133
 

@@ -49,7 +49,8 @@ pub const SPIVCAL_DISC_COVARIANCE: i32 = 130;
 pub const SPIVCAL_CONTOUR_U_PX: i32 = 131;
 /// Subpixel edge points of one disc, v, px.
 pub const SPIVCAL_CONTOUR_V_PX: i32 = 132;
-/// Standard deviations of the edge points normal to the contour, px.
+/// Standard deviations of the edge points normal to the contour, px: of what is each point's own. What is uncertain of blur and light moves all
+/// points of a contour together; that is in the covariance of its ellipse, which independent points alone would understate.
 pub const SPIVCAL_CONTOUR_SIGMA_PX: i32 = 133;
 /// Where candidates were turned down, u, px; one per rejection.
 pub const SPIVCAL_REJECTION_U_PX: i32 = 141;
