@@ -52,7 +52,7 @@ impl Harmonic {
             chi2 += r * r;
         }
         let oval_mm = information.try_inverse()? * b;
-        let rest = [chi2 - oval_mm.dot(&b), all.len() as f64 - 5.0];
+        let rest = [chi2 - oval_mm.dot(&b), edge.count() as f64 - 5.0];
         let rows = all.into_iter().map(|[x, y, _]| [x, y]).collect();
         (rest[1] > 0.0 && oval_mm.iter().all(|x| x.is_finite())).then_some(Self { rows, information, oval_mm, rest })
     }

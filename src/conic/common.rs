@@ -7,8 +7,9 @@
 //! ```
 //! they are whitened by `T = 1 - U diag(1 - 1 / sqrt(1 + m)) U^T`, without a matrix as large as the contour.
 //!
-//! Two kinds are known. What is uncertain of blur and light moves the contour of a disc as a whole: the five numbers of its ellipse
-//! are known less well than its edge points, each for itself, would say ([`CommonNoise::of_ellipse`]). And printed discs are ovals (see
+//! Three kinds are known. What is uncertain of blur and light moves the contour of a disc as a whole: the five numbers of its ellipse
+//! are known less well than its edge points, each for itself, would say ([`super::Feet::common`]). Light that is followed along the contour takes what bends
+//! it off an ellipse for light, so that a contour says nothing of that, m infinite ([`super::Feet::forget_bends`]). And printed discs are ovals (see
 //! [`crate::bundle`]).
 
 use crate::lanes::GROUP;

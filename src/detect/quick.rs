@@ -142,13 +142,13 @@ impl Quick {
     pub(crate) fn fit(&mut self, view: &GrayView, state: &mut Clean, outer_px: f64, floor: f64) -> Option<()> {
         (self.bent, self.slanted_inside) = (None, false);
         // The geometry must have been solved for with the light that is there.
-        let mut rounds_alike = 0;
+        let (mut rounds_alike, mut bends) = (0, false);
         for round in 0..MOST_ROUNDS {
             let first = round == 0;
             self.collect(view, state, outer_px, first)?;
-            let was_bent = self.bent.is_some();
-            self.judge_noise(view, state, floor, round)?;
-            rounds_alike = if was_bent == self.bent.is_some() { rounds_alike + 1 } else { 0 };
+            let bent = self.judge_noise(view, state, floor, round)? || bends;
+            rounds_alike = if bent == bends { rounds_alike + 1 } else { 0 };
+            bends = bent;
             if first {
                 self.light = self.first_light(state);
             }
@@ -212,23 +212,24 @@ impl Quick {
         }
     }
 
-    /// Noise of either side, and whether the light of a large disc bends; none where rows differ more than pixels do.
-    fn judge_noise(&mut self, view: &GrayView, state: &mut Clean, floor: f64, round: usize) -> Option<()> {
+    /// Noise of either side, and whether the light of a large disc is seen to bend; none where rows differ more than pixels do.
+    fn judge_noise(&mut self, view: &GrayView, state: &mut Clean, floor: f64, round: usize) -> Option<bool> {
         let found = [0, 1].map(|side| self.pixels.sums[side].noise(floor, &state.allow));
         let level = found.iter().all(Result::is_ok);
         let asked = !level || self.bent.is_some() || round == 1;
         let large = state.ellipse.perimeter_px() > bent::LEAST_CONTOUR_PX;
-        let mut found = found.map(|x| x.ok().flatten());
+        let (mut found, mut seen) = (found.map(|x| x.ok().flatten()), false);
         if asked && large {
             let turn = self.turn(&state.ellipse);
             let side =
                 |side: usize| Bent::new(view, &self.pixels, side, &turn, (floor, &state.allow), state.step.abs()).ok();
             let mut sides = Bent::of_both(side(0)?, side(1)?);
+            seen = !level || sides.iter().any(Bent::bends);
             if state.ellipse.perimeter_px() > bent::LONG_CONTOUR_PX && sides.iter().any(Bent::rises) {
                 sides.iter_mut().for_each(Bent::loosen);
             }
             // Once bent it stays so, lest rounds take turns.
-            if !level || self.bent.is_some() || sides.iter().any(Bent::bends) {
+            if seen || self.bent.is_some() || sides.iter().any(Bent::bends) {
                 found = [0, 1].map(|side: usize| sides[side].variance);
                 self.bent = Some(sides);
             }
@@ -240,7 +241,7 @@ impl Quick {
         // As elsewhere: a clipped side has no noise at all, yet it must not outweigh the flank of the edge.
         let least = floor.max(a.max(b) / 16.0);
         state.variance = [a.max(least), b.max(least)];
-        Some(())
+        Some(seen)
     }
 
     /// The mean of either side, with slopes as expected.
