@@ -222,10 +222,13 @@ fn the_verdict_follows_the_record() {
     for (chi2, said) in [(690.0, true), (710.0, false)] {
         low.fit.chi2 = chi2;
         let v = report::verdict(&low);
-        let told = v.determined.iter().any(|s| s.contains("whole contours (smoke, light, noise"));
+        let told = v.determined.iter().any(|s| s.contains("noise that neighbouring pixels share"));
         assert_eq!(told, said, "chi-square {chi2}: {:?}", v.determined);
         assert_eq!(report::text(&low).contains("which is low, because"), said);
     }
+    // Where whole discs scatter more than their edge points it is for another reason.
+    (low.fit.chi2, low.fit.sigma_scale) = (200.0, 6.2);
+    assert!(report::text(&low).contains("sigmas were enlarged for whole discs, whose edge points scatter less"));
 
     let mut loose = good.clone();
     loose.fit.nullity = 2;

@@ -309,13 +309,17 @@ pub(super) fn target(record: &Record) -> Table {
 const LOW: f64 = 0.7;
 const MANY_DEGREES: usize = 200;
 
-/// Why edge points scatter less than their sigmas, where they do: these must be true for all points of a contour together.
-pub(super) const HELD_IN_COMMON: &str = "sigmas of edge points also hold what is not known of whole contours (smoke, light, noise that neighbouring pixels share)";
-
-/// Whether edge points scatter less than their sigmas.
-pub(super) fn scatters_little(record: &Record) -> bool {
+/// Why edge points scatter less than their sigmas, where they do.
+pub(super) fn why_low(record: &Record) -> Option<&'static str> {
     let f = &record.fit;
-    f.degrees_of_freedom > MANY_DEGREES && f.chi2 < LOW * f.degrees_of_freedom as f64
+    if f.degrees_of_freedom <= MANY_DEGREES || f.chi2 >= LOW * f.degrees_of_freedom as f64 {
+        return None;
+    }
+    Some(if f.sigma_scale > 1.0 {
+        "sigmas were enlarged for whole discs, whose edge points scatter less"
+    } else {
+        "sigmas of edge points also hold noise that neighbouring pixels share, and light that is followed through smoke takes some of their scatter"
+    })
 }
 
 /// How well it fits.
@@ -324,8 +328,8 @@ pub(super) fn fit(record: &Record) -> Table {
     let mut table = Table::default();
     table.words("residual rms", format!("{} px", plain(f.rms_px, 3)));
     table.words("chi-square over degrees of freedom", format!("{} / {}", plain(f.chi2, 6), f.degrees_of_freedom));
-    if scatters_little(record) {
-        table.words("which is low, because", HELD_IN_COMMON);
+    if let Some(why) = why_low(record) {
+        table.words("which is low, because", why);
     }
     table.words("observations", f.observations.to_string());
     table.words("redundancy", plain(f.redundancy, 4));

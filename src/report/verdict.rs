@@ -126,7 +126,7 @@ fn scatter(r: &Record) -> String {
             plain(r.fit.sigma_scale, 2)
         )
     } else {
-        let low = if tables::scatters_little(r) { format!(" ({})", tables::HELD_IN_COMMON) } else { String::new() };
+        let low = tables::why_low(r).map_or_else(String::new, |why| format!(" ({why})"));
         format!("that is {} times the scatter expected{low}", plain(misfit(r), 2))
     }
 }
