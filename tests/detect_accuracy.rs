@@ -1,9 +1,11 @@
 //! Discs are found to the Cramer-Rao bound, without bias, with sigmas that are true.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
+mod bubbles_in;
 mod detect_table;
 mod render;
 
+use bubbles_in::bubbles_in;
 use detect_table::{Condition, Light};
 use nalgebra::SVector;
 use render::accuracy::{Case, bound, cases};
@@ -212,25 +214,13 @@ fn sigmas_are_true_in_the_smallest_bubbles() {
 #[test]
 fn light_that_hardly_bends_moves_no_contour() {
     let errors: Vec<[(f64, f64); 4]> =
-        (100..106).flat_map(|seed| errors_of_bubbles(&in_uneven_light(seed, 0.05), 0)).collect();
+        (100..106).flat_map(|seed| errors_of_bubbles(&bubbles_in(seed, [0.0, 6.0, 0.05]), 0)).collect();
     let count = errors.len() as f64;
     let z2: [f64; 4] = std::array::from_fn(|k| errors.iter().map(|e| (e[k].0 / e[k].1).powi(2)).sum::<f64>() / count);
     println!("mean z^2 of {count} discs {z2:.2?}");
     // Every disc has noise of its own: three standard deviations.
     let limit = 1.0 + 3.0 * (2.0 / count).sqrt();
     assert!(z2.iter().all(|x| (0.6..limit).contains(x)), "{z2:?} above {limit}");
-}
-
-/// `examples/bubbles` without smoke.
-fn in_uneven_light(seed: u32, unevenness: f64) -> Scene {
-    let line = |line: &str| match line.split(" = ").next() {
-        Some("seed") => format!("seed = {seed}"),
-        Some("smoke") => "smoke = 0.0".into(),
-        Some("unevenness") => format!("unevenness = {unevenness:?}"),
-        _ => line.to_string(),
-    };
-    let text = include_str!("../examples/bubbles/scene.toml");
-    Scene::parse(&text.lines().map(line).collect::<Vec<_>>().join("\n"), "scene.toml").unwrap()
 }
 
 /// Bubbles before the cameras of `examples/bubbles`, of radii in mm, full of smoke, its share of the light and the length of its waves in mm.

@@ -7,7 +7,7 @@
 
 mod joint;
 
-use joint::joint_chi2;
+use joint::{calibrated, joint_chi2};
 use spivcal::camera::{INTRINSIC_NAMES, Radial};
 use spivcal::error::{Error, Unusable};
 use spivcal::pipeline::{CalibrateOptions, calibrate};
@@ -35,14 +35,8 @@ fn end_to_end(scene: &str) -> Record {
 
 /// The same with one thing to look at, which the scene does have.
 fn end_to_end_but_for(scene: &str, flag: Option<&str>) -> Record {
-    let made = simulate(&Scene::parse(scene, "scene.toml").unwrap()).unwrap();
-    let truth = Record::from_json(&made.truth_json, "truth.json").unwrap();
-    let job = RigDescription::parse(&made.rig_toml, "rig.toml").unwrap();
-    let load = |view: usize, camera: usize| {
-        let name = job.views[view].images[camera].as_deref().unwrap();
-        Ok(made.images.iter().find(|(n, _)| n == name).unwrap().1.clone())
-    };
-    let record = calibrate(&job, &load, &CalibrateOptions::default(), &mut |_| true).unwrap().record;
+    let scene = Scene::parse(scene, "scene.toml").unwrap();
+    let (record, truth) = calibrated(&scene, &CalibrateOptions::default());
     let mut wrong = vec![];
     for (c, t) in record.cameras.iter().zip(&truth.cameras) {
         assert_eq!((&c.name, c.radial), (&t.name, t.radial));

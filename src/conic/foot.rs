@@ -146,8 +146,9 @@ impl Frame {
         self.row(c, s, b * c * inverse, a * s * inverse, big_n)
     }
 
-    /// Cosines and sines of three and four times an eccentric angle, over the length of the tangent there: displacements that are polynomials of
-    /// third degree of the place move the contour by these harmonics and lower ones, which the ellipse has.
+    /// `b / |t(phi)| (cos 3 phi, sin 3 phi, cos 4 phi, sin 4 phi)`, phi the eccentric angle with cosine `c` and sine `s`, `t = (-a sin phi, b cos phi)`
+    /// the tangent, px; without a unit. A displacement D that is a polynomial of degree 3 of the place, as that of a lens with k1 is, moves the contour along
+    /// its normal by `n . D = (b cos phi, a sin phi) . D / |t|`: harmonics up to 4 over `|t|`, of which 0 to 2 are those of the ellipse's own five numbers.
     #[inline(always)]
     pub(crate) fn bends_at(&self, c: f64, s: f64) -> [f64; 4] {
         let share = self.b / (self.b * self.b * c * c + self.a * self.a * s * s).sqrt();

@@ -1,10 +1,25 @@
-//! All numbers of both cameras against the truth together.
+//! Rendered scenes calibrated, and all numbers of both cameras against the truth together.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, unreachable_pub)]
+#![allow(dead_code, clippy::unwrap_used, clippy::expect_used, unreachable_pub)]
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use spivcal::camera::INTRINSIC_NAMES;
+use spivcal::pipeline::{CalibrateOptions, calibrate};
 use spivcal::record::Record;
+use spivcal::rig_file::RigDescription;
+use spivcal::simulate::{Scene, simulate};
+
+/// A scene rendered, detected and calibrated from what an experimenter would know; and the truth.
+pub fn calibrated(scene: &Scene, options: &CalibrateOptions) -> (Record, Record) {
+    let made = simulate(scene).unwrap();
+    let truth = Record::from_json(&made.truth_json, "truth.json").unwrap();
+    let job = RigDescription::parse(&made.rig_toml, "rig.toml").unwrap();
+    let load = |view: usize, camera: usize| {
+        let name = job.views[view].images[camera].as_deref().unwrap();
+        Ok(made.images.iter().find(|(n, _)| n == name).unwrap().1.clone())
+    };
+    (calibrate(&job, &load, options, &mut |_| true).unwrap().record, truth)
+}
 
 /// Chi-square of all that the covariance says of both cameras, correlations included, against the truth, and how many numbers that are. Poses
 /// differ by steps on the left: `R' = exp(dw) R`, `t' = exp(dw) t + dv`.

@@ -4,13 +4,14 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, unreachable_pub)]
 
+#[path = "../bubbles_in/mod.rs"]
+mod bubbles_in;
 #[path = "../joint/mod.rs"]
 mod joint;
 
-use spivcal::pipeline::{CalibrateOptions, calibrate};
+use bubbles_in::bubbles_in;
+use spivcal::pipeline::CalibrateOptions;
 use spivcal::record::{Camera, Record};
-use spivcal::rig_file::RigDescription;
-use spivcal::simulate::{Scene, simulate};
 
 /// Light of a scene: its name, share of the smoke and the length of its waves in mm, unevenness of the illumination.
 pub const LIGHTS: [(&str, f64, f64, f64); 6] = [
@@ -48,31 +49,12 @@ pub struct Run {
     pub joint: f64,
 }
 
-fn scene(light: &str, seed: u64) -> Option<Scene> {
-    let (_, smoke, length_mm, unevenness) = LIGHTS.into_iter().find(|l| l.0 == light)?;
-    let line = |line: &str| match line.split(" = ").next() {
-        Some("seed") => format!("seed = {seed}"),
-        Some("smoke") => format!("smoke = {smoke:?}"),
-        Some("smoke_length_mm") => format!("smoke_length_mm = {length_mm:?}"),
-        Some("unevenness") => format!("unevenness = {unevenness:?}"),
-        _ => line.to_string(),
-    };
-    let text: Vec<String> = include_str!("../../examples/bubbles/scene.toml").lines().map(line).collect();
-    Some(Scene::parse(&text.join("\n"), "scene.toml").unwrap())
-}
-
 impl Run {
     /// `None` for light without a name in [`LIGHTS`].
     pub fn of(light: &str, seed: u64) -> Option<Self> {
-        let made = simulate(&scene(light, seed)?).unwrap();
-        let truth = Record::from_json(&made.truth_json, "truth.json").unwrap();
-        let job = RigDescription::parse(&made.rig_toml, "rig.toml").unwrap();
-        let load = |view: usize, camera: usize| {
-            let name = job.views[view].images[camera].as_deref().unwrap();
-            Ok(made.images.iter().find(|(n, _)| n == name).unwrap().1.clone())
-        };
+        let (_, smoke, length_mm, unevenness) = LIGHTS.into_iter().find(|l| l.0 == light)?;
         let options = CalibrateOptions { threads: 1, ..CalibrateOptions::default() };
-        let record = calibrate(&job, &load, &options, &mut |_| true).unwrap().record;
+        let (record, truth) = joint::calibrated(&bubbles_in(seed, [smoke, length_mm, unevenness]), &options);
         let (joint, numbers) = joint::joint_chi2(&record, &truth);
         Some(Self {
             quantities: quantities(&record, &truth),
