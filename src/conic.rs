@@ -26,7 +26,7 @@ mod foot;
 mod geometry;
 
 pub use circle::image_of_circle;
-pub use common::CommonNoise;
+pub use common::{CommonNoise, ContourNoise};
 pub(crate) use feet::Feet;
 pub(crate) use fit::fit_geometric_from;
 pub use fit::{EllipseFit, fit_direct, fit_geometric};

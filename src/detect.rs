@@ -28,7 +28,7 @@ mod whole;
 pub use find::{find_discs, find_discs_with};
 pub use whole::DetectMemory;
 
-use crate::conic::{CommonNoise, Ellipse};
+use crate::conic::{CommonNoise, ContourNoise, Ellipse};
 use crate::frames::Pixel;
 use crate::target::{DotId, MarkKind, Polarity};
 use nalgebra::SMatrix;
@@ -69,10 +69,10 @@ impl Default for DetectOptions {
     }
 }
 
-/// Edge points of one contour, structure of arrays: each with a sigma of its own, and what all of them have in common.
+/// Edge points of one contour, structure of arrays, each with a sigma of its own.
 ///
 /// Independent points would say that an ellipse is known better than it is: what is uncertain of blur and light moves all of them
-/// together. That is in [`Disc::covariance`], and here for those who use the points in place of the ellipse.
+/// together. That is in [`Disc::covariance`], and in [`Disc::common_noise`] for those who use the points in place of the ellipse.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct EdgePoints {
     /// Position, px.
@@ -81,15 +81,6 @@ pub struct EdgePoints {
     pub v_px: Vec<f64>,
     /// Standard deviation normal to the contour of what is a point's own, px.
     pub sigma_px: Vec<f64>,
-    /// What the distances of all points, over their sigmas, have in common.
-    pub common: CommonNoise,
-}
-
-impl EdgePoints {
-    /// How many numbers the points say.
-    pub fn count(&self) -> usize {
-        self.u_px.len() - self.common.forgotten()
-    }
 }
 
 /// One disc found in an image.
@@ -101,6 +92,8 @@ pub struct Disc {
     pub covariance: SMatrix<f64, 5, 5>,
     /// The contour it was fitted to, already corrected for blur.
     pub edge: EdgePoints,
+    /// What the fit knows of the contour beside its points.
+    pub contour: ContourNoise,
     /// `Bright` or `Dark`, never `Auto`.
     pub polarity: Polarity,
     /// Standard deviation of the blur of the edge, px.
@@ -112,6 +105,12 @@ pub struct Disc {
 }
 
 impl Disc {
+    /// What the distances of the edge points, over their sigmas, have in common.
+    pub fn common_noise(&self) -> CommonNoise {
+        let EdgePoints { u_px, v_px, sigma_px } = &self.edge;
+        self.contour.of_points(&self.ellipse, [u_px, v_px, sigma_px])
+    }
+
     /// Root mean square distance of the edge points from the ellipse, px.
     pub fn edge_rms_px(&self) -> f64 {
         let points = self.edge.u_px.iter().zip(&self.edge.v_px);

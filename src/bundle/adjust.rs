@@ -346,7 +346,7 @@ fn scale_of_camera(
             disc_chi2 += disc.chi2 * unscale;
             disc_dof += 3.0;
             edge_chi2 += (disc.edge_chi2 - disc.chi2) * unscale;
-            edge_dof += seen.edge.count() as f64 - 3.0;
+            edge_dof += seen.count() as f64 - 3.0;
         }
         // Points are to discs what discs are to edge points.
         let points = SeenImage::of(model, state, image).and_then(|seen| points::chi2(&seen));

@@ -3,7 +3,7 @@
 use super::facts::Fact;
 use crate::camera::{INTRINSICS, LAYERS};
 use crate::conic::CommonNoise;
-use crate::detect::EdgePoints;
+use crate::detect::{Disc, EdgePoints};
 use nalgebra::{DMatrix, Vector3};
 
 /// One camera of the adjustment.
@@ -161,25 +161,37 @@ pub struct DiscObservation {
     pub disc: usize,
     /// Its edge points.
     pub edge: EdgePoints,
+    /// What these have in common, by what was uncertain of blur and light.
+    pub common: CommonNoise,
     /// What they have in common beyond that where the printed disc is not round; set by the adjustment.
     pub outline: CommonNoise,
 }
 
 impl DiscObservation {
-    /// An outline that is round as far as is known.
+    /// Independent edge points of an outline that is round as far as is known.
     pub fn new(disc: usize, edge: EdgePoints) -> Self {
-        Self { disc, edge, outline: CommonNoise::default() }
+        Self { disc, edge, common: CommonNoise::default(), outline: CommonNoise::default() }
+    }
+
+    /// The contour of a disc of an image.
+    pub fn of(disc: usize, found: &Disc) -> Self {
+        Self { common: found.common_noise(), ..Self::new(disc, found.edge.clone()) }
+    }
+
+    /// How many numbers the edge points say.
+    pub fn count(&self) -> usize {
+        self.edge.u_px.len() - self.common.forgotten()
     }
 
     /// Whitens a matrix given by its rows over the sigmas of the edge points, for all that these have in common.
     pub(super) fn whiten<const N: usize>(&self, rows: &mut [[f64; N]]) {
-        self.edge.common.apply(rows);
+        self.common.apply(rows);
         self.outline.apply(rows);
     }
 
     /// Whether the edge points are independent.
     pub(super) fn independent(&self) -> bool {
-        self.edge.common.is_none() && self.outline.is_none()
+        self.common.is_none() && self.outline.is_none()
     }
 }
 
@@ -301,7 +313,7 @@ impl Model {
     pub fn counts(&self) -> Observed {
         let layout = super::layout::Places::of(self).layout();
         let of_image = |i: &ImageObservations| -> usize {
-            let edges: usize = i.discs.iter().map(|d| d.edge.count()).sum();
+            let edges: usize = i.discs.iter().map(|d| d.count()).sum();
             edges + i.pairs.iter().map(|p| p.whitening.nrows()).sum::<usize>() + 2 * i.points.disc.len()
         };
         Observed {

@@ -43,7 +43,7 @@ impl Harmonic {
             [(cos * cos - sin * sin) * px_per_mm * iw, 2.0 * sin * cos * px_per_mm * iw, feet.distance_px[i] * iw]
         };
         let mut all: Vec<[f64; 3]> = (0..edge.u_px.len()).map(row).collect();
-        edge.common.apply(&mut all);
+        seen.common.apply(&mut all);
         let (mut information, mut b, mut chi2) = (Matrix2::zeros(), Vector2::zeros(), 0.0);
         for [x, y, r] in &all {
             let row = Vector2::new(*x, *y);
@@ -52,7 +52,7 @@ impl Harmonic {
             chi2 += r * r;
         }
         let oval_mm = information.try_inverse()? * b;
-        let rest = [chi2 - oval_mm.dot(&b), edge.count() as f64 - 5.0];
+        let rest = [chi2 - oval_mm.dot(&b), seen.count() as f64 - 5.0];
         let rows = all.into_iter().map(|[x, y, _]| [x, y]).collect();
         (rest[1] > 0.0 && oval_mm.iter().all(|x| x.is_finite())).then_some(Self { rows, information, oval_mm, rest })
     }

@@ -68,7 +68,7 @@ fn some_edge(edge: &EdgePoints, share: f64) -> EdgePoints {
     let all = edge.u_px.len();
     let wanted = ((all as f64 * share).ceil() as usize).next_multiple_of(GROUP).min(all);
     let pick = |x: &[f64]| (0..wanted).map(|k| x[k * all / wanted]).collect();
-    EdgePoints { u_px: pick(&edge.u_px), v_px: pick(&edge.v_px), sigma_px: pick(&edge.sigma_px), ..Default::default() }
+    EdgePoints { u_px: pick(&edge.u_px), v_px: pick(&edge.v_px), sigma_px: pick(&edge.sigma_px) }
 }
 
 /// A share of the points in groups of neighbours.

@@ -8,15 +8,17 @@
 //! they are whitened by `T = 1 - U diag(1 - 1 / sqrt(1 + m)) U^T`, without a matrix as large as the contour.
 //!
 //! Three kinds are known. What is uncertain of blur and light moves the contour of a disc as a whole: the five numbers of its ellipse
-//! are known less well than its edge points, each for itself, would say ([`super::Feet::common`]). Light that is followed along the contour takes what bends
-//! it off an ellipse for light, so that a contour says nothing of that, m infinite ([`super::Feet::forget_bends`]). And printed discs are ovals (see
+//! are known less well than its edge points, each for itself, would say. Light that is followed along the contour takes what bends
+//! it off an ellipse for light, so that a contour says nothing of that, m infinite. [`ContourNoise`] holds both. And printed discs are ovals (see
 //! [`crate::bundle`]).
 
+use super::Ellipse;
+use super::feet::{Feet, Normal};
 use crate::lanes::GROUP;
 use nalgebra::{DMatrix, SMatrix};
 
 /// Variance, over that of independent points, below which points have nothing in common: 5 % of a standard deviation.
-pub(super) const LEAST: f64 = 0.1;
+const LEAST: f64 = 0.1;
 
 /// Noise that the points of one contour have in common, in distances over their own sigmas.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -102,9 +104,49 @@ impl CommonNoise {
     }
 }
 
+/// What the fit of a contour knows of it beside the edge points, each for itself.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ContourNoise {
+    /// Covariance of the regular coordinates of the ellipse beyond that of independent points, px^2; none where that is next to nothing.
+    excess: Option<SMatrix<f64, 5, 5>>,
+    /// Whether the light was followed along the contour and took what bends it off an ellipse.
+    followed: bool,
+}
+
+impl ContourNoise {
+    /// That of an ellipse with this covariance of its regular coordinates, px^2, from points with these normal equations.
+    pub(crate) fn of(normal: &Normal, covariance: &SMatrix<f64, 5, 5>, followed: bool) -> Self {
+        let more = normal.matrix.component_mul(covariance).sum() > 5.0 + LEAST;
+        let own = if more { normal.matrix.cholesky() } else { None };
+        Self { excess: own.map(|own| covariance - own.inverse()), followed }
+    }
+
+    /// What the points, px, of the contour `e` have in common.
+    pub(crate) fn of_points(&self, e: &Ellipse, [u_px, v_px, sigma_px]: [&[f64]; 3]) -> CommonNoise {
+        let mut common = CommonNoise::default();
+        if self.excess.is_none() && !self.followed {
+            return common;
+        }
+        let mut feet = Feet::default();
+        feet.find(e, u_px, v_px);
+        let rows = feet.whitened_rows(sigma_px);
+        if let Some(excess) = &self.excess {
+            common = CommonNoise::of(&rows, excess);
+        }
+        if self.followed {
+            common.forget(&rows, &feet.whitened_bends(e, sigma_px));
+        }
+        common
+    }
+}
+
 #[cfg(test)]
+#[allow(clippy::expect_used)]
 mod tests {
     use super::*;
+    use crate::conic::{covariance_from_regular, fit_geometric_from, to_regular};
+    use crate::frames::Pixel;
+    use nalgebra::SVector;
 
     /// T (1 + R C R^T) T^T is the identity.
     #[test]
@@ -135,5 +177,45 @@ mod tests {
         }
         // Nothing fixes the second number.
         assert!(CommonNoise::of(&[[1.0, 0.0]; 9], &SMatrix::identity()).is_none());
+    }
+
+    /// An ellipse that is known less well than its points, each for itself, say: whitened for what they have in common they say the same.
+    #[test]
+    fn points_with_what_they_have_in_common_say_what_the_ellipse_does() {
+        let e = Ellipse { center_px: Pixel::new(50.0, 40.0), semi_major_px: 13.0, semi_minor_px: 11.0, angle_rad: 0.7 };
+        let points: Vec<Pixel> = (0..43).map(|k| e.point(0.146 * f64::from(k))).collect();
+        let [u, v]: [Vec<f64>; 2] = [points.iter().map(|p| p.u_px).collect(), points.iter().map(|p| p.v_px).collect()];
+        let sigma: Vec<f64> = (0..43).map(|k| 0.02 * f64::from(1 + k % 3)).collect();
+        let mut feet = Feet::default();
+        feet.find(&e, &u, &v);
+        let normal = feet.normal(&sigma);
+        let own = normal.matrix.cholesky().expect("an ellipse").inverse();
+        let noise =
+            |covariance, followed| ContourNoise::of(&normal, covariance, followed).of_points(&e, [&u, &v, &sigma]);
+        assert!(noise(&own, false).is_none());
+        let spread = SVector::from([3e-3, -2e-3, 8e-3, 1e-3, 4e-3]);
+        let whole = own * 1.5 + spread * spread.transpose();
+        let fit = fit_geometric_from(&e, &u, &v, &sigma).expect("a fit");
+        let shared = fit.with_common([&u, &v, &sigma], &noise(&whole, false)).expect("a covariance").covariance;
+        let wanted = covariance_from_regular(&to_regular(&e), &whole);
+        assert!((shared - wanted).abs().max() < 1e-4 * wanted.abs().max(), "{shared} {wanted}");
+        // Nor does it say more or less of the ellipse without the bends of a smooth lens, and nothing of these.
+        let alone = noise(&whole, true);
+        assert_eq!(alone.forgotten(), 4);
+        let fit = fit_geometric_from(&e, &u, &v, &sigma).expect("a fit");
+        let shared = fit.with_common([&u, &v, &sigma], &alone).expect("a covariance").covariance;
+        assert!((shared - wanted).abs().max() < 1e-4 * wanted.abs().max(), "{shared} {wanted}");
+        let (own, bends) = (feet.whitened_rows(&sigma), feet.whitened_bends(&e, &sigma));
+        let of = |k: usize, i: usize| if i < 5 { own[k][i] } else { bends[k][i - 5] };
+        let mut rows: Vec<[f64; 9]> = (0..43).map(|k| std::array::from_fn(|i| of(k, i))).collect();
+        let before = rows.clone();
+        alone.apply(&mut rows);
+        let product = |a: &[[f64; 9]], i: usize, j: usize| a.iter().map(|r| r[i] * r[j]).sum::<f64>();
+        let normal = SMatrix::<f64, 9, 9>::from_fn(|i, j| product(&rows, i, j));
+        let ellipse = normal.fixed_view::<5, 5>(0, 0).try_inverse().expect("an ellipse");
+        let (to_ellipse, own) = (normal.fixed_view::<4, 5>(5, 0), normal.fixed_view::<4, 4>(5, 5));
+        let left = own - to_ellipse * ellipse * to_ellipse.transpose();
+        let largest = (5..9).map(|i| product(&before, i, i)).fold(0.0, f64::max);
+        assert!(left.abs().max() < 1e-9 * largest, "{left}");
     }
 }

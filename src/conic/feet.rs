@@ -1,6 +1,5 @@
 //! Many points near one ellipse: distances, their derivatives, and the fit through points that already lie close.
 
-use super::common::{CommonNoise, LEAST};
 use super::{Ellipse, Frame, covariance_from_regular, from_regular, parameters_by_regular, to_regular};
 use crate::lanes::{self, GROUP, Kernel, Lanes};
 use nalgebra::{SMatrix, SVector};
@@ -9,16 +8,29 @@ use nalgebra::{SMatrix, SVector};
 const MOST_STEPS: usize = 4;
 /// Decrease of `chi^2` that a step may still promise when it is the last one.
 const STILL: f64 = 1e-9;
+/// Products of five rows and the distance with each other, lower triangle.
+const PRODUCTS: usize = 21;
 
 /// Distances of points from an ellipse; buffers reused from disc to disc.
 #[derive(Debug, Default)]
 pub(crate) struct Feet {
     /// Distances, positive outside, px.
     pub(crate) distance: Vec<f64>,
-    /// Their derivatives with respect to the regular coordinates.
-    rows: Vec<[f64; 5]>,
-    /// Cosine and sine of the eccentric angle.
-    direction: Vec<[f64; 2]>,
+    /// Their derivatives with respect to the regular coordinates, a group of points each.
+    rows: Vec<[[f64; GROUP]; 5]>,
+    /// Cosine and sine of the eccentric angle, a group of points each.
+    direction: Vec<[[f64; GROUP]; 2]>,
+}
+
+/// Normal equations of an ellipse through points, in its regular coordinates.
+#[derive(Debug, Clone)]
+pub(crate) struct Normal {
+    /// `J^T W J`, 1/px^2.
+    pub(crate) matrix: SMatrix<f64, 5, 5>,
+    /// `J^T W d`, 1/px.
+    gradient: SVector<f64, 5>,
+    /// `d^T W d`.
+    pub(crate) chi2: f64,
 }
 
 struct Find<'a> {
@@ -40,23 +52,66 @@ impl Kernel for Find<'_> {
             let (mut x, mut y) = ([0.0; GROUP], [0.0; GROUP]);
             for i in 0..GROUP {
                 let at = (from + i).min(n - 1);
-                let (du, dv) = (self.u[at] - frame.u0, self.v[at] - frame.v0);
-                x[i] = frame.cos * du + frame.sin * dv;
-                y[i] = frame.cos * dv - frame.sin * du;
+                (x[i], y[i]) = frame.inside(self.u[at], self.v[at]);
             }
             let feet = frame.feet(&x, &y);
-            for i in 0..GROUP.min(n - from) {
-                self.out.distance.push(feet.distance[i]);
-                self.out.rows.push(frame.row_at(feet.cos[i], feet.sin[i]));
-                self.out.direction.push([feet.cos[i], feet.sin[i]]);
+            let mut rows = [[0.0; GROUP]; 5];
+            for i in 0..GROUP {
+                let row = frame.row_at(feet.cos[i], feet.sin[i]);
+                for k in 0..5 {
+                    rows[k][i] = row[k];
+                }
             }
+            self.out.distance.extend_from_slice(&feet.distance[..GROUP.min(n - from)]);
+            self.out.rows.push(rows);
+            self.out.direction.push([feet.cos, feet.sin]);
         }
     }
 }
 
-/// Rows over the sigmas of their points.
-fn whitened<const N: usize>(rows: &[[f64; N]], sigma_px: &[f64]) -> Vec<[f64; N]> {
-    rows.iter().zip(sigma_px).map(|(row, sigma)| row.map(|x| x / sigma)).collect()
+/// Products of the rows and distances, each weighed.
+struct Products<'a> {
+    feet: &'a Feet,
+    sigma_px: &'a [f64],
+}
+
+impl Kernel for Products<'_> {
+    type Output = [f64; PRODUCTS];
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> [f64; PRODUCTS] {
+        let n = self.sigma_px.len();
+        let mut sums = [[0.0; GROUP]; PRODUCTS];
+        for (g, rows) in self.feet.rows.iter().enumerate() {
+            // What only fills the last group has no weight.
+            let (mut distance, mut sigma) = ([0.0; GROUP], [f64::INFINITY; GROUP]);
+            let here = g * GROUP..n.min((g + 1) * GROUP);
+            distance[..here.len()].copy_from_slice(&self.feet.distance[here.clone()]);
+            sigma[..here.len()].copy_from_slice(&self.sigma_px[here]);
+            let mut part = 0;
+            while part < GROUP {
+                let inverse = L::splat(1.0) / L::load(&sigma[part..]);
+                let mut numbers = [L::splat(0.0); 6];
+                for k in 0..5 {
+                    numbers[k] = L::load(&rows[k][part..]) * inverse;
+                }
+                numbers[5] = L::load(&distance[part..]) * inverse;
+                let mut at = 0;
+                for i in 0..6 {
+                    for j in 0..=i {
+                        let sum = &mut sums[at][part..];
+                        numbers[i].fused(numbers[j], L::load(sum)).store(sum);
+                        at += 1;
+                    }
+                }
+                part += L::N;
+            }
+        }
+        let mut out = [0.0; PRODUCTS];
+        for k in 0..PRODUCTS {
+            out[k] = lanes::sum(&sums[k]);
+        }
+        out
+    }
 }
 
 impl Feet {
@@ -65,54 +120,36 @@ impl Feet {
         lanes::run(Find { frame: Frame::new(e), u: u_px, v: v_px, out: self });
     }
 
-    /// `(J^T W J, J^T W d, chi^2)` in regular coordinates.
-    fn normal_equations(&self, sigma_px: &[f64]) -> (SMatrix<f64, 5, 5>, SVector<f64, 5>, f64) {
-        let (mut normal, mut gradient, mut chi2) = ([[0.0; 5]; 5], [0.0; 5], 0.0);
-        for ((row, d), sigma) in self.rows.iter().zip(&self.distance).zip(sigma_px) {
-            let w = 1.0 / (sigma * sigma);
-            for i in 0..5 {
-                let wr = w * row[i];
-                for j in 0..=i {
-                    normal[i][j] += wr * row[j];
-                }
-                gradient[i] += wr * d;
-            }
-            chi2 += w * d * d;
-        }
-        let normal = SMatrix::from_fn(|i, j| normal[i.max(j)][i.min(j)]);
-        (normal, SVector::from(gradient), chi2)
+    /// Normal equations of the points, whose feet were found last, with these sigmas, px.
+    pub(crate) fn normal(&self, sigma_px: &[f64]) -> Normal {
+        let products = lanes::run(Products { feet: self, sigma_px });
+        let of = |i: usize, j: usize| products[i.max(j) * (i.max(j) + 1) / 2 + i.min(j)];
+        Normal { matrix: SMatrix::from_fn(of), gradient: SVector::from_fn(|i, _| of(5, i)), chi2: of(5, 5) }
     }
 
     /// By how much the covariance of `(u0, v0, a, b, phi)` grows as the sigmas of the points, px, whose feet on `e` were found last, grow from
     /// `before_px`: never by a negative variance, as `(J^T W J)^-1` falls with W and both are turned alike.
     pub(crate) fn growth(&self, e: &Ellipse, sigma_px: &[f64], before_px: &[f64]) -> Option<SMatrix<f64, 5, 5>> {
-        let regular = |sigma_px: &[f64]| Some(self.normal_equations(sigma_px).0.cholesky()?.inverse());
+        let regular = |sigma_px: &[f64]| Some(self.normal(sigma_px).matrix.cholesky()?.inverse());
         let (whole, before) = (regular(sigma_px)?, regular(before_px)?);
         let by = parameters_by_regular(&to_regular(e), &whole);
         Some(by * (whole - before) * by.transpose())
     }
 
-    /// By how much an ellipse with a covariance of its regular coordinates is known less well than the points, whose feet on it were found
-    /// last, would say if they were independent; none where that is next to nothing.
-    pub(crate) fn excess(&self, covariance: &SMatrix<f64, 5, 5>, sigma_px: &[f64]) -> Option<SMatrix<f64, 5, 5>> {
-        let normal = self.normal_equations(sigma_px).0;
-        if !(normal.component_mul(covariance).sum() > 5.0 + LEAST) {
-            return None;
-        }
-        Some(covariance - normal.cholesky()?.inverse())
+    /// Derivatives of the distances of the points, whose feet were found last, over their sigmas, px.
+    pub(super) fn whitened_rows(&self, sigma_px: &[f64]) -> Vec<[f64; 5]> {
+        let row = |(k, sigma): (usize, &f64)| self.rows[k / GROUP].map(|x| x[k % GROUP] / sigma);
+        sigma_px.iter().enumerate().map(row).collect()
     }
 
-    /// What the points, whose feet were found last, have in common where the regular coordinates of their ellipse have the covariance `c`
-    /// beyond that of independent points.
-    pub(crate) fn common(&self, c: &SMatrix<f64, 5, 5>, sigma_px: &[f64]) -> CommonNoise {
-        CommonNoise::of(&whitened(&self.rows, sigma_px), c)
-    }
-
-    /// Adds that the points, whose feet on `e` were found last, say nothing but their ellipse of what a smooth lens makes of a circle.
-    pub(crate) fn forget_bends(&self, e: &Ellipse, sigma_px: &[f64], common: &mut CommonNoise) {
+    /// How what a smooth lens makes of a circle moves the points, whose feet on `e` were found last, over their sigmas, px.
+    pub(super) fn whitened_bends(&self, e: &Ellipse, sigma_px: &[f64]) -> Vec<[f64; 4]> {
         let frame = Frame::new(e);
-        let bends: Vec<[f64; 4]> = self.direction.iter().map(|[c, s]| frame.bends_at(*c, *s)).collect();
-        common.forget(&whitened(&self.rows, sigma_px), &whitened(&bends, sigma_px));
+        let bends = |(k, sigma): (usize, &f64)| {
+            let [cos, sin] = self.direction[k / GROUP].map(|x| x[k % GROUP]);
+            frame.bends_at(cos, sin).map(|x| x / sigma)
+        };
+        sigma_px.iter().enumerate().map(bends).collect()
     }
 
     /// The ellipse through the points, from `e`, on which their feet were found last, with its covariance; none where a few steps do
@@ -125,19 +162,19 @@ impl Feet {
         sigma_px: &[f64],
     ) -> Option<(Ellipse, SMatrix<f64, 5, 5>)> {
         let mut ellipse = *e;
-        let (mut normal, mut gradient, mut chi2) = self.normal_equations(sigma_px);
+        let mut normal = self.normal(sigma_px);
         for _ in 0..MOST_STEPS {
-            let step = normal.cholesky()?.solve(&gradient);
-            let promised = step.dot(&gradient);
+            let step = normal.matrix.cholesky()?.solve(&normal.gradient);
+            let promised = step.dot(&normal.gradient);
             ellipse = from_regular(&(to_regular(&ellipse) - step))?;
             self.find(&ellipse, u_px, v_px);
-            let next = self.normal_equations(sigma_px);
-            if !(next.2 <= chi2 * (1.0 + 1e-9)) {
+            let next = self.normal(sigma_px);
+            if !(next.chi2 <= normal.chi2 * (1.0 + 1e-9)) {
                 return None;
             }
-            (normal, gradient, chi2) = next;
-            if promised < STILL * (1.0 + chi2) {
-                let regular = normal.cholesky()?.inverse();
+            normal = next;
+            if promised < STILL * (1.0 + normal.chi2) {
+                let regular = normal.matrix.cholesky()?.inverse();
                 return Some((ellipse, covariance_from_regular(&to_regular(&ellipse), &regular)));
             }
         }
@@ -151,45 +188,6 @@ mod tests {
     use super::*;
     use crate::conic::fit_geometric_from;
     use crate::frames::Pixel;
-
-    /// An ellipse that is known less well than its points, each for itself, say: whitened for what they have in common they say the same.
-    #[test]
-    fn points_with_what_they_have_in_common_say_what_the_ellipse_does() {
-        let e = Ellipse { center_px: Pixel::new(50.0, 40.0), semi_major_px: 13.0, semi_minor_px: 11.0, angle_rad: 0.7 };
-        let points: Vec<Pixel> = (0..43).map(|k| e.point(0.146 * f64::from(k))).collect();
-        let [u, v]: [Vec<f64>; 2] = [points.iter().map(|p| p.u_px).collect(), points.iter().map(|p| p.v_px).collect()];
-        let sigma: Vec<f64> = (0..43).map(|k| 0.02 * f64::from(1 + k % 3)).collect();
-        let mut feet = Feet::default();
-        feet.find(&e, &u, &v);
-        let own = feet.normal_equations(&sigma).0.cholesky().expect("an ellipse").inverse();
-        assert!(feet.excess(&own, &sigma).is_none());
-        let spread = SVector::from([3e-3, -2e-3, 8e-3, 1e-3, 4e-3]);
-        let whole = own * 1.5 + spread * spread.transpose();
-        let excess = feet.excess(&whole, &sigma).expect("more than points say");
-        let fit = fit_geometric_from(&e, &u, &v, &sigma).expect("a fit");
-        let shared = fit.with_common([&u, &v, &sigma], &feet.common(&excess, &sigma)).expect("a covariance").covariance;
-        let wanted = covariance_from_regular(&to_regular(&e), &whole);
-        assert!((shared - wanted).abs().max() < 1e-4 * wanted.abs().max(), "{shared} {wanted}");
-        // Nor does it say more or less of the ellipse without the bends of a smooth lens, and nothing of these.
-        let mut alone = feet.common(&excess, &sigma);
-        feet.forget_bends(&e, &sigma, &mut alone);
-        assert_eq!(alone.forgotten(), 4);
-        let fit = fit_geometric_from(&e, &u, &v, &sigma).expect("a fit");
-        let shared = fit.with_common([&u, &v, &sigma], &alone).expect("a covariance").covariance;
-        assert!((shared - wanted).abs().max() < 1e-4 * wanted.abs().max(), "{shared} {wanted}");
-        let bends: Vec<[f64; 4]> = feet.direction.iter().map(|[c, s]| Frame::new(&e).bends_at(*c, *s)).collect();
-        let of = |k: usize, i: usize| feet.rows[k].get(i).copied().unwrap_or_else(|| bends[k][i - 5]) / sigma[k];
-        let mut rows: Vec<[f64; 9]> = (0..43).map(|k| std::array::from_fn(|i| of(k, i))).collect();
-        let before = rows.clone();
-        alone.apply(&mut rows);
-        let product = |a: &[[f64; 9]], i: usize, j: usize| a.iter().map(|r| r[i] * r[j]).sum::<f64>();
-        let normal = SMatrix::<f64, 9, 9>::from_fn(|i, j| product(&rows, i, j));
-        let ellipse = normal.fixed_view::<5, 5>(0, 0).try_inverse().expect("an ellipse");
-        let (to_ellipse, own) = (normal.fixed_view::<4, 5>(5, 0), normal.fixed_view::<4, 4>(5, 5));
-        let left = own - to_ellipse * ellipse * to_ellipse.transpose();
-        let largest = (5..9).map(|i| product(&before, i, i)).fold(0.0, f64::max);
-        assert!(left.abs().max() < 1e-9 * largest, "{left}");
-    }
 
     /// Against foot points one by one and the damped fit.
     #[test]
@@ -210,7 +208,7 @@ mod tests {
             for k in 0..u.len() {
                 let plain = frame.foot(u[k], v[k], None);
                 assert!((feet.distance[k] - plain.distance).abs() < 1e-6, "{} {}", feet.distance[k], plain.distance);
-                (0..5).for_each(|i| assert!((feet.rows[k][i] - plain.row[i]).abs() < 1e-4));
+                (0..5).for_each(|i| assert!((feet.rows[k / GROUP][i][k % GROUP] - plain.row[i]).abs() < 1e-4));
             }
             let (found, covariance) = feet.refit(&e, &u, &v, &sigma).expect("a fit");
             let plain = fit_geometric_from(&e, &u, &v, &sigma).expect("a fit");

@@ -16,7 +16,7 @@
 
 mod pixels;
 
-use crate::conic::{Ellipse, Feet, covariance_from_regular, fit_geometric_from, to_regular};
+use crate::conic::{ContourNoise, Ellipse, Feet, covariance_from_regular, fit_geometric_from, to_regular};
 use crate::detect::band::{Band, Reach};
 use crate::detect::contour::Contour;
 use crate::detect::correlation::NoiseCorrelation;
@@ -438,11 +438,7 @@ fn accept(
     let count = edge.sigma_px.len() as f64;
     let noise_px2 = edge.sigma_px.iter().map(|s| s * s).sum::<f64>() / count;
     feet.find(e, &edge.u_px, &edge.v_px);
-    let (mut chi2, mut squares) = (0.0, 0.0);
-    for (d, sigma) in feet.distance.iter().zip(&edge.sigma_px) {
-        chi2 += d * d / (sigma * sigma);
-        squares += d * d;
-    }
+    let squares: f64 = feet.distance.iter().map(|d| d * d).sum();
     let (mut ellipse, rms_px) = (*e, (squares / count).sqrt());
     let shape_px = options.max_edge_rms_px + options.max_edge_rms_ratio * ellipse.semi_minor_px;
     // Noise that explains any scatter says nothing of a shape either: place and size must be known within the same limit.
@@ -461,11 +457,9 @@ fn accept(
     let common = share_noise(&ellipse, &mut edge, start.noise, found.blur_px);
     let regular = found.covariance * common;
     let mut covariance = covariance_from_regular(&at, &regular);
-    let excess = feet.excess(&regular, &edge.sigma_px);
-    if common > 1.0 {
-        chi2 = feet.distance.iter().zip(&edge.sigma_px).map(|(d, sigma)| (d / sigma).powi(2)).sum();
-    }
-    if chi2 > count - 5.0 {
+    let normal = feet.normal(&edge.sigma_px);
+    let contour = ContourNoise::of(&normal, &regular, found.followed);
+    if normal.chi2 > count - 5.0 {
         // Rough prints and speckle scatter all edge points alike, sharp or blurred: their variance adds to that of the noise.
         let roughness = roughness_px2(&ellipse, &edge, &feet.distance);
         if roughness > 0.0 {
@@ -475,16 +469,11 @@ fn accept(
             covariance += added;
         }
     }
-    if let Some(excess) = excess {
-        edge.common = feet.common(&excess, &edge.sigma_px);
-    }
-    if found.followed {
-        feet.forget_bends(&ellipse, &edge.sigma_px, &mut edge.common);
-    }
     Ok(Disc {
         ellipse,
         covariance,
         edge,
+        contour,
         polarity: if start.bright { Polarity::Bright } else { Polarity::Dark },
         blur_px: found.blur_px,
         contrast: model.step.abs(),

@@ -111,7 +111,7 @@ fn observations(images: &[SeenImage], labels: &[DotId]) -> (Vec<ImageObservation
         for d in &image.discs {
             if let Ok(disc) = labels.binary_search(&d.id) {
                 let found = &image.detection.discs[d.disc];
-                discs.push(DiscObservation::new(disc, found.edge.clone()));
+                discs.push(DiscObservation::of(disc, found));
                 own.push(found.ellipse);
             }
         }

@@ -9,8 +9,8 @@ use super::residual_rows::found_shapes;
 use super::sheet_part::common_features;
 use super::workers::Workers;
 use super::{Progress, Source};
+use crate::bundle::DiscObservation;
 use crate::camera::{Camera, INTRINSIC_NAMES};
-use crate::detect::EdgePoints;
 use crate::error::{Error, Insufficient, Invalid, Result};
 use crate::record::{self, FeatureKind, Record, View};
 use crate::report::OverlayShapes;
@@ -218,8 +218,10 @@ fn features(job: &RigDescription, images: &[SeenImage], held: &HeldCameras, pair
     for view in 0..job.views.len() {
         let of = |camera: usize| images.iter().find(|i| i.view == view && i.camera == camera);
         let (Some(first), Some(second)) = (of(0), of(1)) else { continue };
-        let choice =
-            |exchange: bool| common_features(held.cameras(), [&contours(first, false), &contours(second, exchange)]);
+        let seen = [first, second].map(contours);
+        let choice = |exchange: bool| {
+            common_features(held.cameras(), [&labelled(first, &seen[0], false), &labelled(second, &seen[1], exchange)])
+        };
         let exchanges: &[bool] = if pair { &[false, true] } else { &[false] };
         let choices: Vec<Vec<PairFeatures>> = exchanges.iter().map(|e| choice(*e)).collect();
         if choices.iter().all(|c| !c.is_empty()) {
@@ -229,10 +231,19 @@ fn features(job: &RigDescription, images: &[SeenImage], held: &HeldCameras, pair
     out
 }
 
-/// Labelled contours of an image; of a pair the labels exchanged where asked for.
-fn contours(image: &SeenImage, exchange: bool) -> Vec<(DotId, &EdgePoints)> {
+/// Contours of the labelled discs of an image.
+fn contours(image: &SeenImage) -> Vec<DiscObservation> {
+    image.discs.iter().enumerate().map(|(k, d)| DiscObservation::of(k, &image.detection.discs[d.disc])).collect()
+}
+
+/// The contours with their labels; of a pair exchanged where asked for.
+fn labelled<'a>(
+    image: &SeenImage,
+    contours: &'a [DiscObservation],
+    exchange: bool,
+) -> Vec<(DotId, &'a DiscObservation)> {
     let label = |id: DotId| if exchange { DotId { column: 1 - id.column, ..id } } else { id };
-    image.discs.iter().map(|d| (label(d.id), &image.detection.discs[d.disc].edge)).collect()
+    image.discs.iter().map(|d| label(d.id)).zip(contours).collect()
 }
 
 /// Mean squared transfer error over a plane, px^2; infinite where a feature does not transfer.

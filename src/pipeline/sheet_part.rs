@@ -1,8 +1,8 @@
 //! The laser sheet of a calibration: jointly, and by the paper's homography beside it.
 
 use super::calibrate::Solved;
+use crate::bundle::DiscObservation;
 use crate::camera::Camera;
-use crate::detect::EdgePoints;
 use crate::error::{Invalid, Result};
 use crate::frames::{Rig, Sheet as SheetFrame};
 use crate::record::{Homography, Sheet};
@@ -96,14 +96,14 @@ pub(super) fn homography_of(h: &crate::sheet::Homography) -> Homography {
 fn features_of_view(s: &Solved, held: &HeldCameras, view: usize) -> Vec<PairFeatures> {
     let image = |camera: usize| s.contours.images.iter().find(|i| i.view == view && i.camera == camera);
     let (Some(first), Some(second)) = (image(0), image(1)) else { return vec![] };
-    let seen = [first, second].map(|i| i.discs.iter().map(|d| (s.built.labels[d.disc], &d.edge)).collect::<Vec<_>>());
+    let seen = [first, second].map(|i| i.discs.iter().map(|d| (s.built.labels[d.disc], d)).collect::<Vec<_>>());
     common_features(held.cameras(), [&seen[0], &seen[1]])
 }
 
 /// Tangency points of neighbouring discs that both cameras saw in a view; of a two-level plate those of the front level, which
 /// alone lies in the plane.
-pub(super) fn common_features(cameras: [&Camera; 2], seen: [&[(DotId, &EdgePoints)]; 2]) -> Vec<PairFeatures> {
-    let contour = |c: usize, id: DotId| seen[c].iter().find(|(other, _)| *other == id).map(|(_, edge)| *edge);
+pub(super) fn common_features(cameras: [&Camera; 2], seen: [&[(DotId, &DiscObservation)]; 2]) -> Vec<PairFeatures> {
+    let contour = |c: usize, id: DotId| seen[c].iter().find(|(other, _)| *other == id).map(|(_, contour)| *contour);
     let mut common: Vec<DotId> =
         seen[0].iter().map(|(id, _)| *id).filter(|id| id.level == 0 && contour(1, *id).is_some()).collect();
     common.sort_unstable();

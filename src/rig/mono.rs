@@ -177,7 +177,7 @@ fn thinned(edge: &EdgePoints) -> EdgePoints {
 fn every(edge: &EdgePoints, count: usize) -> EdgePoints {
     let step = edge.u_px.len().div_ceil(count).max(1);
     let pick = |v: &[f64]| v.iter().step_by(step).copied().collect();
-    EdgePoints { u_px: pick(&edge.u_px), v_px: pick(&edge.v_px), sigma_px: pick(&edge.sigma_px), ..Default::default() }
+    EdgePoints { u_px: pick(&edge.u_px), v_px: pick(&edge.v_px), sigma_px: pick(&edge.sigma_px) }
 }
 
 /// A model with few discs and edge points, without printing errors: to choose between starts.
@@ -194,7 +194,7 @@ pub(super) fn lightened(model: &Model) -> Model {
     let mut out = model.clone();
     for d in out.images.iter_mut().flat_map(|i| &mut i.discs) {
         let all = d.edge.u_px.len();
-        d.edge = every(&d.edge, LIGHT_EDGES);
+        *d = DiscObservation::new(d.disc, every(&d.edge, LIGHT_EDGES));
         let share = (d.edge.u_px.len() as f64 / all.max(1) as f64).sqrt();
         d.edge.sigma_px.iter_mut().for_each(|s| *s *= share);
     }

@@ -14,10 +14,9 @@
 use super::parameter::{Parameter, stepped_camera, stepped_motion, stepped_window};
 use super::{Placement, SheetEstimate, plane_geometry, sigmas};
 use crate::bitangent::bitangents;
-use crate::bundle::NamedCovariance;
+use crate::bundle::{DiscObservation, NamedCovariance};
 use crate::camera::Camera;
 use crate::conic::fit_geometric;
-use crate::detect::EdgePoints;
 use crate::error::{Insufficient, Result};
 use crate::frames::{Cam, Rig};
 use crate::rigid::Motion;
@@ -46,7 +45,7 @@ pub struct Homography {
 impl PairFeatures {
     /// Tangency points of two discs from their contours in both cameras; `None` where an image does not give two separated
     /// ellipses, or a camera looks through a window, behind which circles have no ellipses as images.
-    pub fn of(cameras: [&Camera; 2], contours: [[&EdgePoints; 2]; 2]) -> Option<Self> {
+    pub fn of(cameras: [&Camera; 2], contours: [[&DiscObservation; 2]; 2]) -> Option<Self> {
         let mut seen = [vec![], vec![]];
         let mut variance = 0.0;
         for c in 0..2 {
@@ -60,21 +59,21 @@ impl PairFeatures {
 }
 
 /// The eight tangency points in real pixels and the mean variance of a coordinate.
-fn tangency_points(camera: &Camera, contours: [&EdgePoints; 2]) -> Option<(Vec<Vector2<f64>>, f64)> {
+fn tangency_points(camera: &Camera, contours: [&DiscObservation; 2]) -> Option<(Vec<Vector2<f64>>, f64)> {
     if camera.window().is_some() {
         return None;
     }
     let e = camera.effective_pinhole();
     let turn = camera.cam_from_pinhole();
-    let straight = |edge: &EdgePoints| {
-        let (mut u, mut v) = (vec![], vec![]);
+    let straight = |seen: &DiscObservation| {
+        let (edge, mut u, mut v) = (&seen.edge, vec![], vec![]);
         for i in 0..edge.u_px.len() {
             let xy = camera.ideal_of_pixel(&Vector2::new(edge.u_px[i], edge.v_px[i])).ok()?;
             let p = turn.transpose() * xy.push(1.0);
             u.push(e.cx_px + e.f_px * p.x / p.z);
             v.push(e.cy_px + e.f_px * p.y / p.z);
         }
-        fit_geometric(&u, &v, &edge.sigma_px).ok()?.with_common([&u, &v, &edge.sigma_px], &edge.common)
+        fit_geometric(&u, &v, &edge.sigma_px).ok()?.with_common([&u, &v, &edge.sigma_px], &seen.common)
     };
     let fits = [straight(contours[0])?, straight(contours[1])?];
     let b = bitangents(&fits[0].ellipse, &fits[1].ellipse).ok()?;

@@ -144,7 +144,7 @@ impl<'a> Rows<'a> {
     /// Takes out what the points of a contour have in common, in the first `used` columns.
     #[inline(always)]
     pub(super) fn whiten(&mut self, first: usize, seen: &DiscObservation, used: usize) {
-        for (basis, shrink) in seen.edge.common.columns().chain(seen.outline.columns()) {
+        for (basis, shrink) in seen.common.columns().chain(seen.outline.columns()) {
             let (groups, _) = basis.as_chunks::<GROUP>();
             for column in 0..used {
                 let mut sums = [0.0; GROUP];

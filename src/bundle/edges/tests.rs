@@ -85,8 +85,8 @@ fn scenes() -> Vec<(Model, State)> {
         let angle = |i: usize| std::f64::consts::TAU * i as f64 / disc.edge.u_px.len() as f64;
         let row = |(i, sigma): (usize, &f64)| [1.0 / sigma, angle(i).cos() / sigma, angle(i).sin() / sigma];
         let rows: Vec<[f64; 3]> = disc.edge.sigma_px.iter().enumerate().map(row).collect();
-        disc.edge.common = CommonNoise::of(&rows, &Matrix3::from_diagonal_element(1e-4));
-        assert!(!disc.edge.common.is_none());
+        disc.common = CommonNoise::of(&rows, &Matrix3::from_diagonal_element(1e-4));
+        assert!(!disc.common.is_none());
     }
     assert!(outline::whiten(&mut scene.model, &scene.truth).is_some());
     assert!(scene.model.images.iter().all(|i| i.discs.iter().all(|d| !d.outline.is_none())));

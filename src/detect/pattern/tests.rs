@@ -1,5 +1,5 @@
 use super::*;
-use crate::conic::Ellipse;
+use crate::conic::{ContourNoise, Ellipse};
 use crate::detect::{Disc, EdgePoints, Shape};
 use crate::frames::Pixel;
 use crate::stats::random::Random;
@@ -66,6 +66,7 @@ fn disc(u: f64, v: f64, a: f64, b: f64, phi: f64) -> Disc {
         ellipse: Ellipse { center_px: Pixel::new(u, v), semi_major_px: a, semi_minor_px: b, angle_rad: phi },
         covariance: SMatrix::identity(),
         edge: EdgePoints::default(),
+        contour: ContourNoise::default(),
         polarity: Polarity::Dark,
         blur_px: 1.0,
         contrast: 100.0,
