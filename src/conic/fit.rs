@@ -18,7 +18,8 @@
 use crate::conic::{CommonNoise, Ellipse, Frame, covariance_from_regular, from_regular, to_regular};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::frames::Pixel;
-use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen, Vector3};
+use crate::lanes::{self, GROUP, Kernel, Lanes};
+use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen};
 
 /// An ellipse fitted to points, with what the fit knows about itself.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,26 +44,74 @@ pub struct EllipseFit {
 pub fn fit_direct(u_px: &[f64], v_px: &[f64]) -> Result<Ellipse> {
     check_points(u_px, v_px, 5)?;
     let n = u_px.len() as f64;
-    let (mu, mv) = (u_px.iter().sum::<f64>() / n, v_px.iter().sum::<f64>() / n);
-    let spread: f64 = u_px.iter().zip(v_px).map(|(u, v)| (u - mu).powi(2) + (v - mv).powi(2)).sum();
-    let scale = (spread / (2.0 * n)).sqrt();
+    let mean = [u_px, v_px].map(|x| x.iter().sum::<f64>() / n);
+    let moments = lanes::run(Moments { u_px, v_px, mean });
+    let scale = ((moments[degree(2)] + moments[degree(2) + 2]) / (2.0 * n)).sqrt();
     if !(scale > 0.0 && scale.is_finite()) {
         return Err(degenerate("all points coincide").into());
     }
-    let (mut s1, mut s2, mut s3) = (Matrix3::zeros(), Matrix3::zeros(), Matrix3::zeros());
-    for (u, v) in u_px.iter().zip(v_px) {
-        let (x, y) = ((u - mu) / scale, (v - mv) / scale);
-        let quadratic = Vector3::new(x * x, x * y, y * y);
-        let linear = Vector3::new(x, y, 1.0);
-        s1 += quadratic * quadratic.transpose();
-        s2 += quadratic * linear.transpose();
-        s3 += linear * linear.transpose();
+    let mut of = [1.0; MOMENTS];
+    for d in 1..=4 {
+        (degree(d)..degree(d + 1)).for_each(|k| of[k] = moments[k] / (n * scale.powi(d as i32)));
     }
-    let q = halir_flusser(&(s1 / n), &(s2 / n), &(s3 / n)).ok_or_else(|| degenerate("the points lie on a line"))?;
+    let [_, x, y, xx, xy, yy, xxx, xxy, xyy, yyy, xxxx, xxxy, xxyy, xyyy, yyyy] = of;
+    let s1 = Matrix3::new(xxxx, xxxy, xxyy, xxxy, xxyy, xyyy, xxyy, xyyy, yyyy);
+    let s2 = Matrix3::new(xxx, xxy, xx, xxy, xyy, xy, xyy, yyy, yy);
+    let s3 = Matrix3::new(xx, xy, x, xy, yy, y, x, y, 1.0);
+    let q = halir_flusser(&s1, &s2, &s3).ok_or_else(|| degenerate("the points lie on a line"))?;
     let unit = Matrix3::new(q[0], q[1] / 2.0, q[3] / 2.0, q[1] / 2.0, q[2], q[4] / 2.0, q[3] / 2.0, q[4] / 2.0, q[5]);
     let e = Ellipse::from_matrix(&unit)?;
-    let center = Pixel::new(mu + scale * e.center_px.u_px, mv + scale * e.center_px.v_px);
+    let center = Pixel::new(mean[0] + scale * e.center_px.u_px, mean[1] + scale * e.center_px.v_px);
     Ellipse::new(center, scale * e.semi_major_px, scale * e.semi_minor_px, e.angle_rad)
+}
+
+/// Sums of `x^p y^q`, `p + q <= 4`, over points, by degree and in each by q; x and y from the mean, px.
+struct Moments<'a> {
+    u_px: &'a [f64],
+    v_px: &'a [f64],
+    mean: [f64; 2],
+}
+
+/// How many there are.
+const MOMENTS: usize = degree(5);
+
+/// Where those of a degree begin.
+const fn degree(d: usize) -> usize {
+    d * (d + 1) / 2
+}
+
+impl Kernel for Moments<'_> {
+    type Output = [f64; MOMENTS];
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> [f64; MOMENTS] {
+        let n = self.u_px.len();
+        let mut sums = [[0.0; GROUP]; MOMENTS];
+        for from in (0..n).step_by(GROUP) {
+            let (mut u, mut v) = ([self.mean[0]; GROUP], [self.mean[1]; GROUP]);
+            let here = from..n.min(from + GROUP);
+            u[..here.len()].copy_from_slice(&self.u_px[here.clone()]);
+            v[..here.len()].copy_from_slice(&self.v_px[here]);
+            let mut part = 0;
+            while part < GROUP {
+                let x = L::load(&u[part..]) - L::splat(self.mean[0]);
+                let y = L::load(&v[part..]) - L::splat(self.mean[1]);
+                let (xx, xy, yy) = (x * x, x * y, y * y);
+                let products = [[x, L::splat(1.0)], [y, L::splat(1.0)], [x, x], [x, y], [y, y]];
+                let cubes = [[xx, x], [xx, y], [yy, x], [yy, y]];
+                let fourths = [[xx, xx], [xx, xy], [xx, yy], [xy, yy], [yy, yy]];
+                let all = products.into_iter().chain(cubes).chain(fourths);
+                for (sum, [a, b]) in sums[degree(1)..].iter_mut().zip(all) {
+                    a.fused(b, L::load(&sum[part..])).store(&mut sum[part..]);
+                }
+                part += L::N;
+            }
+        }
+        let mut out = [n as f64; MOMENTS];
+        for k in degree(1)..MOMENTS {
+            out[k] = lanes::sum(&sums[k]);
+        }
+        out
+    }
 }
 
 /// The six coefficients that minimise the algebraic distance, from the blocks of the scatter matrix.

@@ -102,12 +102,7 @@ impl Polynomial {
                 return None;
             }
             fitted.count = if kept.len() < MANY_DISCS { PLANE } else { N };
-            let (mut matrix, mut right) = (SMatrix::<f64, N, N>::zeros(), SVector::<f64, N>::zeros());
-            for (p, level) in &kept {
-                let [row, ..] = fitted.rows(*p);
-                matrix += row * row.transpose();
-                right += row * *level;
-            }
+            let (matrix, right) = fitted.normal_equations(&kept);
             // Discs in a row, say, fix no polynomial; what they leave open is no gradient.
             let ridge = 1e-9 * matrix.trace();
             fitted.coefficients = (matrix + SMatrix::identity() * ridge).cholesky()?.solve(&right);
@@ -123,26 +118,44 @@ impl Polynomial {
         (kept.len() >= LEAST_DISCS && about_mean > TOLD * about_fit).then_some(fitted)
     }
 
+    fn normal_equations(&self, levels: &[(Pixel, f64)]) -> (SMatrix<f64, N, N>, SVector<f64, N>) {
+        let (mut matrix, mut right) = ([[0.0; N]; N], [0.0; N]);
+        for (p, level) in levels {
+            let row = self.monomials(*p);
+            for i in 0..N {
+                for j in 0..=i {
+                    matrix[i][j] += row[i] * row[j];
+                }
+                right[i] += row[i] * level;
+            }
+        }
+        (SMatrix::from_fn(|i, j| matrix[i.max(j)][i.min(j)]), SVector::from(right))
+    }
+
     fn off(&self, level: &(Pixel, f64)) -> f64 {
-        level.1 - self.rows(level.0)[0].dot(&self.coefficients)
+        let row = self.monomials(level.0);
+        level.1 - row.iter().zip(&self.coefficients).map(|(x, c)| x * c).sum::<f64>()
     }
 
-    /// The monomials and their derivatives along u and v.
-    fn rows(&self, p: Pixel) -> [SVector<f64, N>; 3] {
-        let f = 1.0 / self.scale_px;
-        let (x, y) = ((p.u_px - self.centre.u_px) * f, (p.v_px - self.centre.v_px) * f);
-        let mut rows = [
-            [1.0, x, y, x * x, x * y, y * y, x * x * x, x * x * y, x * y * y, y * y * y],
-            [0.0, f, 0.0, 2.0 * x * f, y * f, 0.0, 3.0 * x * x * f, 2.0 * x * y * f, y * y * f, 0.0],
-            [0.0, 0.0, f, 0.0, x * f, 2.0 * y * f, 0.0, x * x * f, 2.0 * x * y * f, 3.0 * y * y * f],
-        ];
-        rows.iter_mut().for_each(|row| row[self.count..].fill(0.0));
-        rows.map(SVector::from)
+    /// A place from the centre, in units of the scale.
+    fn place(&self, p: Pixel) -> [f64; 2] {
+        [(p.u_px - self.centre.u_px) / self.scale_px, (p.v_px - self.centre.v_px) / self.scale_px]
     }
 
+    fn monomials(&self, p: Pixel) -> [f64; N] {
+        let [x, y] = self.place(p);
+        let mut row = [1.0, x, y, x * x, x * y, y * y, x * x * x, x * x * y, x * y * y, y * y * y];
+        row[self.count..].fill(0.0);
+        row
+    }
+
+    /// Along u and v, grey/px.
     fn gradient(&self, p: Pixel) -> [f64; 2] {
-        let [_, u, v] = self.rows(p);
-        [u.dot(&self.coefficients), v.dot(&self.coefficients)]
+        let [x, y] = self.place(p);
+        let c = &self.coefficients;
+        let du = c[1] + 2.0 * c[3] * x + c[4] * y + 3.0 * c[6] * x * x + 2.0 * c[7] * x * y + c[8] * y * y;
+        let dv = c[2] + c[4] * x + 2.0 * c[5] * y + c[7] * x * x + 2.0 * c[8] * x * y + 3.0 * c[9] * y * y;
+        [du / self.scale_px, dv / self.scale_px]
     }
 }
 
