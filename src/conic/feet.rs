@@ -120,6 +120,11 @@ impl Feet {
         lanes::run(Find { frame: Frame::new(e), u: u_px, v: v_px, out: self });
     }
 
+    /// Cosine and sine of the eccentric angle of the feet that were found last, a group of points each.
+    pub(crate) fn directions(&self) -> &[[[f64; GROUP]; 2]] {
+        &self.direction
+    }
+
     /// Normal equations of the points, whose feet were found last, with these sigmas, px.
     pub(crate) fn normal(&self, sigma_px: &[f64]) -> Normal {
         let products = lanes::run(Products { feet: self, sigma_px });

@@ -66,6 +66,7 @@ pub fn fit_direct(u_px: &[f64], v_px: &[f64]) -> Result<Ellipse> {
 }
 
 /// Sums of `x^p y^q`, `p + q <= 4`, over points, by degree and in each by q; x and y from the mean, px.
+#[derive(Clone)]
 struct Moments<'a> {
     u_px: &'a [f64],
     v_px: &'a [f64],
@@ -253,4 +254,26 @@ fn check_points(u_px: &[f64], v_px: &[f64], needed: usize) -> Result<()> {
 
 fn degenerate(why: &str) -> Insufficient {
     Insufficient::Degenerate(format!("no ellipse through the points: {why}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Against plain sums, with a last group that is not full; alike in all widths.
+    #[test]
+    fn moments_are_those_of_plain_sums() {
+        let u_px: Vec<f64> = (0..21).map(|k| 300.0 + 12.0 * (0.3 * f64::from(k)).cos()).collect();
+        let v_px: Vec<f64> = (0..21).map(|k| 200.0 + 7.0 * (0.3 * f64::from(k)).sin()).collect();
+        let found = lanes::run_all(&Moments { u_px: &u_px, v_px: &v_px, mean: [301.0, 200.5] });
+        assert!(found.iter().all(|x| *x == found[0]));
+        for d in 0..=4 {
+            for q in 0..=d {
+                let power = |(u, v): (&f64, &f64)| (u - 301.0).powi((d - q) as i32) * (v - 200.5).powi(q as i32);
+                let (plain, size) =
+                    u_px.iter().zip(&v_px).map(power).fold((0.0, 0.0), |(a, b), x| (a + x, b + x.abs()));
+                assert!((found[0][degree(d) + q] - plain).abs() < 1e-13 * size, "{d} {q}");
+            }
+        }
+    }
 }

@@ -33,6 +33,8 @@ pub(crate) struct OnContour {
     pub(crate) normal_v: f64,
     /// Normal in the frame of the axes divided by the semi-axes, 1/px.
     pub(crate) climb: [f64; 2],
+    /// d(eccentric angle)/d(arc length), 1/px.
+    pub(crate) turn: f64,
     /// Derivative of the distance of a fixed point there with respect to the regular coordinates.
     pub(crate) row: [f64; 5],
 }
@@ -118,22 +120,23 @@ impl Frame {
         let big_n = (b * b * c * c + a * a * s * s).sqrt();
         let (nx, ny) = (b * c / big_n, a * s / big_n);
         let distance = (x - a * c) * nx + (y - b * s) * ny;
-        let row = self.row(c, s, nx, ny, big_n);
+        let row = self.row(c, s, nx, ny, 1.0 / big_n);
         Foot { distance, row }
     }
 
     /// Everything about the point at the eccentric angle with cosine `c` and sine `s`.
     pub(crate) fn on_contour(&self, c: f64, s: f64) -> OnContour {
         let (a, b) = (self.a, self.b);
-        let big_n = (b * b * c * c + a * a * s * s).sqrt();
-        let (nx, ny) = (b * c / big_n, a * s / big_n);
+        let turn = 1.0 / (b * b * c * c + a * a * s * s).sqrt();
+        let (nx, ny) = (b * c * turn, a * s * turn);
         OnContour {
             u: self.u0 + self.cos * a * c - self.sin * b * s,
             v: self.v0 + self.sin * a * c + self.cos * b * s,
             normal_u: self.cos * nx - self.sin * ny,
             normal_v: self.sin * nx + self.cos * ny,
             climb: [nx / a, ny / b],
-            row: self.row(c, s, nx, ny, big_n),
+            turn,
+            row: self.row(c, s, nx, ny, turn),
         }
     }
 
@@ -141,9 +144,8 @@ impl Frame {
     #[inline(always)]
     pub(crate) fn row_at(&self, c: f64, s: f64) -> [f64; 5] {
         let (a, b) = (self.a, self.b);
-        let big_n = (b * b * c * c + a * a * s * s).sqrt();
-        let inverse = 1.0 / big_n;
-        self.row(c, s, b * c * inverse, a * s * inverse, big_n)
+        let inverse = 1.0 / (b * b * c * c + a * a * s * s).sqrt();
+        self.row(c, s, b * c * inverse, a * s * inverse, inverse)
     }
 
     /// `b / |t(phi)| (cos 3 phi, sin 3 phi, cos 4 phi, sin 4 phi)`, phi the eccentric angle with cosine `c` and sine `s`, `t = (-a sin phi, b cos phi)`
@@ -157,12 +159,12 @@ impl Frame {
         [c3, s3, c2 * c2 - s2 * s2, 2.0 * c2 * s2].map(|x| share * x)
     }
 
-    /// Derivative of the distance with respect to the regular coordinates, for a foot point with normal `(nx, ny)`.
+    /// Derivative of the distance with respect to the regular coordinates, for a foot point with normal `(nx, ny)` and `inverse = 1 / |t|`.
     #[inline(always)]
-    fn row(&self, c: f64, s: f64, nx: f64, ny: f64, big_n: f64) -> [f64; 5] {
+    fn row(&self, c: f64, s: f64, nx: f64, ny: f64, inverse: f64) -> [f64; 5] {
         let (da, db) = (-nx * c, -ny * s);
         let along = da - db;
-        let across = -(self.a + self.b) * c * s / big_n;
+        let across = -(self.a + self.b) * c * s * inverse;
         [
             -(self.cos * nx - self.sin * ny),
             -(self.sin * nx + self.cos * ny),

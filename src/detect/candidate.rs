@@ -4,11 +4,12 @@
 //! every ellipse. The largest triangle and the largest quadrilateral inscribed in the convex hull fill
 //! 0.41 and 0.64 of an ellipse, 0.5 and 1 of a parallelogram, 1 and 1 of a triangle; blur rounds corners, so the limits lie between.
 
-use crate::conic::{Ellipse, fit_direct};
+use crate::conic::{Ellipse, Frame, fit_direct};
 use crate::detect::level::Level;
 use crate::detect::trace::Line;
 use crate::detect::{DetectOptions, RejectionReason};
 use crate::frames::Pixel;
+use crate::lanes::{self, GROUP, Kernel, Lanes};
 use crate::target::MarkKind;
 
 /// Places of a line at which its edge is looked at.
@@ -293,10 +294,46 @@ fn gap(e: &Ellipse, (s, c): (f64, f64), u: f64, v: f64) -> f64 {
     (q - 1.0) * q / (gx * gx + gy * gy).sqrt()
 }
 
+/// Root mean square of the first-order distances of points from an ellipse, px.
 fn rms_gap(e: &Ellipse, u: &[f64], v: &[f64]) -> f64 {
-    let sc = e.angle_rad.sin_cos();
-    let sum: f64 = u.iter().zip(v).map(|(u, v)| gap(e, sc, *u, *v).powi(2)).sum();
-    (sum / u.len() as f64).sqrt()
+    (lanes::run(SquaredGaps { frame: &Frame::new(e), u, v }) / u.len() as f64).sqrt()
+}
+
+/// The sum of the squares of [`gap`].
+#[derive(Clone)]
+struct SquaredGaps<'a> {
+    frame: &'a Frame,
+    u: &'a [f64],
+    v: &'a [f64],
+}
+
+impl Kernel for SquaredGaps<'_> {
+    type Output = f64;
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> f64 {
+        let Self { frame, u, v } = self;
+        let [a, b] = lanes::splats([1.0 / frame.a, 1.0 / frame.b]);
+        let mut sum = [0.0; GROUP];
+        for from in (0..u.len()).step_by(GROUP) {
+            // What only fills the last group lies on the ellipse.
+            let (mut x, mut y) = ([frame.a; GROUP], [0.0; GROUP]);
+            for i in 0..GROUP.min(u.len() - from) {
+                (x[i], y[i]) = frame.inside(u[from + i], v[from + i]);
+            }
+            let mut part = 0;
+            while part < GROUP {
+                let (x, y) = (L::load(&x[part..]) * a, L::load(&y[part..]) * b);
+                let (gx, gy) = (x * a, y * b);
+                let (square, steep) = (x.fused(x, y * y), gx.fused(gx, gy * gy));
+                let off = square - square.sqrt();
+                let at_centre = steep.below(L::splat(f64::MIN_POSITIVE));
+                let gap = L::select(at_centre, L::splat(frame.b * frame.b), off * off / steep);
+                (L::load(&sum[part..]) + gap).store(&mut sum[part..]);
+                part += L::N;
+            }
+        }
+        lanes::sum(&sum)
+    }
 }
 
 /// An ellipse that most of the line follows, found by trying subsets in a fixed order.
@@ -481,4 +518,23 @@ fn polygon_area(corners: &[(f64, f64)]) -> f64 {
         })
         .sum();
     0.5 * doubled.abs()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Alike in all widths, one of the points in the centre.
+    #[test]
+    fn squared_gaps_are_those_of_single_points() {
+        let e = Ellipse { center_px: Pixel::new(9.0, 7.0), semi_major_px: 5.0, semi_minor_px: 3.2, angle_rad: 0.4 };
+        let mut u: Vec<f64> = (0..21).map(|k| 4.0 + 0.5 * f64::from(k)).collect();
+        let mut v: Vec<f64> = (0..21).map(|k| 7.0 + 4.0 * f64::from(k).sin()).collect();
+        (u[3], v[3]) = (9.0, 7.0);
+        let sc = e.angle_rad.sin_cos();
+        let plain: f64 = u.iter().zip(&v).map(|(u, v)| gap(&e, sc, *u, *v).powi(2)).sum();
+        let found = lanes::run_all(&SquaredGaps { frame: &Frame::new(&e), u: &u, v: &v });
+        assert!(found.iter().all(|x| x.to_bits() == found[0].to_bits()));
+        assert!((found[0] - plain).abs() < 1e-12 * plain, "{} {plain}", found[0]);
+    }
 }

@@ -38,12 +38,20 @@ pub(crate) struct Contour {
     pub(crate) outer_px: Vec<f64>,
     /// End of each sector on the diamond.
     end: Vec<f64>,
-    /// First sector that a cell of the diamond may belong to.
-    first: Vec<u32>,
+    /// Equal cells of the diamond.
+    cells: Vec<Cell>,
     unit: Vec<(f64, f64)>,
     arc: Vec<f64>,
     /// Length of the contour, px.
     pub(crate) perimeter_px: f64,
+}
+
+/// One of equal cells of the diamond.
+#[derive(Debug, Clone, Copy)]
+struct Cell {
+    /// First sector that reaches into it, and where this ends.
+    first: usize,
+    end: f64,
 }
 
 /// Angle on the diamond, 0 to 4.
@@ -102,8 +110,7 @@ impl Contour {
             self.normal_u.push(foot.normal_u);
             self.normal_v.push(foot.normal_v);
             self.climb.push(foot.climb);
-            let (along, across) = (e.semi_major_px * s, e.semi_minor_px * c);
-            self.turn.push(1.0 / (along * along + across * across).sqrt());
+            self.turn.push(foot.turn);
             self.row.push(foot.row);
             let (s, c) = self.unit_at((k as f64 + 1.0) / count as f64, &mut step);
             self.end.push(if k + 1 == count { 4.0 } else { diamond(c, s) });
@@ -113,24 +120,34 @@ impl Contour {
             lanes::run(Gaps { contour: self, neighbours });
         }
         let cells = 4 * count;
-        self.first.clear();
+        self.cells.clear();
         let mut k = 0;
         for cell in 0..=cells {
             while k + 1 < count && self.end[k] <= 4.0 * cell as f64 / cells as f64 {
                 k += 1;
             }
-            self.first.push(k as u32);
+            self.cells.push(Cell { first: k, end: self.end[k] });
         }
     }
 
     /// Sector of an angle on the diamond.
     #[inline(always)]
     pub(crate) fn sector(&self, at: f64) -> usize {
-        let cells = self.first.len() - 1;
-        let k = self.first[((0.25 * at * cells as f64) as usize).min(cells)] as usize;
+        self.sector_from((at * self.cells_per_angle()) as usize, at)
+    }
+
+    /// Equal cells of the diamond in a unit of the angle.
+    pub(crate) fn cells_per_angle(&self) -> f64 {
+        0.25 * (self.cells.len() - 1) as f64
+    }
+
+    /// Sector of an angle on the diamond, whose cell is known.
+    #[inline(always)]
+    pub(crate) fn sector_from(&self, cell: usize, at: f64) -> usize {
+        let cell = &self.cells[cell.min(self.cells.len() - 1)];
         // No cell, 1/n long for n sectors, reaches into a third sector. A sector has the arc L/n with L >= 4 a, so the eccentric angle
         // turns by L/(n a) >= 4/n at least, and the angle on the diamond by half of that, its slope being (|c| + |s|)^-2 >= 1/2.
-        k + usize::from(at > self.end[k])
+        cell.first + usize::from(at > cell.end)
     }
 
     /// Arc length up to equal steps of the eccentric angle, px.

@@ -18,6 +18,7 @@
 mod bent;
 mod columns;
 mod pixels;
+mod shares;
 
 use crate::conic::{Ellipse, Frame, from_regular, to_regular};
 use crate::detect::contour::Contour;
@@ -31,9 +32,10 @@ use crate::detect::shared_light::in_axes;
 use crate::image::GrayView;
 use crate::lanes;
 use bent::Bent;
-use columns::{Columns, Left, Lens, SumUp};
+use columns::{Columns, Lens, SumUp};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3, Vector6};
 use pixels::{Collect, Pixels, Rings};
+use shares::ShareOut;
 
 /// Unknowns of the light.
 const LIGHTS: usize = 6;
@@ -392,20 +394,8 @@ impl Quick {
         self.shares.clear();
         self.shares.resize(contour.len(), Share::default());
         let count = self.pixels.near.count;
-        lanes::run(Left { columns: &mut self.columns, found: &self.found, bent: self.bent.is_some(), count });
-        let Columns { diamond, response, left, .. } = &self.columns;
-        let (diamond, response, left) = (&diamond[..count], &response[..count], &left[..count]);
-        let mut share_out = |i: usize| {
-            let k = contour.sector(f64::from(diamond[i]));
-            self.shares[k].push(f64::from(response[i]), f64::from(left[i]));
-        };
-        // Neighbours mostly go to one sector, whose sums would wait for each other: pixels of the upper and the lower half in turns.
-        let half = count / 2;
-        for i in 0..half {
-            share_out(i);
-            share_out(half + i);
-        }
-        (2 * half..count).for_each(share_out);
+        let (columns, found, bent) = (&mut self.columns, &self.found, self.bent.is_some());
+        lanes::run(ShareOut { columns, found, bent, count, contour, shares: &mut self.shares });
     }
 
     /// Whether rows away from the edge, and pixels near it, leave no more than noise.

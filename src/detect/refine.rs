@@ -461,7 +461,7 @@ fn accept(
     let contour = ContourNoise::of(&normal, &regular, found.followed);
     if normal.chi2 > count - 5.0 {
         // Rough prints and speckle scatter all edge points alike, sharp or blurred: their variance adds to that of the noise.
-        let roughness = roughness_px2(&ellipse, &edge, &feet.distance);
+        let roughness = roughness_px2(&ellipse, &edge.sigma_px, feet);
         if roughness > 0.0 {
             let added;
             (ellipse, added) = roughen(&ellipse, &mut edge, roughness, feet).ok_or(unknown)?;

@@ -2,68 +2,154 @@
 
 use crate::conic::{Ellipse, Feet, fit_geometric_from};
 use crate::detect::EdgePoints;
+use crate::lanes::{self, GROUP, Kernel, Lanes};
 use nalgebra::{SMatrix, SVector};
 
 /// Harmonics along the contour that a smooth lens may explain: 3 to this.
 const SMOOTH: usize = 5;
-/// Coefficients of these.
+/// Coefficients of these and of the lower ones: 1, then cosine and sine of each.
 const N: usize = 2 * SMOOTH + 1;
+/// Numbers of the harmonics up to twice that, which products of two make.
+const TWICE: usize = 4 * SMOOTH + 1;
 
-/// Distances of the edge points from the ellipse without the low harmonics along the contour that a smooth lens explains, and the
-/// degrees of freedom that are left.
-fn without_smooth_bends(ellipse: &Ellipse, edge: &EdgePoints, mut distance: Vec<f64>) -> (Vec<f64>, f64) {
-    let n = distance.len();
-    let plain = (n as f64 - 5.0).max(1.0);
-    if n < 4 * N {
-        return (distance, plain);
-    }
-    let (s, c) = ellipse.angle_rad.sin_cos();
-    let mut rows = Vec::with_capacity(n);
-    let (mut matrix, mut right) = ([[0.0; N]; N], [0.0; N]);
-    for i in 0..n {
-        let (du, dv) = (edge.u_px[i] - ellipse.center_px.u_px, edge.v_px[i] - ellipse.center_px.v_px);
-        let (x, y) = ((c * du + s * dv) / ellipse.semi_major_px, (c * dv - s * du) / ellipse.semi_minor_px);
-        let inverse = 1.0 / (x * x + y * y).sqrt();
-        let (c1, s1) = (x * inverse, y * inverse);
-        // A polynomial displacement of low degree is one of low harmonics when multiplied by the length of the tangent.
-        let (along, across) = (ellipse.semi_major_px * s1, ellipse.semi_minor_px * c1);
-        let share = ellipse.semi_minor_px / (along * along + across * across).sqrt();
-        let (mut cm, mut sm) = (1.0, 0.0);
-        let mut row = [0.0; N];
-        row[0] = share;
-        for m in 1..=SMOOTH {
-            (cm, sm) = (cm * c1 - sm * s1, sm * c1 + cm * s1);
-            (row[2 * m - 1], row[2 * m]) = (share * cm, share * sm);
-        }
-        for k in 0..N {
-            for l in 0..=k {
-                matrix[k][l] += row[k] * row[l];
-            }
-            right[k] += row[k] * distance[i];
-        }
-        rows.push(row);
-    }
-    let matrix = SMatrix::<f64, N, N>::from_fn(|k, l| matrix[k.max(l)][k.min(l)]);
-    match matrix.cholesky() {
-        Some(factor) => {
-            let x = factor.solve(&SVector::from(right));
-            for (d, row) in distance.iter_mut().zip(&rows) {
-                *d -= row.iter().zip(x.iter()).map(|(r, x)| r * x).sum::<f64>();
-            }
-            (distance, n as f64 - N as f64)
-        }
-        None => (distance, plain),
+/// Harmonics of the eccentric angle, times `b / |t|` as a smooth lens makes them (`Frame::bends_at`), at points whose feet were found last.
+#[derive(Clone, Copy)]
+struct Harmonics<'a> {
+    axes_px: [f64; 2],
+    feet: &'a Feet,
+}
+
+impl Harmonics<'_> {
+    /// Cosine, sine and `b / |t|` of some points of a group.
+    #[inline(always)]
+    fn at<L: Lanes>(&self, group: usize, part: usize) -> [L; 3] {
+        let [c, s] = self.feet.directions()[group];
+        let (c, s) = (L::load(&c[part..]), L::load(&s[part..]));
+        let (along, across) = (L::splat(self.axes_px[0]) * s, L::splat(self.axes_px[1]) * c);
+        [c, s, L::splat(self.axes_px[1]) / along.fused(along, across * across).sqrt()]
     }
 }
 
-/// Variance that, added to those of the edge points, makes their chi-square the number of degrees of freedom, px^2; `distance` is that
-/// of each from the ellipse, px.
-pub(crate) fn roughness_px2(ellipse: &Ellipse, edge: &EdgePoints, distance: &[f64]) -> f64 {
-    let (distance, freedom) = without_smooth_bends(ellipse, edge, distance.to_vec());
+/// Sums over the points: of the harmonics up to twice those of a lens times `(b / |t|)^2`, and of those of a lens times `b / |t|` and the distance.
+#[derive(Clone)]
+struct Sums<'a>(Harmonics<'a>);
+
+impl Kernel for Sums<'_> {
+    type Output = ([f64; TWICE], [f64; N]);
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> Self::Output {
+        let Self(harmonics) = self;
+        let all = &harmonics.feet.distance;
+        let (mut squares, mut right) = ([[0.0; GROUP]; TWICE], [[0.0; GROUP]; N]);
+        for (group, here) in all.chunks(GROUP).enumerate() {
+            // What only fills the last group has no weight.
+            let (mut distance, mut counts) = ([0.0; GROUP], [0.0; GROUP]);
+            distance[..here.len()].copy_from_slice(here);
+            counts[..here.len()].fill(1.0);
+            let mut part = 0;
+            while part < GROUP {
+                let [c, s, share] = harmonics.at::<L>(group, part);
+                let weight = share * share * L::load(&counts[part..]);
+                let moved = share * L::load(&distance[part..]);
+                let (mut cm, mut sm) = (L::splat(1.0), L::splat(0.0));
+                add(&mut squares[0][part..], weight, cm);
+                add(&mut right[0][part..], moved, cm);
+                for m in 1..=2 * SMOOTH {
+                    (cm, sm) = (cm * c - sm * s, sm * c + cm * s);
+                    add(&mut squares[2 * m - 1][part..], weight, cm);
+                    add(&mut squares[2 * m][part..], weight, sm);
+                    if m <= SMOOTH {
+                        add(&mut right[2 * m - 1][part..], moved, cm);
+                        add(&mut right[2 * m][part..], moved, sm);
+                    }
+                }
+                part += L::N;
+            }
+        }
+        let mut out = ([0.0; TWICE], [0.0; N]);
+        for k in 0..TWICE {
+            out.0[k] = lanes::sum(&squares[k]);
+        }
+        for k in 0..N {
+            out.1[k] = lanes::sum(&right[k]);
+        }
+        out
+    }
+}
+
+#[inline(always)]
+fn add<L: Lanes>(sum: &mut [f64], a: L, b: L) {
+    a.fused(b, L::load(sum)).store(sum);
+}
+
+/// Distances less the harmonics with these coefficients; those of the last group filled up.
+#[derive(Clone)]
+struct Left<'a> {
+    harmonics: Harmonics<'a>,
+    coefficients: &'a [f64; N],
+}
+
+impl Kernel for Left<'_> {
+    type Output = Vec<f64>;
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> Vec<f64> {
+        let mut left = self.harmonics.feet.distance.clone();
+        left.resize(left.len().div_ceil(GROUP) * GROUP, 0.0);
+        for at in (0..left.len()).step_by(L::N) {
+            let [c, s, share] = self.harmonics.at::<L>(at / GROUP, at % GROUP);
+            let (mut cm, mut sm, mut sum) = (L::splat(1.0), L::splat(0.0), L::splat(self.coefficients[0]));
+            for m in 1..=SMOOTH {
+                (cm, sm) = (cm * c - sm * s, sm * c + cm * s);
+                sum = cm.fused(L::splat(self.coefficients[2 * m - 1]), sum);
+                sum = sm.fused(L::splat(self.coefficients[2 * m]), sum);
+            }
+            (L::load(&left[at..]) - share * sum).store(&mut left[at..]);
+        }
+        left
+    }
+}
+
+/// Sums of products of the harmonics `i` and `j` from those of single harmonics: `2 cos m cos n = cos(m - n) + cos(m + n)` and the like.
+fn product(sums: &[f64; TWICE], i: usize, j: usize) -> f64 {
+    let cos = |m: usize| if m == 0 { sums[0] } else { sums[2 * m - 1] };
+    let sin = |m: usize| if m == 0 { 0.0 } else { sums[2 * m] };
+    let (m, n) = (i.div_ceil(2), j.div_ceil(2));
+    let of_sines = |k: usize| k > 0 && k.is_multiple_of(2);
+    let apart = m.abs_diff(n);
+    0.5 * match (of_sines(i), of_sines(j)) {
+        (false, false) => cos(apart) + cos(m + n),
+        (true, true) => cos(apart) - cos(m + n),
+        (true, false) => sin(m + n) + if m < n { -sin(apart) } else { sin(apart) },
+        (false, true) => sin(m + n) + if n < m { -sin(apart) } else { sin(apart) },
+    }
+}
+
+/// Distances of the edge points, whose feet were found last, from the ellipse without the low harmonics along the contour that a smooth lens
+/// explains, and the degrees of freedom that are left.
+fn without_smooth_bends(ellipse: &Ellipse, feet: &Feet) -> (Vec<f64>, f64) {
+    let n = feet.distance.len();
+    let plain = || (feet.distance.clone(), (n as f64 - 5.0).max(1.0));
+    if n < 4 * N {
+        return plain();
+    }
+    let harmonics = Harmonics { axes_px: [ellipse.semi_major_px, ellipse.semi_minor_px], feet };
+    let (sums, right) = lanes::run(Sums(harmonics));
+    let matrix = SMatrix::<f64, N, N>::from_fn(|i, j| product(&sums, i, j));
+    let Some(factor) = matrix.cholesky() else { return plain() };
+    let coefficients = factor.solve(&SVector::from(right)).into();
+    let mut left = lanes::run(Left { harmonics, coefficients: &coefficients });
+    left.truncate(n);
+    (left, (n - N) as f64)
+}
+
+/// Variance that, added to those of the edge points, px, whose feet were found last, makes their chi-square the number of degrees of
+/// freedom, px^2.
+pub(crate) fn roughness_px2(ellipse: &Ellipse, sigma_px: &[f64], feet: &Feet) -> f64 {
+    let (distance, freedom) = without_smooth_bends(ellipse, feet);
     // chi2 and its slope; it falls and bends upwards, so that Newton steps from zero never pass the root.
     let chi2 = |x: f64| {
         let (mut sum, mut slope) = (0.0, 0.0);
-        for (d, sigma) in distance.iter().zip(&edge.sigma_px) {
+        for (d, sigma) in distance.iter().zip(sigma_px) {
             let w = 1.0 / (sigma * sigma + x);
             let term = d * d * w;
             sum += term;
@@ -116,24 +202,50 @@ mod tests {
     use crate::conic::{Frame, covariance_from_regular, to_regular};
     use crate::frames::Pixel;
     use crate::stats::random::Random;
+    use nalgebra::{DMatrix, DVector};
+
+    /// Sixty points so far from an ellipse, px, as if their feet had been found.
+    fn off(e: &Ellipse, distance: &dyn Fn(i32) -> f64) -> Feet {
+        let (u, v): (Vec<f64>, Vec<f64>) =
+            (0..60).map(|k| e.point(0.1 * f64::from(k))).map(|p| (p.u_px, p.v_px)).unzip();
+        let mut feet = Feet::default();
+        feet.find(e, &u, &v);
+        feet.distance = (0..60).map(distance).collect();
+        feet
+    }
+
+    /// Against a plain fit of the harmonics themselves, of a contour that bends and is rough; alike in all widths.
+    #[test]
+    fn what_a_smooth_lens_explains_is_a_plain_least_squares_fit() {
+        let e = Ellipse { center_px: Pixel::new(5.0, 4.0), semi_major_px: 17.0, semi_minor_px: 9.0, angle_rad: 0.3 };
+        let feet = off(&e, &|k| 0.03 * (0.3 * f64::from(k)).sin() + 0.02 * f64::from((k * 29) % 13 - 6));
+        let rows = DMatrix::from_fn(60, N, |k, i| {
+            let (s, c) = (0.1 * k as f64).sin_cos();
+            let angle = i.div_ceil(2) as f64 * 0.1 * k as f64;
+            let share = e.semi_minor_px / (e.semi_minor_px * c).hypot(e.semi_major_px * s);
+            share * if i > 0 && i.is_multiple_of(2) { angle.sin() } else { angle.cos() }
+        });
+        let distance = DVector::from_column_slice(&feet.distance);
+        let found = rows.clone().svd(true, true).solve(&distance, 1e-12).expect("a fit");
+        let (left, freedom) = without_smooth_bends(&e, &feet);
+        assert_eq!(freedom, 49.0);
+        assert!((DVector::from(left) - (distance - rows * found)).amax() < 1e-10);
+        let harmonics = Harmonics { axes_px: [e.semi_major_px, e.semi_minor_px], feet: &feet };
+        let sums = lanes::run_all(&Sums(harmonics));
+        let left = lanes::run_all(&Left { harmonics, coefficients: &sums[0].1 });
+        assert!(sums.iter().all(|x| *x == sums[0]) && left.iter().all(|x| *x == left[0]));
+    }
 
     /// Against its definition, with sigmas that are too small in part.
     #[test]
     fn with_the_roughness_chi2_is_the_freedom() {
         let e = Ellipse { center_px: Pixel::new(0.0, 0.0), semi_major_px: 13.0, semi_minor_px: 11.0, angle_rad: 0.2 };
         for (size, rough) in [(0.03, true), (0.004, false)] {
-            let mut edge = EdgePoints::default();
-            let mut distance = vec![];
-            for k in 0..60 {
-                let p = e.point(0.1 * f64::from(k));
-                edge.u_px.push(p.u_px);
-                edge.v_px.push(p.v_px);
-                edge.sigma_px.push(0.01 * f64::from(1 + k % 4));
-                distance.push(size * f64::from((k * 29) % 13 - 6) / 6.0);
-            }
-            let x = roughness_px2(&e, &edge, &distance);
-            let (left, freedom) = without_smooth_bends(&e, &edge, distance);
-            let chi2: f64 = left.iter().zip(&edge.sigma_px).map(|(d, s)| d * d / (s * s + x)).sum();
+            let sigma: Vec<f64> = (0..60).map(|k| 0.01 * f64::from(1 + k % 4)).collect();
+            let feet = off(&e, &|k| size * f64::from((k * 29) % 13 - 6) / 6.0);
+            let x = roughness_px2(&e, &sigma, &feet);
+            let (left, freedom) = without_smooth_bends(&e, &feet);
+            let chi2: f64 = left.iter().zip(&sigma).map(|(d, s)| d * d / (s * s + x)).sum();
             assert_eq!(x > 0.0, rough);
             assert!(if rough { (chi2 / freedom - 1.0).abs() < 1e-9 } else { chi2 < freedom }, "{chi2} {freedom}");
         }

@@ -23,7 +23,7 @@ pub(crate) struct Share {
 
 impl Share {
     /// Takes in a pixel with the response `h` and the residual `left`, both over the noise.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn push(&mut self, h: f64, left: f64) {
         self.score += h * left;
         self.information += h * h;

@@ -6,7 +6,7 @@
 
 use super::{ALL, BENDS, LIGHTS, M, N, PLAIN, PRODUCTS, place};
 use crate::conic::Frame;
-use crate::lanes::{Kernel, Lanes, SINGLES, Several, Singles, sum_of_singles};
+use crate::lanes::{Kernel, Lanes, SINGLES, Singles, sum_of_singles};
 
 /// Pixels whose columns are stored before their products are taken; a multiple of [`SINGLES`].
 pub(super) const BLOCK: usize = 128;
@@ -81,7 +81,9 @@ pub(super) struct Columns {
     pub(super) response: Vec<f32>,
     /// Angle of the foot point on the diamond, see [`crate::detect::contour`].
     pub(super) diamond: Vec<f32>,
-    /// What is left of the grey value, over the noise, once [`Left`] has run.
+    /// Cell of the contour that it lies in.
+    pub(super) cell: Vec<u32>,
+    /// What is left of the grey value, over the noise, once [`super::shares::ShareOut`] has run.
     pub(super) left: Vec<f32>,
     /// Sums of products of two columns.
     pub(super) gram: [f64; PRODUCTS],
@@ -89,7 +91,7 @@ pub(super) struct Columns {
 
 impl Default for Columns {
     fn default() -> Self {
-        Self { values: vec![], response: vec![], diamond: vec![], left: vec![], gram: [0.0; PRODUCTS] }
+        Self { values: vec![], response: vec![], diamond: vec![], cell: vec![], left: vec![], gram: [0.0; PRODUCTS] }
     }
 }
 
@@ -159,41 +161,6 @@ impl<const BENT: bool> SumUp<'_, BENT> {
         }
         for k in 0..P {
             self.out.gram[k] = sum_of_singles(&sums[k]);
-        }
-    }
-}
-
-/// What the columns times the unknowns `found`, each at the place of its column, leave of the first `count` grey values.
-pub(super) struct Left<'a> {
-    pub(super) columns: &'a mut Columns,
-    pub(super) found: &'a [f64; ALL],
-    pub(super) bent: bool,
-    pub(super) count: usize,
-}
-
-impl Kernel for Left<'_> {
-    type Output = ();
-    #[inline(always)]
-    fn run<L: Lanes>(self) {
-        let Columns { values, left, .. } = self.columns;
-        let n = self.count.div_ceil(SINGLES) * SINGLES;
-        if left.len() < n {
-            left.resize(n, 0.0);
-        }
-        let mut at = 0;
-        while at < n {
-            let (block, i) = (&values[at / BLOCK], at % BLOCK);
-            let mut sum = L::Single::load(&block[N][i..]);
-            for k in 0..N {
-                sum = L::Single::splat(-self.found[k] as f32).fused(L::Single::load(&block[k][i..]), sum);
-            }
-            if self.bent {
-                for k in M..ALL {
-                    sum = L::Single::splat(-self.found[k] as f32).fused(L::Single::load(&block[k][i..]), sum);
-                }
-            }
-            sum.store(&mut left[at..]);
-            at += L::Single::N;
         }
     }
 }
