@@ -7,7 +7,7 @@ use nalgebra::{SMatrix, SVector};
 /// Gauss-Newton steps at most; points that need more are left to [`super::fit_geometric_from`].
 const MOST_STEPS: usize = 4;
 /// Decrease of `chi^2` that a step may still promise when it is the last one.
-const STILL: f64 = 1e-9;
+const STILL: f64 = 1e-6;
 /// Products of five rows and the distance with each other, lower triangle.
 const PRODUCTS: usize = 21;
 

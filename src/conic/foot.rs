@@ -125,6 +125,7 @@ impl Frame {
     }
 
     /// Everything about the point at the eccentric angle with cosine `c` and sine `s`.
+    #[inline(always)]
     pub(crate) fn on_contour(&self, c: f64, s: f64) -> OnContour {
         let (a, b) = (self.a, self.b);
         let turn = 1.0 / (b * b * c * c + a * a * s * s).sqrt();

@@ -12,6 +12,8 @@ use crate::frames::Pixel;
 use crate::lanes::{self, GROUP, Kernel, Lanes};
 use crate::target::MarkKind;
 
+/// How far on either side of a line its gradient and its step are looked at, px.
+pub(super) const LOOK_PX: [f64; 2] = [0.75, 3.0];
 /// Places of a line at which its edge is looked at.
 const LOOKS: usize = 36;
 
@@ -197,7 +199,8 @@ fn line_length(u: &[f64], v: &[f64]) -> f64 {
     (1..u.len()).map(|i| (u[i] - u[i - 1]).hypot(v[i] - v[i - 1])).sum()
 }
 
-fn scaled(e: &Ellipse, scale: f64) -> Ellipse {
+/// An ellipse in pixels of another size.
+pub(super) fn scaled(e: &Ellipse, scale: f64) -> Ellipse {
     Ellipse {
         center_px: Pixel::new(e.center_px.u_px * scale, e.center_px.v_px * scale),
         semi_major_px: e.semi_major_px * scale,
@@ -253,25 +256,8 @@ struct Edge {
 /// Looks across the line at up to [`LOOKS`] places; returns the typical edge and the share of places where the grey falls outwards
 /// (`turn` = sense of turning, negated for dark regions) by more than the least gradient.
 fn edge_strength(line: &Line, smooth: &impl Level, strength: Strength, turn: f64) -> (Edge, f64) {
-    let n = line.u.len();
-    let looks = n.min(LOOKS);
-    // 0.75 and 3 px inside, then as far outside.
-    let mut at = [[[0.0; LOOKS]; 2]; 4];
-    for k in 0..looks {
-        let i = k * n / looks;
-        let (before, after) =
-            if line.closed { ((i + n - 2) % n, (i + 2) % n) } else { (i.saturating_sub(2), (i + 2).min(n - 1)) };
-        let (tu, tv) = (line.u[after] - line.u[before], line.v[after] - line.v[before]);
-        let length = f64::from(tu * tu + tv * tv).sqrt().max(1e-6);
-        let (nu, nv) = (turn * f64::from(tv) / length, -turn * f64::from(tu) / length);
-        for (at, d) in at.iter_mut().zip([-0.75, -3.0, 0.75, 3.0]) {
-            (at[0][k], at[1][k]) = (f64::from(line.u[i]) + d * nu, f64::from(line.v[i]) + d * nv);
-        }
-    }
-    // All at once: samples that lie far apart are then waited for together.
-    let [near_in, far_in, near_out, far_out] = at.map(|[u, v]| smooth.greys(&u, &v));
-    let mut gradients: [f64; LOOKS] = std::array::from_fn(|k| (near_in[k] - near_out[k]) / 1.5);
-    let mut steps: [f64; LOOKS] = std::array::from_fn(|k| far_in[k] - far_out[k]);
+    let looks = line.u.len().min(LOOKS);
+    let [mut gradients, mut steps] = lanes::run(Looks { line, smooth, turn });
     let strong = gradients[..looks].iter().filter(|g| **g > strength.gradient).count();
     let middle = looks / 2;
     let gradient = *gradients[..looks].select_nth_unstable_by(middle, f64::total_cmp).1;
@@ -280,6 +266,60 @@ fn edge_strength(line: &Line, smooth: &impl Level, strength: Strength, turn: f64
     let sigma = contrast.max(gradient) / (2.506_628 * gradient.max(1e-12));
     let blur_px = (sigma * sigma - 1.0).max(0.25).sqrt().min(4.0);
     (Edge { contrast: contrast.max(gradient), blur_px }, strong as f64 / looks as f64)
+}
+
+/// Gradients across the line, grey/px, and steps from inside to outside, grey.
+#[derive(Clone)]
+struct Looks<'a, T> {
+    line: &'a Line,
+    smooth: &'a T,
+    turn: f64,
+}
+
+impl<T: Level> Kernel for Looks<'_, T> {
+    type Output = [[f64; LOOKS]; 2];
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> [[f64; LOOKS]; 2] {
+        let Self { line, smooth, turn } = self;
+        let n = line.u.len();
+        let looks = n.min(LOOKS);
+        // Place and tangent.
+        let mut along = [[0.0_f32; LOOKS]; 4];
+        for k in 0..looks {
+            let i = k * n / looks;
+            let (before, after) = match line.closed {
+                true => (if i < 2 { i + n - 2 } else { i - 2 }, if i + 2 < n { i + 2 } else { i + 2 - n }),
+                false => (i.saturating_sub(2), (i + 2).min(n - 1)),
+            };
+            along[0][k] = line.u[i];
+            along[1][k] = line.v[i];
+            along[2][k] = line.u[after] - line.u[before];
+            along[3][k] = line.v[after] - line.v[before];
+        }
+        let [u, v, tu, tv] = &along;
+        let mut normal = [[0.0; LOOKS]; 2];
+        for k in 0..LOOKS {
+            let length = f64::from(tu[k] * tu[k] + tv[k] * tv[k]).sqrt().max(1e-6);
+            normal[0][k] = turn * f64::from(tv[k]) / length;
+            normal[1][k] = -turn * f64::from(tu[k]) / length;
+        }
+        let mut grey = [[0.0; LOOKS]; 4];
+        let [near, far] = LOOK_PX;
+        for (grey, d) in grey.iter_mut().zip([-near, near, -far, far]) {
+            let mut at = [[0.0; LOOKS]; 2];
+            for k in 0..LOOKS {
+                at[0][k] = f64::from(u[k]) + d * normal[0][k];
+                at[1][k] = f64::from(v[k]) + d * normal[1][k];
+            }
+            smooth.greys(&at[0], &at[1], grey);
+        }
+        let mut out = [[0.0; LOOKS]; 2];
+        for k in 0..LOOKS {
+            out[0][k] = (grey[0][k] - grey[1][k]) / (2.0 * near);
+            out[1][k] = grey[2][k] - grey[3][k];
+        }
+        out
+    }
 }
 
 /// First-order distance of a point from an ellipse, px.
@@ -523,6 +563,48 @@ fn polygon_area(corners: &[(f64, f64)]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Grey levels that rise evenly.
+    #[derive(Clone)]
+    struct Ramp;
+    impl Level for Ramp {
+        fn starts(&self) -> impl Iterator<Item = u32> {
+            std::iter::empty()
+        }
+        fn width(&self) -> usize {
+            60
+        }
+        fn height(&self) -> usize {
+            50
+        }
+        fn smooth(&self, u: usize, v: usize) -> f32 {
+            3.0 * u as f32 + 2.0 * v as f32
+        }
+        fn field(&self, _: usize, _: usize) -> f32 {
+            0.0
+        }
+    }
+
+    /// On a circle, where the normal is known, for lines with more and fewer points than places; alike in all widths.
+    #[test]
+    fn looks_go_along_the_normal() {
+        for (count, closed) in [(90, true), (40, false), (20, true)] {
+            let angle = |i: usize| std::f32::consts::TAU * i as f32 / count as f32;
+            let (u, v) = (0..count).map(|i| (30.0 + 12.0 * angle(i).cos(), 25.0 + 12.0 * angle(i).sin())).unzip();
+            let line = Line { u, v, closed, encloses_positive: true };
+            let all = lanes::run_all(&Looks { line: &line, smooth: &Ramp, turn: 1.0 });
+            assert!(all.iter().all(|one| one.map(|x| x.map(f64::to_bits)) == all[0].map(|x| x.map(f64::to_bits))));
+            let looks = count.min(LOOKS);
+            // At the ends of an open line the tangent is that of a point beside it.
+            let ends = if closed { 0 } else { 2 };
+            for k in ends..looks - ends {
+                let (s, c) = f64::from(angle(k * count / looks)).sin_cos();
+                let rise = 3.0 * c + 2.0 * s;
+                assert!((all[0][0][k] + rise).abs() < 2e-2, "{k} of {count}: {} {rise}", all[0][0][k]);
+                assert!((all[0][1][k] + 6.0 * rise).abs() < 1e-1, "{k} of {count}: {} {rise}", all[0][1][k]);
+            }
+        }
+    }
 
     /// Alike in all widths, one of the points in the centre.
     #[test]

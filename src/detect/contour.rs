@@ -81,44 +81,13 @@ impl Contour {
 
     /// Cuts the ellipse anew; sectors do not look beyond the middle between them and the `neighbours`.
     pub(crate) fn cut(&mut self, e: &Ellipse, neighbours: &[Ellipse]) {
-        self.lengths(e);
-        let count = ((self.perimeter_px / SECTOR_PX).round() as usize).max(8);
-        for list in [
-            &mut self.cos,
-            &mut self.sin,
-            &mut self.u,
-            &mut self.v,
-            &mut self.normal_u,
-            &mut self.normal_v,
-            &mut self.end,
-            &mut self.outer_px,
-            &mut self.turn,
-        ] {
-            list.clear();
-        }
-        self.row.clear();
-        self.climb.clear();
-        let frame = Frame::new(e);
-        let mut step = 1;
-        for k in 0..count {
-            let (s, c) = self.unit_at((k as f64 + 0.5) / count as f64, &mut step);
-            let foot = frame.on_contour(c, s);
-            self.cos.push(c);
-            self.sin.push(s);
-            self.u.push(foot.u);
-            self.v.push(foot.v);
-            self.normal_u.push(foot.normal_u);
-            self.normal_v.push(foot.normal_v);
-            self.climb.push(foot.climb);
-            self.turn.push(foot.turn);
-            self.row.push(foot.row);
-            let (s, c) = self.unit_at((k as f64 + 1.0) / count as f64, &mut step);
-            self.end.push(if k + 1 == count { 4.0 } else { diamond(c, s) });
-        }
-        self.outer_px.resize(count, f64::INFINITY);
+        lanes::run(Cut { contour: self, e });
+        self.outer_px.clear();
+        self.outer_px.resize(self.len(), f64::INFINITY);
         if !neighbours.is_empty() {
             lanes::run(Gaps { contour: self, neighbours });
         }
+        let count = self.len();
         let cells = 4 * count;
         self.cells.clear();
         let mut k = 0;
@@ -151,6 +120,7 @@ impl Contour {
     }
 
     /// Arc length up to equal steps of the eccentric angle, px.
+    #[inline(always)]
     fn lengths(&mut self, e: &Ellipse) {
         if self.unit.is_empty() {
             self.unit.extend((0..ARC_STEPS).map(|i| ((i as f64 + 0.5) / ARC_STEPS as f64 * TAU).sin_cos()));
@@ -174,9 +144,27 @@ impl Contour {
         self.perimeter_px = sum * TAU / ARC_STEPS as f64;
     }
 
+    /// Room for so many sectors.
+    fn resize(&mut self, count: usize) {
+        for list in [
+            &mut self.cos,
+            &mut self.sin,
+            &mut self.u,
+            &mut self.v,
+            &mut self.normal_u,
+            &mut self.normal_v,
+            &mut self.end,
+            &mut self.turn,
+        ] {
+            list.resize(count, 0.0);
+        }
+        self.row.resize(count, [0.0; 5]);
+        self.climb.resize(count, [0.0; 2]);
+    }
+
     /// Sine and cosine of the eccentric angle up to which `share` of the contour lies. `step` is 1 at first and then kept from call to
     /// call, with shares that grow.
-    #[inline]
+    #[inline(always)]
     fn unit_at(&self, share: f64, step: &mut usize) -> (f64, f64) {
         let wanted = share * self.arc[ARC_STEPS];
         while *step < ARC_STEPS && self.arc[*step] <= wanted {
@@ -191,6 +179,36 @@ impl Contour {
         let cos = 1.0 - 0.5 * d2 * (1.0 - d2 * (1.0 / 12.0) * (1.0 - d2 * (1.0 / 30.0)));
         let (s, c) = self.unit[j - 1];
         (s * cos + c * sin, c * cos - s * sin)
+    }
+}
+
+/// Cuts an ellipse into sectors, as wide as the processor is.
+struct Cut<'a> {
+    contour: &'a mut Contour,
+    e: &'a Ellipse,
+}
+
+impl Kernel for Cut<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: lanes::Lanes>(self) {
+        let Self { contour, e } = self;
+        contour.lengths(e);
+        let count = ((contour.perimeter_px / SECTOR_PX).round() as usize).max(8);
+        contour.resize(count);
+        let mut step = 1;
+        for k in 0..count {
+            (contour.sin[k], contour.cos[k]) = contour.unit_at((k as f64 + 0.5) / count as f64, &mut step);
+            let (s, c) = contour.unit_at((k as f64 + 1.0) / count as f64, &mut step);
+            contour.end[k] = if k + 1 == count { 4.0 } else { diamond(c, s) };
+        }
+        let frame = Frame::new(e);
+        for k in 0..count {
+            let foot = frame.on_contour(contour.cos[k], contour.sin[k]);
+            (contour.u[k], contour.v[k]) = (foot.u, foot.v);
+            (contour.normal_u[k], contour.normal_v[k]) = (foot.normal_u, foot.normal_v);
+            (contour.climb[k], contour.turn[k], contour.row[k]) = (foot.climb, foot.turn, foot.row);
+        }
     }
 }
 

@@ -44,7 +44,7 @@ use nalgebra::{SMatrix, SVector};
 /// Standard deviation of the prior of the blur, px.
 pub(crate) const PRIOR_BLUR_PX: f64 = 0.3;
 /// Half the standard deviation of the area of a pixel, px.
-const LEAST_BLUR_PX: f64 = 0.15;
+pub(crate) const LEAST_BLUR_PX: f64 = 0.15;
 /// Sectors either side over which the step is averaged where the light follows nodes; of short contours all around.
 const STEP_OVER: usize = 24;
 /// Most unknowns of a surface: two sides.

@@ -6,7 +6,7 @@
 
 use crate::conic::Ellipse;
 use crate::detect::around::{MOST_SMOKY, Surroundings, surroundings, wisps};
-use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd};
+use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd, scaled};
 use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::level::Level;
 use crate::detect::plane::{self, Floats, Source, check_finite};
@@ -27,6 +27,8 @@ use rayon::prelude::*;
 const TEXTURE: f64 = 0.15;
 /// A disc with less than this part of the typical radius is dust.
 const DUST: f64 = 0.25;
+/// Noise over contrast and root of the length of a contour below which its line tells place and blur to a hundredth of a pixel, px^(-1/2).
+const CLEAR: f64 = 0.0035;
 /// Fewer lines than this are judged by one thread.
 const LINES_AT_ONCE: usize = 16;
 
@@ -75,7 +77,7 @@ pub fn find_discs_with(view: &GrayView, options: &DetectOptions, memory: &Detect
     drop_texture(&mut seen, f64::from(noise), options);
     drop_repeats(&mut seen);
     let mut detection = Detection::default();
-    let refined = refine_all(view, &seen.candidates, options);
+    let refined = refine_all(view, &seen.candidates, f64::from(noise), options);
     let found = drop_twins(&refined);
     for ((candidate, refined), keep) in refined.into_iter().zip(found) {
         match refined {
@@ -100,6 +102,7 @@ pub fn find_discs_with(view: &GrayView, options: &DetectOptions, memory: &Detect
 fn refine_all<'a>(
     view: &GrayView,
     candidates: &'a [Candidate],
+    sigma: f64,
     options: &DetectOptions,
 ) -> Vec<(&'a Candidate, std::result::Result<Disc, RejectionReason>)> {
     let around = surroundings(candidates);
@@ -123,6 +126,8 @@ fn refine_all<'a>(
             neighbours: &around.neighbours,
             slopes: light.slopes(candidate),
             noise: &noise,
+            traced: candidate.level == 0,
+            clear: sigma < CLEAR * candidate.contrast * candidate.ellipse.perimeter_px().sqrt(),
             smoke: if *wisp { few(all.len()) } else { smoke },
         };
         (*candidate, memory.with(|scratch| refine(view, &start, options, scratch)))
@@ -193,6 +198,14 @@ fn look(view: &GrayView, noise: f32, options: &DetectOptions, memory: &DetectMem
     }
 }
 
+/// The candidates of an image, for tests of what is made of them.
+#[cfg(test)]
+pub(crate) fn candidates_of(view: &GrayView) -> Vec<Candidate> {
+    let mut seen = look(view, plane::noise(view), &DetectOptions::default(), &DetectMemory::default());
+    drop_repeats(&mut seen);
+    seen.candidates
+}
+
 /// One level after the other, each made from the finer one, within a pool while the lines of that are followed.
 fn look_at<L: Level + Send + Sync>(
     levels: &mut [L],
@@ -231,6 +244,8 @@ fn follow(on: &(impl Level + Sync), gradient: f32, level: u32, options: &DetectO
         let reach = repeat_px(e.semi_minor_px.max(by_row.largest_px));
         by_row.near(e.center_px, reach).any(|k| finer[k].1 == bright && same_place(&finer[k].0, e))
     };
+    let scale = 1.0 / f64::from(1u32 << level);
+    finer.iter().for_each(|(e, _)| tracer.pass_over(&scaled(e, scale)));
     let judged = |line: &Line| judge(line, on, strength, level, options, &known);
     for start in on.starts() {
         let (u, v) = (start as usize % on.width(), start as usize / on.width());

@@ -10,25 +10,32 @@ pub(crate) trait Level {
     fn height(&self) -> usize;
     /// Smoothed grey level at a pixel, grey.
     fn smooth(&self, u: usize, v: usize) -> f32;
-    /// Bilinear grey levels at K places, border repeated.
-    #[inline]
-    fn greys<const K: usize>(&self, u_px: &[f64; K], v_px: &[f64; K]) -> [f64; K] {
-        let last = [self.width(), self.height()].map(|n| n as f64 - 1.001);
-        let (mut first, mut part) = ([[0_u32; K]; 2], [[0.0; K]; 2]);
+    /// Bilinear grey levels at K places, border repeated. Plain loops, step by step, for vectors: samples that lie far apart are then waited for together.
+    #[inline(always)]
+    fn greys<const K: usize>(&self, u_px: &[f64; K], v_px: &[f64; K], out: &mut [f64; K]) {
+        let last = [self.width() as f64 - 1.001, self.height() as f64 - 1.001];
+        let (mut first, mut part) = ([[0_i32; K]; 2], [[0.0; K]; 2]);
         for (axis, x) in [u_px, v_px].into_iter().enumerate() {
             for k in 0..K {
-                let x = x[k].clamp(0.0, last[axis]);
-                first[axis][k] = x as u32;
+                let x = x[k].max(0.0).min(last[axis]);
+                first[axis][k] = x as i32;
                 part[axis][k] = x - f64::from(first[axis][k]);
             }
         }
-        std::array::from_fn(|k| {
+        let mut corner = [[0.0; K]; 4];
+        for k in 0..K {
             let [[a, b], [c, d]] = self.square(first[0][k] as usize, first[1][k] as usize);
+            (corner[0][k], corner[1][k], corner[2][k], corner[3][k]) = (a, b, c, d);
+        }
+        for k in 0..K {
             let (fu, fv) = (part[0][k], part[1][k]);
-            (1.0 - fv) * ((1.0 - fu) * a + fu * b) + fv * ((1.0 - fu) * c + fu * d)
-        })
+            let (top, bottom) =
+                ((1.0 - fu) * corner[0][k] + fu * corner[1][k], (1.0 - fu) * corner[2][k] + fu * corner[3][k]);
+            out[k] = (1.0 - fv) * top + fv * bottom;
+        }
     }
     /// Smoothed grey levels at (u, v), (u + 1, v) and in the row below.
+    #[inline(always)]
     fn square(&self, u: usize, v: usize) -> [[f64; 2]; 2] {
         [v, v + 1].map(|v| [u, u + 1].map(|u| f64::from(self.smooth(u, v))))
     }

@@ -17,14 +17,16 @@
 
 mod bent;
 mod columns;
+mod few;
 mod pixels;
 mod shares;
+mod start;
 
 use crate::conic::{Ellipse, Frame, from_regular, to_regular};
 use crate::detect::contour::Contour;
 use crate::detect::correlation::Allowance;
 use crate::detect::dense::{Dense, FIXED};
-use crate::detect::edge_model::PRIOR_BLUR_PX;
+use crate::detect::edge_model::{LEAST_BLUR_PX, PRIOR_BLUR_PX};
 use crate::detect::exact::{SLOPE, SMALL, Share};
 use crate::detect::light::Side;
 use crate::detect::refine::reach_px;
@@ -33,9 +35,11 @@ use crate::image::GrayView;
 use crate::lanes;
 use bent::Bent;
 use columns::{Columns, Lens, SumUp};
+use few::{Few, KEPT, ORDER, SLOPES};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3, Vector6};
 use pixels::{Collect, Pixels, Rings};
 use shares::ShareOut;
+pub(crate) use start::contour_of;
 
 /// Unknowns of the light.
 const LIGHTS: usize = 6;
@@ -50,12 +54,16 @@ const ALL: usize = M + BENDS;
 /// Products of two columns, of light that does not bend and of all.
 const PLAIN: usize = M * (M + 1) / 2;
 const PRODUCTS: usize = ALL * (ALL + 1) / 2;
+/// Place of the blur in the equations.
+const BLUR: usize = 2;
 /// Beyond this many blurs the edge is not felt.
 const NEAR: f64 = 3.5;
 /// Rounds at most.
 const MOST_ROUNDS: usize = 6;
 /// A change below this ends the rounds, px.
 const STILL_PX: f64 = 0.03;
+/// The same of a slope of the light across the disc, of its step: as much of a change of the geometry is wrong.
+const STILL_LIGHT: f64 = 0.03;
 /// Pixels near the edge that suffice for a start.
 const START_PIXELS: f64 = 190.0;
 /// Every so many rows at most are taken for a start.
@@ -70,6 +78,8 @@ pub(crate) struct Clean {
     pub(crate) step: f64,
     /// Gradients of the light inside and outside that other discs tell, grey/px along u and v.
     pub(crate) slopes: [[f64; 2]; 2],
+    /// Whether ellipse and blur may be so near that one round does.
+    pub(crate) near: bool,
     /// Noise variance inside and outside, grey^2.
     pub(crate) variance: [f64; 2],
     /// What the noise of neighbours has in common.
@@ -94,6 +104,9 @@ pub(crate) struct Quick {
     columns: Columns,
     gram: Gram,
     dense: Dense,
+    few: Few,
+    /// Unknowns of the equations that were solved last.
+    solved: usize,
     found: [f64; ALL],
     light: [f64; LIGHTS + BENDS],
     /// What is known of light that bends, where it does.
@@ -143,11 +156,13 @@ impl Quick {
     /// Fits the disc as long as it looks clean; `outer_px` is how far it may look outwards, `floor` the least variance of the noise.
     pub(crate) fn fit(&mut self, view: &GrayView, state: &mut Clean, outer_px: f64, floor: f64) -> Option<()> {
         (self.bent, self.slanted_inside) = (None, false);
+        // Light that bends is asked for in the second round.
+        let at_once = state.near && state.ellipse.perimeter_px() < bent::LEAST_CONTOUR_PX;
         // The geometry must have been solved for with the light that is there.
         let (mut rounds_alike, mut bends) = (0, false);
         for round in 0..MOST_ROUNDS {
             let first = round == 0;
-            self.collect(view, state, outer_px, first)?;
+            self.collect(view, state, outer_px, (first, first && !at_once))?;
             let bent = self.judge_noise(view, state, floor, round)? || bends;
             rounds_alike = if bent == bends { rounds_alike + 1 } else { 0 };
             bends = bent;
@@ -155,18 +170,20 @@ impl Quick {
                 self.light = self.first_light(state);
             }
             self.sum_up(state);
-            if first || self.bent.is_some() {
-                self.solve(state, [true, true])?;
-            } else {
-                self.solve_light(state)?;
+            match (&self.bent, first && !at_once) {
+                (Some(_), _) => self.solve(state, [true, true]).map(|_| ())?,
+                (None, true) => self.solve_freely(state)?,
+                (None, false) => self.solve_light(state)?,
             }
             let change = &self.found[LIGHTS..N];
             let largest = change.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
             (0..LIGHTS).for_each(|k| self.light[k] += self.found[k]);
             (M..ALL).for_each(|k| self.light[of_light(k)] += self.found[k]);
             state.step = self.light[0] - self.light[3];
-            if !first && rounds_alike > 0 && largest < STILL_PX {
-                return self.dense.geometry(self.unknowns()).then_some(());
+            // The step along the contour must have been that of the light.
+            let settled = !first || at_once && self.slopes_found() < STILL_LIGHT * state.step.abs();
+            if settled && rounds_alike > 0 && largest < STILL_PX {
+                return self.dense.geometry(self.solved).then_some(());
             }
             if round > 0 && largest > 0.5 {
                 return None;
@@ -175,13 +192,13 @@ impl Quick {
             let mut q = to_regular(&state.ellipse);
             (0..5).for_each(|i| q[i] += factor * change[1 + i]);
             state.ellipse = from_regular(&q)?;
-            state.blur_px = (state.blur_px + factor * change[0]).max(0.15);
+            state.blur_px = (state.blur_px + factor * change[0]).max(LEAST_BLUR_PX);
         }
         None
     }
 
     /// Collects the pixels around the ellipse, for a start fewer rows of them; none where there is not room enough.
-    fn collect(&mut self, view: &GrayView, state: &Clean, outer_px: f64, first: bool) -> Option<()> {
+    fn collect(&mut self, view: &GrayView, state: &Clean, outer_px: f64, (first, start): (bool, bool)) -> Option<()> {
         let e = &state.ellipse;
         let reach = reach_px(state.blur_px);
         let near = NEAR * state.blur_px;
@@ -192,8 +209,8 @@ impl Quick {
         }
         let frame = Frame::new(e);
         let around = std::f64::consts::PI * (e.semi_major_px + e.semi_minor_px) * 2.0 * near;
-        let thin = if first { (around / START_PIXELS).clamp(1.0, THINNEST) as usize } else { 1 };
-        let rings = Rings { near, inner, outer: reach.min(outer_px), thin };
+        let thin = if start { (around / START_PIXELS).clamp(1.0, THINNEST) as usize } else { 1 };
+        let rings = Rings { near, inner, outer: reach.min(outer_px), thin, fetch: first };
         let whole = lanes::run(Collect { view, frame: &frame, rings, out: &mut self.pixels });
         (whole && self.pixels.near.count > 3 * N).then_some(())
     }
@@ -346,7 +363,7 @@ impl Quick {
         if !self.dense.unknowns(n) {
             return None;
         }
-        self.found = [0.0; ALL];
+        (self.solved, self.found) = (n, [0.0; ALL]);
         (0..n).for_each(|i| self.found[column(i)] = self.dense.right[i]);
         let explained: f64 = (0..N).map(|i| self.found[i] * gram[place(N, i)]).sum();
         let explained = explained + (M..M + bends).map(|i| self.found[i] * gram[place(i, N)]).sum::<f64>();
@@ -373,14 +390,48 @@ impl Quick {
         weights
     }
 
+    /// Factor of the equations with all slopes free.
+    fn factor(&mut self, state: &Clean) -> Option<()> {
+        self.few.set(&self.gram.0);
+        let (weights, expected) = (self.weights_of_light(state, [true, true]), state.expected_light());
+        for (i, column) in ORDER.into_iter().enumerate().filter(|(_, column)| *column < LIGHTS) {
+            self.few.add(i, weights[column], expected[column] - self.light[column]);
+        }
+        self.few.add(BLUR, PRIOR_BLUR_PX.powi(-2), state.expected_blur_px - state.blur_px);
+        lanes::run(few::Factor(&mut self.few)).then_some(())
+    }
+
+    /// Largest change of a slope of the light that the last solve asks for, grey in units of the semi-axes.
+    fn slopes_found(&self) -> f64 {
+        ORDER[KEPT..].iter().fold(0.0, |most, column| self.found[*column].abs().max(most))
+    }
+
+    fn take(&mut self, x: [f64; N]) {
+        self.found = [0.0; ALL];
+        ORDER.into_iter().zip(x).for_each(|(column, x)| self.found[column] = x);
+    }
+
+    /// Solves with all slopes free, for the unknowns alone.
+    fn solve_freely(&mut self, state: &Clean) -> Option<()> {
+        self.factor(state)?;
+        self.take(self.few.free());
+        Some(())
+    }
+
     /// Slopes as the pixels ask: a slope is worth its price, and light that rises outside rises inside as well.
     fn solve_light(&mut self, state: &Clean) -> Option<()> {
         self.slanted_inside = false;
-        let both = self.solve(state, [true, true])?;
-        let plain = self.solve(state, [false, false])?;
-        if plain - both < SLOPE {
+        self.factor(state)?;
+        let expected = state.expected_light();
+        let held: [f64; SLOPES] = std::array::from_fn(|i| expected[ORDER[KEPT + i]] - self.light[ORDER[KEPT + i]]);
+        if self.few.price(&held) < SLOPE {
+            self.take(self.few.held(&held));
+            self.few.factor_without_slopes(&mut self.dense);
+            self.solved = KEPT;
             return Some(());
         }
+        let both = self.solve(state, [true, true])?;
+        let plain = self.solve(state, [false, false])?;
         let inside = self.solve(state, [true, false])?;
         let outside = self.solve(state, [false, true])?;
         let rises =

@@ -72,6 +72,10 @@ pub(crate) struct Start<'a> {
     pub(crate) slopes: [[f64; 2]; 2],
     /// What the noise of neighbouring pixels has in common.
     pub(crate) noise: &'a NoiseCorrelation,
+    /// Whether the ellipse is that of a line followed in the pixels of the image themselves.
+    pub(crate) traced: bool,
+    /// Whether noise hardly moved that line.
+    pub(crate) clear: bool,
     /// Whether a random field of light may be fitted, which takes thousands of times as long as a clean disc.
     pub(crate) smoke: bool,
 }
@@ -501,6 +505,8 @@ mod tests {
             neighbours: &[],
             slopes: [[0.0; 2]; 2],
             noise: &noise,
+            traced: true,
+            clear: true,
             smoke: false,
         };
         let course = |shift_px: f64, semi_minor_px: f64, blur_px: f64| {

@@ -3,7 +3,11 @@
 //! Marching squares: a crossing lies on a lattice edge between a positive and a non-positive pixel, placed by linear
 //! interpolation; from cell to cell the line is followed until it closes or leaves the image.
 
+use crate::conic::{Ellipse, Frame};
 use crate::detect::level::Level;
+
+/// How far from a contour another view of it runs at most, px of the coarser level: blur and the curvature of the contour move it.
+const BESIDE_PX: f64 = 1.25;
 
 /// One zero line; the buffers are reused from line to line.
 #[derive(Debug, Default, Clone)]
@@ -34,6 +38,42 @@ const LEFT: u8 = 3;
 impl<'a, L: Level> Tracer<'a, L> {
     pub(crate) fn new(level: &'a L) -> Self {
         Self { level, visited: vec![0; (level.width() * level.height()).div_ceil(64)] }
+    }
+
+    /// Lines are not to start near a contour, px of the level: what runs along it is known. What lies beside small ones is not.
+    pub(crate) fn pass_over(&mut self, e: &Ellipse) {
+        if e.semi_minor_px < 2.0 * BESIDE_PX {
+            return;
+        }
+        let frame = Frame::new(e);
+        let [outer, inner] = [BESIDE_PX, -BESIDE_PX].map(|d| (frame.a + d, frame.b + d));
+        let half = (outer.0 * frame.sin).hypot(outer.1 * frame.cos);
+        let (first, end) = ((e.center_px.v_px - half).max(0.0), e.center_px.v_px + half + 1.0);
+        for v in first as usize..(end as usize).min(self.level.height()) {
+            let dv = v as f64 - e.center_px.v_px;
+            let Some((left, right)) = frame.row_span(dv, outer.0, outer.1) else { continue };
+            match frame.row_span(dv, inner.0, inner.1) {
+                Some((from, to)) => {
+                    self.visit(v, frame.u0 + left, frame.u0 + from);
+                    self.visit(v, frame.u0 + to, frame.u0 + right);
+                }
+                None => self.visit(v, frame.u0 + left, frame.u0 + right),
+            }
+        }
+    }
+
+    /// As if the crossings between two places of a row had been followed.
+    fn visit(&mut self, v: usize, from_px: f64, to_px: f64) {
+        let width = self.level.width();
+        let (from, to) = (from_px.max(0.0) as usize, (to_px.max(0.0) as usize).min(width - 1));
+        let mut at = v * width + from;
+        let end = v * width + to;
+        while at < end {
+            let next = (at / 64 + 1) * 64;
+            let bits = next.min(end) - at;
+            self.visited[at / 64] |= (u64::MAX >> (64 - bits)) << (at % 64);
+            at = next.min(end);
+        }
     }
 
     /// Whether the crossing between (u, v) and (u + 1, v) was not followed yet.
@@ -139,4 +179,40 @@ fn doubled_area(line: &Line) -> f64 {
             f64::from(line.u[i]) * f64::from(line.v[j]) - f64::from(line.u[j]) * f64::from(line.v[i])
         })
         .sum()
+}
+
+#[cfg(test)]
+#[allow(clippy::expect_used)]
+mod tests {
+    use super::*;
+    use crate::detect::plane::{Floats, Source};
+    use crate::frames::Pixel;
+    use crate::image::{GrayView, Samples};
+
+    /// Crossings near a contour are passed over, wherever on it, and no others.
+    #[test]
+    fn lines_do_not_start_beside_a_known_contour() {
+        let (width, height) = (130, 50);
+        let grey = vec![7u8; width * height];
+        let view = GrayView::new(Samples::U8(&grey), width, height, width).expect("an image");
+        let level = Floats::new(Source::View(&view), 1.0);
+        // One of them leaves the image, one is too small.
+        for (u, v, a, b) in [(66.3, 24.8, 30.0, 12.0), (5.0, 6.0, 20.0, 15.0), (60.2, 20.1, 5.0, 2.4)] {
+            let e = Ellipse { center_px: Pixel::new(u, v), semi_major_px: a, semi_minor_px: b, angle_rad: 0.4 };
+            let mut tracer = Tracer::new(&level);
+            tracer.pass_over(&e);
+            let (frame, mut passed) = (Frame::new(&e), 0);
+            for (u, v) in (0..height).flat_map(|v| (0..width - 1).map(move |u| (u, v))) {
+                let (x, y) = frame.inside(u as f64 + 0.5, v as f64);
+                let within = |d: f64| a + d > 0.0 && b + d > 0.0 && (x / (a + d)).hypot(y / (b + d)) < 1.0;
+                // A crossing lies up to half a pixel from the middle.
+                let (surely, perhaps) = (within(0.65) && !within(-0.65), within(1.9) && !within(-1.9));
+                let fresh = tracer.fresh(u, v);
+                assert!(!(surely && fresh && b > 2.5), "({u}, {v}) beside {a} x {b} px");
+                assert!(fresh || perhaps, "({u}, {v}) far from {a} x {b} px");
+                passed += usize::from(!fresh);
+            }
+            assert_eq!(passed > 20, b > 2.5, "{passed} of {a} x {b} px");
+        }
+    }
 }

@@ -107,7 +107,7 @@ impl Level for Whole {
     fn smooth(&self, u: usize, v: usize) -> f32 {
         f32::from(self.smooth[v * self.width + u]) / self.per_grey
     }
-    #[inline]
+    #[inline(always)]
     fn square(&self, u: usize, v: usize) -> [[f64; 2]; 2] {
         let unit = 1.0 / f64::from(self.per_grey);
         let (top, bottom) = (&self.smooth_row(v)[u..u + 2], &self.smooth_row(v + 1)[u..u + 2]);

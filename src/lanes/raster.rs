@@ -66,6 +66,18 @@ impl<'a, S: Level, const T: usize> Raster<'a, S, T> {
     }
 }
 
+/// Has the line with a sample brought near that is read soon, where there is one; nothing where the processor cannot be asked.
+#[inline(always)]
+pub(crate) fn fetch<S>(samples: &[S], at: usize) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(sample) = samples.get(at) {
+        // SAFETY: every processor of this kind can be asked; nothing is read.
+        unsafe {
+            std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T1 }>(std::ptr::from_ref(sample).cast())
+        };
+    }
+}
+
 impl<S: Level> Raster<'_, S, 8> {
     /// Samples from one row to the next.
     #[inline(always)]
@@ -79,16 +91,10 @@ impl<S: Level> Raster<'_, S, 8> {
         row as usize * self.stride + column as usize
     }
 
-    /// Has a line brought near that is read soon, where there is one; nothing where the processor cannot be asked.
+    /// Has a line brought near, as [`fetch`].
     #[inline(always)]
     pub(crate) fn fetch(&self, start: usize) {
-        #[cfg(target_arch = "x86_64")]
-        if let Some(sample) = self.samples.get(start) {
-            // SAFETY: every processor of this kind can be asked; nothing is read.
-            unsafe {
-                std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T1 }>(std::ptr::from_ref(sample).cast())
-            };
-        }
+        fetch(self.samples, start);
     }
 
     /// As many rows of thirty-two samples from one on; `None` where the image ends before.

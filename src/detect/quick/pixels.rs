@@ -4,8 +4,14 @@ use super::columns::Near;
 use crate::conic::Frame;
 use crate::detect::correlation::Allowance;
 use crate::image::{GrayView, Samples};
-use crate::lanes::{Kernel, Lanes};
+use crate::lanes::{self, Kernel, Lanes};
 use nalgebra::{Matrix3, Vector3};
+use std::ops::{Range, RangeInclusive};
+
+/// What memory hands out at a time, bytes; where it is more some are asked for twice.
+const LINE_BYTES: usize = 64;
+/// Rows whose ends are found side by side.
+const ROWS: usize = 16;
 
 /// A stretch of one row on one side of the edge; places relative to the reference pixel.
 #[derive(Debug, Clone, Copy)]
@@ -98,13 +104,14 @@ pub(super) struct Pixels {
     pub(super) ground: f64,
 }
 
-/// How far from the ellipse which pixels are taken, px; every `thin`-th row only.
+/// How far from the ellipse which pixels are taken, px; every `thin`-th row only. Whether all rows are brought near first.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Rings {
     pub(super) near: f64,
     pub(super) inner: f64,
     pub(super) outer: f64,
     pub(super) thin: usize,
+    pub(super) fetch: bool,
 }
 
 /// Takes the pixels within `near` of the ellipse one by one, those within `inner` and `outer` of it by rows; false near the border.
@@ -134,18 +141,18 @@ impl Cut {
         Self { shear: -m01 / m00, reach2: 1.0 / m00, fall2: ia * ib / (m00 * m00) }
     }
 
-    /// First column and the one behind the last.
+    /// First columns, and those behind the last, of some rows `dv` below the centre. A plain loop, for vectors.
     #[inline(always)]
-    fn span(&self, u0: f64, dv: f64) -> (usize, usize) {
-        let square = self.reach2 - self.fall2 * dv * dv;
-        if !(square >= 0.0) {
-            return (0, 0);
+    fn spans(&self, u0: f64, dv: &[f64; ROWS], out: &mut [[i32; ROWS]; 2]) {
+        let [first, end] = out;
+        for k in 0..ROWS {
+            let square = self.reach2 - self.fall2 * dv[k] * dv[k];
+            let (middle, half) = (u0 + self.shear * dv[k], square.max(0.0).sqrt());
+            let (low, high) = ((middle - half).ceil() as i32, (middle + half).floor() as i32 + 1);
+            let none = !(square >= 0.0);
+            first[k] = if none { 0 } else { low };
+            end[k] = if none { 0 } else { high };
         }
-        let (middle, half) = (u0 + self.shear * dv, square.sqrt());
-        // Columns are not negative; the conversion cuts what follows the point.
-        let (low, high) = (middle - half, middle + half);
-        let first = low as usize;
-        (first + usize::from((first as f64) < low), high as usize + 1)
     }
 }
 
@@ -166,6 +173,15 @@ impl Kernel for Collect<'_> {
         if top <= 0.0 || bottom >= v_last || frame.u0 - half_width <= 0.0 || frame.u0 + half_width >= u_last {
             return false;
         }
+        let rows = top.ceil() as usize..=bottom.floor() as usize;
+        if rings.fetch {
+            let columns = (frame.u0 - half_width) as usize..(frame.u0 + half_width) as usize + 1;
+            match self.view.samples() {
+                Samples::U8(s) => fetch(s, self.view.stride(), rows.clone(), columns),
+                Samples::U16(s) => fetch(s, self.view.stride(), rows.clone(), columns),
+                Samples::F32(s) => fetch(s, self.view.stride(), rows.clone(), columns),
+            }
+        }
         let out = self.out;
         out.near.clear();
         out.runs[0].clear();
@@ -178,22 +194,44 @@ impl Kernel for Collect<'_> {
         let band = Cut::new(frame, frame.a + near, frame.b + near);
         let core = Cut::new(frame, frame.a - near, frame.b - near);
         let hole = Cut::new(frame, frame.a - rings.inner, frame.b - rings.inner);
-        for v in (top.ceil() as usize..=bottom.floor() as usize).step_by(rings.thin) {
-            let dv = v as f64 - frame.v0;
-            let (far, band) = (far.span(frame.u0, dv), band.span(frame.u0, dv));
-            let (core, hole) = (core.span(frame.u0, dv), hole.span(frame.u0, dv));
-            for (from, to) in without(far, band) {
-                out.run(self.view, 1, v, from, to);
+        let (mut v, last) = (*rows.start(), *rows.end());
+        while v <= last {
+            let mut dv = [0.0; ROWS];
+            for k in 0..ROWS {
+                dv[k] = (v + k * rings.thin) as f64 - frame.v0;
             }
-            for (from, to) in without(band, core) {
-                out.take(self.view, frame, v, from, to);
+            let mut spans = [[[0; ROWS]; 2]; 4];
+            for (cut, spans) in [&far, &band, &core, &hole].into_iter().zip(&mut spans) {
+                cut.spans(frame.u0, &dv, spans);
             }
-            for (from, to) in without(core, hole) {
-                out.run(self.view, 0, v, from, to);
+            for k in 0..ROWS.min((last - v) / rings.thin + 1) {
+                let [far, band, core, hole] = spans.each_ref().map(|s| (s[0][k] as usize, s[1][k] as usize));
+                let v = v + k * rings.thin;
+                for (from, to) in without(far, band) {
+                    out.run(self.view, 1, v, from, to);
+                }
+                for (from, to) in without(band, core) {
+                    out.take(self.view, frame, v, from, to);
+                }
+                for (from, to) in without(core, hole) {
+                    out.run(self.view, 0, v, from, to);
+                }
             }
+            v += ROWS * rings.thin;
         }
         out.near.fill_up(frame.a);
         true
+    }
+}
+
+/// Has a rectangle of an image brought near, all rows at once: read one after the other each is waited for.
+#[inline(always)]
+fn fetch<S>(samples: &[S], stride: usize, rows: RangeInclusive<usize>, columns: Range<usize>) {
+    let per_line = LINE_BYTES / size_of::<S>();
+    for v in rows {
+        for u in columns.clone().step_by(per_line).chain([columns.end]) {
+            lanes::fetch(samples, v * stride + u);
+        }
     }
 }
 
@@ -309,7 +347,6 @@ mod tests {
     use super::*;
     use crate::conic::Ellipse;
     use crate::frames::Pixel;
-    use crate::lanes;
 
     /// Sums over rows against sums over single pixels, and each pixel within reach once.
     #[test]
@@ -320,7 +357,7 @@ mod tests {
         let e = Ellipse { center_px: Pixel::new(44.3, 38.8), semi_major_px: 21.0, semi_minor_px: 14.0, angle_rad: 0.6 };
         let frame = Frame::new(&e);
         let mut out = Pixels::default();
-        let rings = Rings { near: 3.0, inner: 8.0, outer: 7.0, thin: 1 };
+        let rings = Rings { near: 3.0, inner: 8.0, outer: 7.0, thin: 1, fetch: true };
         assert!(lanes::run(Collect { view: &view, frame: &frame, rings, out: &mut out }));
         let inside = |d: f64, u: f64, v: f64| {
             let (du, dv) = (u - frame.u0, v - frame.v0);

@@ -6,7 +6,7 @@ use crate::detect::contour::{Contour, NEIGHBOUR};
 use crate::detect::edge_model::EdgeModel;
 use crate::detect::exact::{Exact, Field, Share, State, is_large};
 use crate::detect::light::{Light, Side};
-use crate::detect::quick::Clean;
+use crate::detect::quick::{Clean, contour_of};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::GrayView;
 use nalgebra::SVector;
@@ -25,6 +25,8 @@ const EXPLAINED: f64 = 1.5;
 const MOST_NOISE: f64 = 1.2;
 /// The same of a large disc, whose nodes are there otherwise.
 const WELL_EXPLAINED: f64 = 1.1;
+/// Least part of the semi-minor axis of its line that a disc has where that line tells where it is.
+const LEAST_NEAR: f64 = 0.9;
 /// Longest contour with a field inside, px: its price grows with the area, 0.5 s for discs of 100 px.
 const LONGEST_PX: f64 = 900.0;
 /// Stretches of a quarter of the contour that are left out in turn.
@@ -43,10 +45,14 @@ pub(super) fn clean_disc(
     if start.inner_px < 0.89 * start.ellipse.semi_minor_px {
         return None;
     }
+    let begin = start.traced.then(|| contour_of(&start.ellipse, start.blur_px));
+    let near = begin.filter(|(e, _)| e.semi_minor_px > LEAST_NEAR * start.ellipse.semi_minor_px);
+    let (ellipse, blur_px) = near.unwrap_or((start.ellipse, start.blur_px));
     let mut state = Clean {
-        ellipse: start.ellipse,
-        blur_px: start.blur_px,
-        expected_blur_px: start.blur_px,
+        ellipse,
+        blur_px,
+        expected_blur_px: blur_px,
+        near: near.is_some() && start.clear,
         step: if start.bright { start.contrast } else { -start.contrast },
         slopes: start.slopes,
         variance: [1.0; 2],

@@ -54,7 +54,7 @@ fn sums_over_rows_are_those_over_pixels() {
     for samples in [Samples::U16(&wide), Samples::U8(&narrow), Samples::F32(&floats)] {
         let view = GrayView::new(samples, SIZE, SIZE, SIZE).expect("an image");
         let mut quick = Quick::default();
-        let rings = Rings { near: 3.0, inner: 9.0, outer: 8.0, thin: 1 };
+        let rings = Rings { near: 3.0, inner: 9.0, outer: 8.0, thin: 1, fetch: false };
         assert!(lanes::run(Collect { view: &view, frame: &frame, rings, out: &mut quick.pixels }));
         let pixels = &quick.pixels;
         for side in 0..2 {
@@ -98,6 +98,7 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
         ellipse.semi_minor_px -= 0.2;
         let (blur_px, step) = (0.8, -32_000.0);
         let mut state = Clean {
+            near: false,
             ellipse,
             blur_px,
             expected_blur_px: blur_px,
@@ -115,6 +116,8 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
         assert!(sides.iter().all(|s| s.degree == 2));
 
         let start = Start {
+            traced: false,
+            clear: false,
             ellipse: LARGE,
             blur_px,
             bright: false,

@@ -1,0 +1,131 @@
+//! Where a disc is whose line is known, in pixels of the level where that was followed.
+//!
+//! The line is the zero of the field, the difference of the image under two blurs ([`crate::detect::plane`]). Where the contour bends, each blur shows its
+//! edge further inside, and their difference vanishes outside of it:
+//!
+//! ```text
+//! P(d) = Phi(-(d + k t^2 / 2) / t)                 the edge under a blur t, d px outside of a contour of curvature k
+//! d    = k t1 t2 / 2                               where P is the same for t1 and t2
+//! m    = d + k t1^2 / 2                            from the middle of the edge under t1 to the line
+//! t    = C / ((2 pi)^(1/2) g)                      the blur that gradient and step across the line show
+//! g = (E((m + e) / t3) - E((m - e) / t3)) / (2 e),  C = E((m + f) / t3) - E((m - f) / t3)
+//! E(x) = Phi(x) - c / (24 t3^4) (x^3 - 3 x) phi(x) the step under the binomial, which is flatter than a Gaussian (Edgeworth)
+//! ```
+//!
+//! The mean over nine pixels is taken for a Gaussian of its variance, as are the weights of four pixels that give a grey level between them.
+//!
+//! | symbol | identifier | unit | meaning |
+//! |---|---|---|---|
+//! | t1, t2, t3 | `smooth`, `wide`, `looked_at` | px | blur of the smoothed image, of its local mean, of grey levels between its pixels |
+//! | t | `shown` | px | what [`crate::detect::candidate`] makes of it, with the variance of the binomial |
+//! | k | `curvature` | 1/px | of the contour at the end of an axis |
+//! | c | `BINOMIAL_PX4` | px^4 | fourth cumulant |
+//! | e, f | `LOOK_PX` | px | how far from the line its edge is looked at |
+
+use crate::conic::Ellipse;
+use crate::detect::candidate::LOOK_PX;
+use crate::detect::edge_model::LEAST_BLUR_PX;
+use crate::detect::sectors::normal_tails;
+
+/// Variance of the binomial, of a mean over nine, and of the weights of the pixels around a place 0.75 px beside a line, along the normal, on the
+/// average of all directions, px^2.
+const BINOMIAL_PX2: f64 = 1.0;
+const NINE_PX2: f64 = 80.0 / 12.0;
+const BETWEEN_PX2: f64 = 0.186;
+/// Fourth cumulant of the binomial, -1/2 along a row, on the average of all directions, px^4.
+const BINOMIAL_PX4: f64 = -0.375;
+/// Rounds for the blur, whose place and size hang on each other.
+const ROUNDS: usize = 3;
+
+/// Ellipse and blur from those that the line shows.
+pub(crate) fn contour_of(line: &Ellipse, shown_blur_px: f64) -> (Ellipse, f64) {
+    let (a, b) = (line.semi_major_px, line.semi_minor_px);
+    let ends = [a / (b * b), b / (a * a)];
+    let mean = 0.5 * (ends[0] + ends[1]);
+    let shown = (shown_blur_px * shown_blur_px + BINOMIAL_PX2).sqrt();
+    let (mut smooth, mut wide) = (shown, shown);
+    for _ in 0..ROUNDS {
+        wide = (smooth * smooth + NINE_PX2).sqrt();
+        let looked_at = (smooth * smooth + BETWEEN_PX2).sqrt();
+        let found = looked_at * shown / shown_of(looked_at, 0.5 * mean * smooth * (smooth + wide));
+        smooth = (found * found - BETWEEN_PX2).max(BINOMIAL_PX2).sqrt();
+    }
+    let [semi_major_px, semi_minor_px] = [(a, ends[0]), (b, ends[1])].map(|(x, k)| x - 0.5 * k * smooth * wide);
+    let blur_px = (smooth * smooth - BINOMIAL_PX2).sqrt().max(LEAST_BLUR_PX);
+    (Ellipse { semi_major_px, semi_minor_px, ..*line }, blur_px)
+}
+
+/// The blur that a line shows whose edge has its middle so far inside.
+fn shown_of(looked_at: f64, middle: f64) -> f64 {
+    let [near, far] = LOOK_PX;
+    let (mut tail, mut density) = ([0.0; 4], [0.0; 4]);
+    let at = [near - middle, near + middle, far - middle, far + middle].map(|x| x / looked_at);
+    normal_tails(&at, &mut tail, &mut density);
+    let flat = BINOMIAL_PX4 / (24.0 * looked_at.powi(4));
+    let up_to = |i: usize| 0.5 - tail[i] - flat * density[i] * at[i] * (at[i] * at[i] - 3.0);
+    let [gradient, step] = [(up_to(0) + up_to(1)) / (2.0 * near), up_to(2) + up_to(3)];
+    step / (std::f64::consts::TAU.sqrt() * gradient)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detect::candidate::Candidate;
+    use crate::detect::find::candidates_of;
+    use crate::frames::Pixel;
+    use crate::image::{GrayView, Samples};
+
+    const SIZE: usize = 90;
+
+    /// An image of one disc under a Gaussian blur; the shift of its edge is that of the profile for a curved contour.
+    fn image(e: &Ellipse, blur_px: f64) -> Vec<f32> {
+        let frame = crate::conic::Frame::new(e);
+        let grey = |u: usize, v: usize| {
+            let foot = frame.feet(&[frame.inside(u as f64, v as f64).0], &[frame.inside(u as f64, v as f64).1]);
+            let curvature = foot.curvature[0];
+            let (mut tail, mut density) = ([0.0], [0.0]);
+            normal_tails(&[foot.distance[0] / blur_px + 0.5 * curvature * blur_px], &mut tail, &mut density);
+            (50.0 + 100.0 * tail[0]) as f32
+        };
+        (0..SIZE * SIZE).map(|i| grey(i % SIZE, i / SIZE)).collect()
+    }
+
+    /// Discs of all sizes and blurs that go the short way, at several places within the pixel: within the change that ends its rounds.
+    #[test]
+    fn lines_tell_where_discs_are() {
+        for (a, b, blur_px) in [
+            (8.0, 7.0, 0.7),
+            (13.0, 11.0, 0.7),
+            (13.0, 11.0, 1.0),
+            (13.0, 11.0, 1.4),
+            (20.0, 12.0, 1.0),
+            (22.0, 20.0, 1.0),
+        ] {
+            let mut off = [0.0_f64; 6];
+            let count = 8;
+            for k in 0..count {
+                let center_px = Pixel::new(45.0 + 0.13 * f64::from(k), 44.6 + 0.29 * f64::from(k));
+                let truth =
+                    Ellipse { center_px, semi_major_px: a, semi_minor_px: b, angle_rad: 0.2 + 0.3 * f64::from(k) };
+                let grey = image(&truth, blur_px);
+                let view = GrayView::new(Samples::F32(&grey), SIZE, SIZE, SIZE).unwrap_or_else(|e| unreachable!("{e}"));
+                let all: Vec<Candidate> = candidates_of(&view);
+                assert_eq!(all.len(), 1, "{a} x {b} px");
+                let (found, blur) = contour_of(&all[0].ellipse, all[0].blur_px);
+                let now = [
+                    found.center_px.u_px - center_px.u_px,
+                    found.center_px.v_px - center_px.v_px,
+                    found.semi_major_px - a,
+                    found.semi_minor_px - b,
+                    blur - blur_px,
+                    all[0].ellipse.semi_major_px - a,
+                ];
+                (0..6).for_each(|i| off[i] += now[i] / f64::from(count));
+            }
+            let [u, v, a_px, b_px, blur, before] = off;
+            assert!(before > 0.1, "the line of {a} x {b} px: {before}");
+            assert!(u.abs() < 0.005 && v.abs() < 0.005, "{a} x {b} px: {off:?}");
+            assert!(a_px.abs() < 0.035 && b_px.abs() < 0.035 && blur.abs() < 0.05, "{a} x {b} px: {off:?}");
+        }
+    }
+}
