@@ -106,7 +106,6 @@ fn refine_all<'a>(
     options: &DetectOptions,
 ) -> Vec<(&'a Candidate, std::result::Result<Disc, RejectionReason>)> {
     let around = surroundings(candidates);
-    let light = SharedLight::of(view, candidates);
     let wanted: Vec<_> = candidates.iter().zip(&around).filter(|(c, _)| wanted(c.bright, options.polarity)).collect();
     let all: Vec<&Candidate> = wanted.iter().map(|w| w.0).collect();
     let in_smoke = wisps(&all);
@@ -114,7 +113,10 @@ fn refine_all<'a>(
     let few = |count: usize| count <= MOST_SMOKY;
     // Beside a wisp there is smoke, which must not pass for noise.
     let smoke = few(discs.len());
-    let noise = NoiseCorrelation::of(view, &all, if smoke { &discs } else { &all }, !smoke);
+    let (light, noise) = threads::both(
+        || SharedLight::of(view, candidates),
+        || NoiseCorrelation::of(view, &all, if smoke { &discs } else { &all }, !smoke),
+    );
     let memory = OwnMemory::<Scratch>::new();
     let one = |((candidate, around), wisp): &((&'a Candidate, &Surroundings), bool)| {
         let start = Start {
