@@ -229,8 +229,6 @@ impl Condition {
         let light = self.light_columns();
         // The smoke modulates the step, a spot hides another stretch of the contour: the bound is another in each scene.
         let bounds = match self.light {
-            // Of large discs it takes as long as the fit.
-            Light::Smoke | Light::Haze if self.semi_minor_px > 10.0 => scenes.min(12),
             Light::Smoke | Light::Haze => scenes,
             Light::Glare => scenes.min(20),
             _ => 1,
