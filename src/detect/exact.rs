@@ -42,7 +42,7 @@ use crate::detect::band::{Band, LANES, Reach};
 use crate::detect::contour::Contour;
 use crate::detect::correlation::Allowance;
 use crate::detect::dense::{Dense, FIXED};
-use crate::detect::edge_model::PRIOR_BLUR_PX;
+use crate::detect::edge_model::{LEAST_BLUR_PX, PRIOR_BLUR_PX};
 use crate::detect::light::Side;
 use crate::detect::profile::{Lanes, Profile, Profiled};
 use crate::detect::refine::{Start, reach_px};
@@ -540,7 +540,7 @@ impl Exact {
             let mut q = to_regular(&state.ellipse);
             (0..5).for_each(|i| q[i] += factor * change[1 + i]);
             state.ellipse = from_regular(&q)?;
-            state.blur_px = (state.blur_px + factor * change[0]).max(0.15);
+            state.blur_px = (state.blur_px + factor * change[0]).max(LEAST_BLUR_PX);
         }
         self.shares(state, contour.len());
         Some(kept)

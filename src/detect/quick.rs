@@ -4,7 +4,8 @@
 //! Pixels near the edge are worked on sixteen at a time; those further away see one side only, and rows of them
 //! are summed up as they are. One set of sums serves every question about the light: a slope that is not asked for is held at what other discs tell
 //! ([`crate::detect::shared_light`]).
-//! The first round, whose result is only a better start, takes every second to fourth row.
+//! The first round, whose result is only a better start, takes every second to fourth row; where noise hardly moves the line that was followed, what it
+//! tells of the contour (`start`) is start enough, and one round does.
 //! The fit ends in questions about what is left: sectors that disagree, rows whose mean is off, residuals beyond the noise. Any yes, and
 //! the disc goes the longer way through [`crate::detect::sectors`], so that what is lost here is time only.
 //!
@@ -197,7 +198,7 @@ impl Quick {
         None
     }
 
-    /// Collects the pixels around the ellipse, for a start fewer rows of them; none where there is not room enough.
+    /// Collects the pixels around the ellipse, at first having them brought near, for a start fewer rows of them; none where there is not room enough.
     fn collect(&mut self, view: &GrayView, state: &Clean, outer_px: f64, (first, start): (bool, bool)) -> Option<()> {
         let e = &state.ellipse;
         let reach = reach_px(state.blur_px);
