@@ -15,7 +15,7 @@ fn processor_seconds() -> Option<f64> {
 }
 
 /// Mean seconds of at least `rounds` calls and a quarter of a second, and what the last one gave: processor time of the one thread, or what
-/// the clock on the wall says of several.
+/// the clock on the wall says of several. The clock is read between ever longer runs of calls: to read it takes some microseconds.
 pub fn timed_calls<T>(rounds: usize, threads: usize, mut call: impl FnMut() -> T) -> (f64, T) {
     let begin = Instant::now();
     let now = || match processor_seconds() {
@@ -23,12 +23,19 @@ pub fn timed_calls<T>(rounds: usize, threads: usize, mut call: impl FnMut() -> T
         _ => begin.elapsed().as_secs_f64(),
     };
     let mut last = call();
-    let (start, mut calls) = (now(), 0);
-    while calls < rounds || now() - start < 0.25 {
-        last = black_box(call());
-        calls += 1;
+    let (start, mut calls, mut run) = (now(), 0, rounds.max(1));
+    loop {
+        for _ in 0..run {
+            last = black_box(call());
+        }
+        calls += run;
+        let seconds = now() - start;
+        if seconds >= 0.25 {
+            return (seconds / calls as f64, last);
+        }
+        // A quarter of all calls so far, so that the end is not overrun by much.
+        run = calls.div_ceil(4);
     }
-    ((now() - start) / calls as f64, last)
 }
 
 /// Prints observations, seconds of an adjustment, cost, decrement, number of linearisations; seconds of the covariance
