@@ -121,7 +121,7 @@ impl Kernel for Cost<'_> {
             let first = rows.grow(n);
             let scale = image.observations.sigma_scale;
             rows.distances(first, (0, None), &camera, &image.circle(seen.disc), (seen, scale))?;
-            rows.whiten(first, seen, 1);
+            rows.whiten::<L>(first, seen, 1);
             rho += rows.weigh(first, n, 1, loss);
         }
         rho.is_finite().then_some(0.5 * rho)
@@ -148,7 +148,7 @@ impl Kernel for Normal<'_> {
             let n = seen.edge.u_px.len();
             let first = rows.grow(n);
             rows.fill(first, (columns, None), &camera, (image, seen))?;
-            rows.whiten(first, seen, used);
+            rows.whiten::<L>(first, seen, used);
             rho += rows.weigh(first, n, used, image.model.loss);
             if estimated {
                 rows.multiply::<L>();
@@ -231,7 +231,7 @@ impl Kernel for Bend<'_> {
             rows.fill(first, (columns, Some(r + 3)), &camera, (here, seen))?;
             rows.distances(first, (r + 1, Some(r + 3)), &before, &self.seen[0].circle(seen.disc), (seen, scale))?;
             rows.distances(first, (r + 2, Some(r + 3)), &behind, &self.seen[2].circle(seen.disc), (seen, scale))?;
-            rows.whiten(first, seen, r + 3);
+            rows.whiten::<L>(first, seen, r + 3);
             let own = bent(&mut rows, n, columns, self.h, here.model.loss);
             for (m, &k) in columns.list().iter().enumerate().filter(|(_, k)| **k != RADIUS) {
                 self.local[k] += own[m];

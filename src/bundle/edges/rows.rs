@@ -1,13 +1,14 @@
 //! Rows of edge points as they are collected, whitened, weighted and multiplied out; see [`super`].
 
 use super::feet::{LaneCircle, dot, feet, feet_from, filled, padded};
-use super::{COLUMNS, Columns, Scratch};
+use super::{COLLECTED, COLUMNS, Columns, Scratch};
 use crate::bundle::assemble::{SPACE, SeenImage};
 use crate::bundle::contour::SeenCircle;
 use crate::bundle::model::{DiscObservation, Loss};
 use crate::camera::{INTRINSICS, LaneCamera};
 use crate::lanes::{self, GROUP, Lanes, splats};
 use nalgebra::Vector3;
+use std::ops::Range;
 
 /// Columns of a tile.
 const TILE: usize = 4;
@@ -31,10 +32,11 @@ impl<'a> Rows<'a> {
         Self { scratch, width, used: width, len: 0 }
     }
 
-    /// Columns for products, whose running sums begin at zero. Tiles may read past the columns in use, but nothing becomes of it.
+    /// Columns for products, whose running sums begin at zero. Tiles may read past the columns in use, but nothing becomes of it. An odd number:
+    /// groups that lie a power of two apart take each other's lines of the cache.
     #[inline(always)]
     pub(in crate::bundle) fn for_products(scratch: &'a mut Scratch, used: usize) -> Self {
-        let mut out = Self::new(scratch, used.next_multiple_of(TILE));
+        let mut out = Self::new(scratch, used.next_multiple_of(TILE) + 1);
         out.used = used;
         out.clear();
         out
@@ -141,24 +143,75 @@ impl<'a> Rows<'a> {
         Some(())
     }
 
-    /// Takes out what the points of a contour have in common, in the first `used` columns.
+    /// Takes out what the points of a contour have in common, in the first `used` columns: a few columns at a time, which stay in the first-level
+    /// cache for all that there is to take out.
     #[inline(always)]
-    pub(super) fn whiten(&mut self, first: usize, seen: &DiscObservation, used: usize) {
+    pub(super) fn whiten<L: Lanes>(&mut self, first: usize, seen: &DiscObservation, used: usize) {
+        let whole = used / TILE * TILE;
+        for column in (0..whole).step_by(TILE) {
+            self.whiten_some::<L, TILE>((first, column), seen);
+        }
+        for column in whole..used {
+            self.whiten_some::<L, 1>((first, column), seen);
+        }
+    }
+
+    /// The same of `C` columns. One part is taken out while the next is summed up.
+    #[inline(always)]
+    fn whiten_some<L: Lanes, const C: usize>(&mut self, at: (usize, usize), seen: &DiscObservation) {
+        let mut before: Option<(&[[f64; GROUP]], [f64; C])> = None;
         for (basis, shrink) in seen.common.columns().chain(seen.outline.columns()) {
-            let (groups, _) = basis.as_chunks::<GROUP>();
-            for column in 0..used {
-                let mut sums = [0.0; GROUP];
-                for (i, u) in groups.iter().enumerate() {
-                    let row = self.group(first + GROUP * i, column);
-                    (0..GROUP).for_each(|l| sums[l] += u[l] * row[l]);
+            let (basis, _) = basis.as_chunks::<GROUP>();
+            let sums = self.take_and_sum::<L, C>(at, before, Some(basis));
+            let mut parts = [0.0; C];
+            for c in 0..C {
+                parts[c] = shrink * lanes::sum(&sums[c]);
+            }
+            before = Some((basis, parts));
+        }
+        if before.is_some() {
+            self.take_and_sum::<L, C>(at, before, None);
+        }
+    }
+
+    /// Takes a list of numbers, one per point, times a part of each from `C` columns, and returns the sums of these columns times another list.
+    #[inline(always)]
+    fn take_and_sum<L: Lanes, const C: usize>(
+        &mut self,
+        (first, column): (usize, usize),
+        taken: Option<(&[[f64; GROUP]], [f64; C])>,
+        summed: Option<&[[f64; GROUP]]>,
+    ) -> [[f64; GROUP]; C] {
+        let (stride, mut out) = (self.width * GROUP, [[0.0; GROUP]; C]);
+        let from = first / GROUP * stride + column * GROUP;
+        let count = taken.map(|t| t.0).into_iter().chain(summed).map(<[_]>::len).min().unwrap_or(0);
+        for lane in (0..GROUP).step_by(L::N) {
+            let mut sums = [L::splat(0.0); C];
+            for i in 0..count {
+                let group = &mut self.scratch.rows[from + i * stride..][..C * GROUP];
+                let mut row = [L::splat(0.0); C];
+                for c in 0..C {
+                    row[c] = L::load(&group[c * GROUP + lane..]);
                 }
-                let part = shrink * lanes::sum(&sums);
-                for (i, u) in groups.iter().enumerate() {
-                    let row = self.group(first + GROUP * i, column);
-                    (0..GROUP).for_each(|l| row[l] -= u[l] * part);
+                if let Some((basis, parts)) = &taken {
+                    let u = L::load(&basis[i][lane..]);
+                    for c in 0..C {
+                        row[c] = row[c] - u * L::splat(parts[c]);
+                        row[c].store(&mut group[c * GROUP + lane..]);
+                    }
+                }
+                if let Some(basis) = summed {
+                    let u = L::load(&basis[i][lane..]);
+                    for c in 0..C {
+                        sums[c] = sums[c] + u * row[c];
+                    }
                 }
             }
+            for c in 0..C {
+                sums[c].store(&mut out[c][lane..]);
+            }
         }
+        out
     }
 
     /// Sum of the loss over a contour with whitened distances in column `used - 1`; rows and distances are multiplied by the root of
@@ -186,55 +239,57 @@ impl<'a> Rows<'a> {
         lanes::sum(&sums)
     }
 
-    /// Multiplies what has been collected into the running sums and forgets it.
+    /// Multiplies what has been collected into the running sums and forgets it. Long contours go in pieces that stay near.
     #[inline(always)]
     pub(in crate::bundle) fn multiply<L: Lanes>(&mut self) {
-        if L::N == GROUP {
-            self.strips::<L, 4>();
-        } else {
-            self.strips::<L, 2>();
+        for from in (0..self.len).step_by(COLLECTED) {
+            let piece = from * self.width..(from + COLLECTED).min(self.len) * self.width;
+            if L::N == GROUP {
+                self.strips::<L, 4>(&piece);
+            } else {
+                self.strips::<L, 2>(&piece);
+            }
         }
         self.len = 0;
     }
 
     /// Strips of `A` rows of the lower triangle, the last one of fewer.
     #[inline(always)]
-    fn strips<L: Lanes, const A: usize>(&mut self) {
+    fn strips<L: Lanes, const A: usize>(&mut self, piece: &Range<usize>) {
         let whole = self.used / A * A;
         for i in (0..whole).step_by(A) {
-            self.strip::<L, A>(i);
+            self.strip::<L, A>(i, piece);
         }
         match self.used - whole {
-            1 => self.strip::<L, 1>(whole),
-            2 => self.strip::<L, 2>(whole),
-            3 => self.strip::<L, 3>(whole),
+            1 => self.strip::<L, 1>(whole, piece),
+            2 => self.strip::<L, 2>(whole, piece),
+            3 => self.strip::<L, 3>(whole, piece),
             _ => {}
         }
     }
 
     /// Rows `i` to `i + A`: whole tiles as long as they lie left of the diagonal, then what is left of the one that it crosses.
     #[inline(always)]
-    fn strip<L: Lanes, const A: usize>(&mut self, i: usize) {
+    fn strip<L: Lanes, const A: usize>(&mut self, i: usize, piece: &Range<usize>) {
         let mut j = 0;
         while j + TILE <= i + 1 {
-            self.tile::<L, A, TILE>(i, j);
+            self.tile::<L, A, TILE>((i, j), piece);
             j += TILE;
         }
         match i - j {
-            0 => self.tile::<L, A, 0>(i, j),
-            2 => self.tile::<L, A, 2>(i, j),
+            0 => self.tile::<L, A, 0>((i, j), piece),
+            2 => self.tile::<L, A, 2>((i, j), piece),
             _ => {}
         }
     }
 
     /// `A` x 4 products, which stay in registers over all points; row a of them up to column `D + a`.
     #[inline(always)]
-    fn tile<L: Lanes, const A: usize, const D: usize>(&mut self, i: usize, j: usize) {
+    fn tile<L: Lanes, const A: usize, const D: usize>(&mut self, (i, j): (usize, usize), piece: &Range<usize>) {
         let width = self.width;
-        let rows = &self.scratch.rows[..self.len * width];
         for part in (0..GROUP).step_by(L::N) {
             let mut tile = [[L::splat(0.0); TILE]; A];
-            for group in rows.chunks_exact(width * GROUP) {
+            for group in self.scratch.rows[piece.clone()].chunks_exact(width * GROUP) {
                 let (left, right) = (&group[i * GROUP..(i + A) * GROUP], &group[j * GROUP..(j + TILE) * GROUP]);
                 let mut columns = [L::splat(0.0); TILE];
                 for b in 0..TILE {
