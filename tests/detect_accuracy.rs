@@ -113,6 +113,21 @@ fn the_table_of_conditions_in_short() {
     }
 }
 
+/// A spot of glare on the contour of a small disc: waves explain it too, where half the disc is bent for them and the noise inside is ten times that
+/// of the ground. One image of these scenes in eight was off by half a pixel, 30 to 60 times the bound; it had been so in one scene of a hundred.
+#[test]
+fn glare_on_a_small_disc_does_not_pass_for_smoke() {
+    let light = Light::Glare;
+    for seed in [823, 850, 917] {
+        let c = Condition { semi_minor_px: 4.0, ratio: 1.2, blur_px: 0.8, light, bits: 8, noise: 0.015, bright: false };
+        let row = c.run(1, 8, seed);
+        println!("seed {seed}: ratio {:.2?} z^2 {:.2}", row.ratio, row.z2);
+        assert_eq!(row.found, 8);
+        // Of 32 errors the root mean square is known to 13 %.
+        assert!(row.overall() < 1.25 + 3.5 * 0.13, "seed {seed}: {} times the bound", row.overall());
+    }
+}
+
 /// The smallest discs full of smoke, of which a few dozen pixels say what the light is like and where the edge is: each is fitted with smoke;
 /// taken for noise or for something hidden, it would be off by up to ten times the bound.
 #[test]

@@ -52,7 +52,7 @@ use crate::detect::surface::{At, on_contour};
 use crate::image::GrayView;
 use crate::lanes;
 use field::{MOST_LOUD, PRIOR_PIXELS, Verdict};
-use hidden::Hidden;
+pub(crate) use hidden::Hidden;
 use left::Within;
 use nalgebra::{SMatrix, SVector};
 use products::{CHUNK, Products};
@@ -398,6 +398,16 @@ impl Exact {
     /// Forgets the pixels that were hidden on the disc before.
     pub(crate) fn uncovered(&mut self) {
         self.hidden.clear();
+    }
+
+    /// The pixels that are left out.
+    pub(crate) fn hidden(&self) -> &Hidden {
+        &self.hidden
+    }
+
+    /// Leaves these pixels out from now on.
+    pub(crate) fn hide(&mut self, hidden: Hidden) {
+        self.hidden = hidden;
     }
 
     /// Fits with noise and light as the image asks: the poorest polynomials that explain it, or a field where `state` asks for one.

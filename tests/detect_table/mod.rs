@@ -229,8 +229,7 @@ impl Condition {
         let light = self.light_columns();
         // The smoke modulates the step, a spot hides another stretch of the contour: the bound is another in each scene.
         let bounds = match self.light {
-            Light::Smoke | Light::Haze => scenes,
-            Light::Glare => scenes.min(20),
+            Light::Smoke | Light::Haze | Light::Glare => scenes,
             _ => 1,
         };
         for scene in 0..scenes {

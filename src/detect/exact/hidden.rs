@@ -3,8 +3,9 @@
 //! A pixel is *odd* where its residual, alone or averaged with its eight neighbours, is `ODD` times what is usual. Glare has
 //! skirts that no single pixel betrays, yet together they drag the edge along. So odd pixels that lie together grow by rings: a
 //! ring is hidden where its mean residual, or what is to be expected of it were the excess to go on falling from ring to ring as it
-//! did before, exceeds `FELT` of the noise. The first ring, the pixels side by side with the spot, is always hidden. Skirts fall at least
-//! exponentially, so the expectation is on the safe side.
+//! did before, exceeds `FELT` of the noise. The first ring, the pixels in the spot's corners or else those side by side with it, is always hidden.
+//! Skirts fall at least exponentially, so the expectation is on the safe side; they do not rise outwards, so a ring of few pixels that is
+//! brighter by chance than those before it is taken together with them.
 //!
 //! Light that exceeds the model by `e` on both sides of an edge blurred by `s` shifts it by `sum e h / sum h^2`, `h = E phi(d / s) / s`:
 //!
@@ -39,6 +40,8 @@ const SHORT_PX: f64 = 60.0;
 const MOST_SKIRT_PX: i64 = 40;
 /// Width of a ring, px: pixels side by side are in another than those corner to corner.
 const RING_PX: f64 = 0.4;
+/// Ring of the pixels in the corners of a spot; no other lies so near.
+const CORNERS: usize = 1;
 const MOST_RINGS: usize = (MOST_SKIRT_PX as f64 / RING_PX) as usize;
 /// Rings that are looked at together on long contours.
 const TOGETHER: usize = 5;
@@ -102,7 +105,7 @@ impl<T: Copy> Grid<T> {
 
 /// The hidden pixels around one disc.
 #[derive(Debug, Default, Clone, PartialEq)]
-pub(super) struct Hidden {
+pub(crate) struct Hidden {
     at: Grid<bool>,
     /// Share of the pixels on the side of the edge that has more of them.
     share: f64,
@@ -277,7 +280,7 @@ fn spots(odd: &Grid<bool>) -> Vec<Vec<usize>> {
     all
 }
 
-/// Rings around a spot, its own rim first, and the sign of what it adds.
+/// Rings around a spot, its own rim first, and the sign of what it adds. A corner, a pixel with two of the rim side by side, is nearer than others.
 fn rings(left: &Grid<f64>, spot: &[usize]) -> (Vec<Vec<usize>>, f64) {
     let sign = spot.iter().map(|p| left.at[*p]).sum::<f64>().signum();
     let mut own = left.like(false);
@@ -287,8 +290,10 @@ fn rings(left: &Grid<f64>, spot: &[usize]) -> (Vec<Vec<usize>>, f64) {
     let mut rings: Vec<Vec<usize>> = vec![vec![]; MOST_RINGS + 1];
     for q in left.about(&rim, MOST_SKIRT_PX).filter(|q| !own.at[*q] && !left.at[*q].is_nan()) {
         let (u, v) = left.column_and_row(q);
-        let nearest = rim_at.iter().map(|(i, j)| (u - i).pow(2) + (v - j).pow(2)).min().unwrap_or(i64::MAX);
-        let ring = ((nearest as f64).sqrt() / RING_PX) as usize;
+        let squares = rim_at.iter().map(|(i, j)| (u - i).pow(2) + (v - j).pow(2));
+        let nearest = squares.clone().min().unwrap_or(i64::MAX);
+        let corner = nearest == 1 && squares.filter(|d| *d == 1).count() > 1;
+        let ring = if corner { CORNERS } else { ((nearest as f64).sqrt() / RING_PX) as usize };
         if ring <= MOST_RINGS {
             rings[ring].push(q);
         }
@@ -299,15 +304,27 @@ fn rings(left: &Grid<f64>, spot: &[usize]) -> (Vec<Vec<usize>>, f64) {
 
 /// The last ring in which a spot is felt; residuals times `scale` are in units of the noise, positive in the spot.
 fn felt(left: &Grid<f64>, rings: &[Vec<usize>], scale: f64) -> usize {
-    let excess = |ring: &[usize]| scale * ring.iter().map(|p| left.at[*p]).sum::<f64>() / ring.len().max(1) as f64;
-    let (mut before, mut last, mut end) = (f64::INFINITY, excess(&rings[0]), 0);
+    let sum = |ring: &[usize]| (scale * ring.iter().map(|p| left.at[*p]).sum::<f64>(), ring.len() as f64);
+    let excess = |(sum, count): (f64, f64)| sum / f64::max(count, 1.0);
+    // Rings, those together that would rise.
+    let (mut falling, mut end) = (vec![sum(&rings[0])], 0);
     for (i, ring) in rings.iter().enumerate().skip(1).filter(|(_, r)| !r.is_empty()) {
-        let now = excess(ring);
-        let expected = last * (last / before).clamp(0.0, 1.0);
+        let expected = match falling[..] {
+            [.., before, last] => excess(last).max(0.0) * (excess(last) / excess(before)).clamp(0.0, 1.0),
+            _ => 0.0,
+        };
+        falling.push(sum(ring));
+        while let [.., a, b] = falling[..]
+            && excess(b) > excess(a)
+        {
+            falling.truncate(falling.len() - 2);
+            falling.push((a.0 + b.0, a.1 + b.1));
+        }
+        let now = falling.last().map_or(0.0, |x| excess(*x));
         if end > 0 && now.max(expected) < FELT {
             break;
         }
-        (before, last, end) = (last, now.max(0.0), i);
+        end = i;
     }
     end
 }
@@ -329,4 +346,59 @@ fn felt_on_either_side(
         end += 1;
     }
     end
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Residuals of 21 x 21 pixels.
+    fn grid(of: impl Fn(i64, i64) -> f64) -> Grid<f64> {
+        let at = (0..21 * 21).map(|p| of(p % 21 - 10, p / 21 - 10)).collect();
+        Grid { u0: 0, v0: 0, width: 21, height: 21, at }
+    }
+
+    fn place(u: i64, v: i64) -> usize {
+        ((v + 10) * 21 + u + 10) as usize
+    }
+
+    #[test]
+    fn corners_of_a_spot_are_the_first_ring() {
+        let left = grid(|u, v| if u.abs() + v.abs() < 2 { -30.0 } else { 0.0 });
+        let spot: Vec<usize> = (0..left.at.len()).filter(|p| left.at[*p] < 0.0).collect();
+        let (rings, sign) = rings(&left, &spot);
+        assert_eq!(sign, -1.0);
+        assert_eq!(rings[0].len(), 5);
+        let mut corners = rings[CORNERS].clone();
+        corners.sort_unstable();
+        assert_eq!(corners, [place(-1, -1), place(1, -1), place(-1, 1), place(1, 1)]);
+        // Ends of the arms, at one pixel; then those corner to corner.
+        assert_eq!(rings[2].len(), 4);
+        assert_eq!(rings[3].len(), 8);
+        assert_eq!(rings.iter().map(Vec::len).sum::<usize>(), 21 * 21);
+    }
+
+    /// Means of rings of so many pixels.
+    fn end_of(means: &[(f64, usize)]) -> usize {
+        let (mut at, mut rings) = (vec![], vec![]);
+        for (mean, count) in means {
+            rings.push((at.len()..at.len() + count).collect());
+            at.extend(std::iter::repeat_n(*mean, *count));
+        }
+        let left = Grid { u0: 0, v0: 0, width: at.len() as i64, height: 1, at };
+        felt(&left, &rings, 1.0)
+    }
+
+    #[test]
+    fn rings_end_where_nothing_is_felt_and_chance_does_not_make_them_go_on() {
+        // The first is hidden whatever it shows.
+        assert_eq!(end_of(&[(40.0, 4), (0.1, 8), (0.0, 4), (0.0, 16)]), 1);
+        // Skirts that are seen.
+        assert_eq!(end_of(&[(40.0, 4), (9.0, 8), (1.5, 12), (0.1, 16)]), 2);
+        // They fall by half from ring to ring: the one that shows nothing by chance is expected to go on, at 0.5.
+        assert_eq!(end_of(&[(8.0, 4), (4.0, 8), (2.0, 12), (1.0, 16), (0.1, 20), (0.0, 24)]), 4);
+        // Four pixels that are bright by chance behind eight that are not: one standard deviation.
+        assert_eq!(end_of(&[(40.0, 4), (0.0, 8), (0.5, 4), (-0.4, 16), (0.0, 20)]), 1);
+        assert_eq!(end_of(&[(40.0, 4), (0.1, 8), (1.1, 4), (-0.4, 16), (0.0, 20)]), 2);
+    }
 }

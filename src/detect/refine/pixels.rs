@@ -4,7 +4,7 @@ use super::{Found, Scratch, Start, accept, border_px, check_size, median, quanti
 use crate::conic::{Ellipse, Frame, from_regular, to_regular};
 use crate::detect::contour::{Contour, NEIGHBOUR};
 use crate::detect::edge_model::EdgeModel;
-use crate::detect::exact::{Exact, Field, Share, State, is_large};
+use crate::detect::exact::{Exact, Field, Hidden, Share, State, is_large};
 use crate::detect::light::{Light, Side};
 use crate::detect::quick::{Clean, contour_of};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
@@ -168,16 +168,17 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
     let smoky = nodes || looks_smoky(&state, &s.exact, large);
     let explained = large || s.exact.misfit() < UNEXPLAINED;
-    let mut clear = false;
+    let (mut clear, mut doubtful) = (false, None);
     if start.smoke && !(nodes && large) {
         // What is hidden is asked for before smoke.
-        let mut found = uncover(view, &state, &kept, start, floor, smoky, s);
+        let mut found = uncover(view, &state, &kept, start, floor, s);
+        doubtful = found.take_if(|x| !x.believed(smoky));
         if found.is_none() && !explained {
             found = leave_a_stretch(view, &before, start, (&keep, floor), s);
         }
         clear = found.is_some();
         match found {
-            Some(found) => (state, kept) = found,
+            Some(found) => (state, kept) = (found.state, found.kept),
             None => {
                 s.exact.uncovered();
                 kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
@@ -188,14 +189,14 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
         if large && !nodes {
             return Some(Exactly::Smoke);
         }
-        match fit_smoke(view, &before, &state, start, (&keep, floor), s)? {
-            Some(smoky) => (state, kept) = smoky,
+        match smoke_or_hidden(view, [&before, &state], doubtful, start, (&keep, floor), s)? {
+            Some(found) => (state, kept) = found,
             None if nodes => return None,
             None => {
                 kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
                 // No smoke: then rather more hidden than none.
-                match uncover(view, &state, &kept, start, floor, false, s) {
-                    Some(found) => (state, kept) = found,
+                match uncover(view, &state, &kept, start, floor, s).filter(|x| x.believed(false)) {
+                    Some(found) => (state, kept) = (found.state, found.kept),
                     None => {
                         s.exact.uncovered();
                         kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
@@ -220,22 +221,65 @@ fn looks_smoky(state: &State, exact: &Exact, large: bool) -> bool {
     exact.smoke_left(state) || exact.louder_inside(state) || !large && (inside && !outside || unlike_noise)
 }
 
-/// The disc without the pixels that something hides, where what is left of it looks like no smoke; `plain` is what all pixels of the
-/// sectors `kept` came to, their residuals still in the scratch. Where it may as well be `smoky` only little may be hidden.
+/// The disc without the pixels that something hides.
+struct Uncovered {
+    state: State,
+    /// Sectors that count.
+    kept: Vec<bool>,
+    hidden: Hidden,
+    /// What is left is noise, no louder inside; besides, little is hidden; what is left looks like smoke.
+    quiet: bool,
+    glare: bool,
+    smoke: bool,
+}
+
+impl Uncovered {
+    /// Whether that is what is seen. The skirts of glare look like smoke, but of little of the disc: where it may as well be `smoky` only little
+    /// may be hidden.
+    fn believed(&self, smoky: bool) -> bool {
+        !self.smoke && (!smoky || self.glare)
+    }
+}
+
+/// Looks for pixels that something hides; `plain` is what all pixels of the sectors `kept` came to, their residuals still in the scratch.
 fn uncover(
     view: &GrayView,
     plain: &State,
     kept: &[bool],
     start: &Start,
     floor: f64,
-    smoky: bool,
     s: &mut Scratch,
-) -> Option<(State, Vec<bool>)> {
+) -> Option<Uncovered> {
     let mut state = plain.clone();
-    let found = s.exact.uncover(view, &mut state, &mut s.fine, kept, start, floor)?;
-    // The skirts of glare look like smoke, but of little of the disc.
-    let glare = |exact: &Exact| exact.misfit() < 1.2 && exact.hides_little() && !exact.louder_inside(&state);
-    (!s.exact.smoke_left(&state) && (!smoky || glare(&s.exact))).then_some((state, found))
+    let kept = s.exact.uncover(view, &mut state, &mut s.fine, kept, start, floor)?;
+    let quiet = s.exact.misfit() < MOST_NOISE && !s.exact.louder_inside(&state);
+    let (glare, smoke) = (quiet && s.exact.hides_little(), s.exact.smoke_left(&state));
+    Some(Uncovered { state, kept, hidden: s.exact.hidden().clone(), quiet, glare, smoke })
+}
+
+/// The fit with smoke, or without the pixels that are `hidden` where these leave noise alone and smoke as much louder noise as it must not: on a
+/// small disc waves explain a glare spot that half the disc has to be bent for. `Some(None)` and `None` as of [`fit_smoke`].
+#[allow(clippy::option_option)]
+fn smoke_or_hidden(
+    view: &GrayView,
+    [before, plain]: [&State; 2],
+    hidden: Option<Uncovered>,
+    start: &Start,
+    (keep, floor): (&[bool], f64),
+    s: &mut Scratch,
+) -> Option<Option<(State, Vec<bool>)>> {
+    let Some((smoky, kept)) = fit_smoke(view, before, plain, start, (keep, floor), s)? else { return Some(None) };
+    let louder = |x: &Uncovered| smoky.variance[0] > louder_by(&smoky, &s.exact) * x.state.variance[0];
+    let Some(mut found) = hidden.filter(|x| x.quiet && louder(x)) else { return Some(Some((smoky, kept))) };
+    s.exact.hide(found.hidden);
+    let kept = s.exact.settle(view, &mut found.state, &mut s.fine, &found.kept, start, floor)?;
+    Some(Some((found.state, kept)))
+}
+
+/// By how much the noise that a field leaves may surpass what is known of it: of few pixels it is not known well.
+fn louder_by(state: &State, exact: &Exact) -> f64 {
+    let large = is_large(&state.ellipse);
+    LOUDER[usize::from(large)] * (1.0 + 2.0 * (2.0 / exact.free_in_field(state)).sqrt())
 }
 
 /// Glare on a small disc may bend the whole ellipse so that no sector disagrees more than another: one stretch of the contour after
@@ -246,7 +290,7 @@ fn leave_a_stretch(
     start: &Start,
     (keep, floor): (&[bool], f64),
     s: &mut Scratch,
-) -> Option<(State, Vec<bool>)> {
+) -> Option<Uncovered> {
     let count = keep.len();
     let mut best: Option<(f64, State, Vec<bool>)> = None;
     for j in 0..STRETCHES {
@@ -266,7 +310,7 @@ fn leave_a_stretch(
     let (_, mut state, rest) = best?;
     s.exact.uncovered();
     let kept = s.exact.settle(view, &mut state, &mut s.fine, &rest, start, floor)?;
-    uncover(view, &state, &kept, start, floor, true, s)
+    uncover(view, &state, &kept, start, floor, s).filter(|x| x.believed(true))
 }
 
 /// The fit with a field of smoke and the sectors that counted, from where `before` stood; `plain` is what polynomials came to, their
@@ -295,9 +339,7 @@ fn fit_smoke(
     };
     // What is no smoke is not to pass for noise.
     let explains = |state: &State, exact: &Exact, most: f64| {
-        // Of few pixels the noise is not known well.
-        let louder = LOUDER[usize::from(large)] * (1.0 + 2.0 * (2.0 / exact.free_in_field(state)).sqrt());
-        state.field.is_some() && state.variance[0] < louder * known && exact.misfit() < most
+        state.field.is_some() && state.variance[0] < louder_by(state, exact) * known && exact.misfit() < most
     };
     if !large {
         // Smoke looked like disagreement before it was known.
