@@ -79,6 +79,7 @@ pub fn find_discs_with(view: &GrayView, options: &DetectOptions, memory: &Detect
     let mut detection = Detection::default();
     let refined = refine_all(view, &seen.candidates, f64::from(noise), options);
     let found = drop_twins(&refined);
+    detection.discs.reserve(refined.len());
     for ((candidate, refined), keep) in refined.into_iter().zip(found) {
         match refined {
             Ok(disc) if keep => detection.discs.push(disc),
@@ -444,10 +445,7 @@ fn keep_one_polarity(detection: &mut Detection, polarity: Polarity) {
         of_p.map(|d| d.contrast * d.ellipse.perimeter_px()).sum()
     };
     let winner = if weight(Polarity::Bright) > weight(Polarity::Dark) { Polarity::Bright } else { Polarity::Dark };
-    let (kept, others): (Vec<Disc>, Vec<Disc>) =
-        std::mem::take(&mut detection.discs).into_iter().partition(|d| d.polarity == winner);
-    detection.discs = kept;
-    for d in others {
+    for d in detection.discs.extract_if(.., |d| d.polarity != winner) {
         let e = &d.ellipse;
         detection.rejections.push(Rejection {
             center_px: e.center_px,
@@ -477,10 +475,8 @@ fn mean_radius_px(e: &Ellipse) -> f64 {
 /// Specks far smaller than the discs of the image are no discs of the target.
 fn drop_dust(detection: &mut Detection) {
     let Some(typical) = typical_radius_px(&detection.discs) else { return };
-    let (kept, dust): (Vec<Disc>, Vec<Disc>) =
-        std::mem::take(&mut detection.discs).into_iter().partition(|d| mean_radius_px(&d.ellipse) > DUST * typical);
-    detection.discs = kept;
-    detection.rejections.extend(dust.iter().map(|d| Rejection {
+    let dust = detection.discs.extract_if(.., |d| mean_radius_px(&d.ellipse) <= DUST * typical);
+    detection.rejections.extend(dust.map(|d| Rejection {
         center_px: d.ellipse.center_px,
         radius_px: mean_radius_px(&d.ellipse),
         reason: RejectionReason::TooSmall { semi_minor_px: d.ellipse.semi_minor_px },

@@ -120,6 +120,9 @@ fn agree(shares: &[Share], sorted: &mut Vec<f64>) -> bool {
 /// Edge points of the sectors that count.
 fn edges(contour: &Contour, shares: &[Share], kept: Option<&[bool]>, change: &SVector<f64, 5>) -> EdgePoints {
     let mut edge = EdgePoints::default();
+    for list in [&mut edge.u_px, &mut edge.v_px, &mut edge.sigma_px] {
+        list.reserve_exact(shares.len());
+    }
     let counts = |k: usize| kept.is_none_or(|l| l[k]) && shares[k].information > 0.0;
     let most = (0..shares.len()).filter(|k| counts(*k)).map(|k| shares[k].information).fold(0.0, f64::max);
     // Of a sector that is all but hidden the pixels count, but they give no place.
