@@ -78,7 +78,7 @@ fn left_over(check: &SheetCheck) -> String {
     let part = |a: usize| {
         let beside = plain(m.smooth_noise_px[a], 2);
         match m.smooth_px[a] {
-            s if s > 2.0 * m.smooth_noise_px[a] => format!("{} px (scatter alone gives {beside})", plain(s, 2)),
+            s if s > m.smooth_noise_px[a] => format!("{} px (scatter alone gives {beside})", plain(s, 2)),
             s if s.is_finite() => format!("no more than scatter gives ({beside} px)"),
             _ => "too few windows to tell".into(),
         }
