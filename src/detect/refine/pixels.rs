@@ -230,9 +230,11 @@ struct Uncovered {
     /// Sectors that count.
     kept: Vec<bool>,
     hidden: Hidden,
-    /// What is left is noise, no louder inside; besides, little is hidden; what is left looks like smoke.
+    /// What is left is noise, no louder inside.
     quiet: bool,
+    /// The same, and little is hidden.
     glare: bool,
+    /// What is left looks like smoke.
     smoke: bool,
 }
 
