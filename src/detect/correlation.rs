@@ -134,6 +134,11 @@ impl Allowance {
     /// Of independent pixels.
     pub(crate) const NONE: Self = Self { alike: 0.0, rows: 1.0, sums: 1.0, squares: 1.0 };
 
+    /// Most that noise makes of the sum of the squares of so many means over rows, each over its pixels, in units of its variance.
+    pub(crate) fn most_of_rows(&self, count: f64) -> f64 {
+        self.rows * (count + 3.5 * ((2.0 * count + 2.0) * self.squares).sqrt())
+    }
+
     /// Noise variance over half the mean squared difference of neighbours; what is alike beyond `MOST_ALIKE` may as well be light.
     pub(crate) fn over_neighbours(&self) -> f64 {
         1.0 / (1.0 - self.alike.clamp(0.0, MOST_ALIKE))

@@ -30,7 +30,7 @@ use crate::detect::dense::{Dense, FIXED};
 use crate::detect::edge_model::{LEAST_BLUR_PX, PRIOR_BLUR_PX};
 use crate::detect::exact::{SLOPE, SMALL, Share};
 use crate::detect::light::Side;
-use crate::detect::refine::reach_px;
+use crate::detect::refine::{border_px, reach_px};
 use crate::detect::shared_light::in_axes;
 use crate::image::GrayView;
 use crate::lanes;
@@ -38,7 +38,7 @@ use bent::Bent;
 use columns::{Columns, Lens, SumUp};
 use few::{Few, KEPT, ORDER, SLOPES};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3, Vector6};
-use pixels::{Collect, Pixels, Rings};
+use pixels::{Beyond, Collect, Pixels, Rings};
 use shares::ShareOut;
 pub(crate) use start::contour_of;
 
@@ -65,6 +65,8 @@ const MOST_ROUNDS: usize = 6;
 const STILL_PX: f64 = 0.03;
 /// The same of a slope of the light across the disc, of its step: as much of a change of the geometry is wrong.
 const STILL_LIGHT: f64 = 0.03;
+/// How much further off light that bends is looked at outside, semi-minor axes; inside all of it is.
+const BEYOND: f64 = 0.5;
 /// Pixels near the edge that suffice for a start.
 const START_PIXELS: f64 = 190.0;
 /// Every so many rows at most are taken for a start.
@@ -102,6 +104,10 @@ impl Clean {
 #[derive(Debug, Default)]
 pub(crate) struct Quick {
     pixels: Pixels,
+    rings: Rings,
+    /// Rows further off, of light that bends, and of which sides they show the same light; none before they were asked.
+    beyond: Pixels,
+    same_beyond: Option<[bool; 2]>,
     columns: Columns,
     gram: Gram,
     dense: Dense,
@@ -156,6 +162,11 @@ impl Quick {
 
     /// Fits the disc as long as it looks clean; `outer_px` is how far it may look outwards, `floor` the least variance of the noise.
     pub(crate) fn fit(&mut self, view: &GrayView, state: &mut Clean, outer_px: f64, floor: f64) -> Option<()> {
+        self.same_beyond = None;
+        self.rounds(view, state, outer_px, floor)
+    }
+
+    fn rounds(&mut self, view: &GrayView, state: &mut Clean, outer_px: f64, floor: f64) -> Option<()> {
         (self.bent, self.slanted_inside) = (None, false);
         // Light that bends is asked for in the second round.
         let at_once = state.near && state.ellipse.perimeter_px() < bent::LEAST_CONTOUR_PX;
@@ -164,7 +175,7 @@ impl Quick {
         for round in 0..MOST_ROUNDS {
             let first = round == 0;
             self.collect(view, state, outer_px, (first, first && !at_once))?;
-            let bent = self.judge_noise(view, state, floor, round)? || bends;
+            let bent = self.judge_noise(view, state, (outer_px, floor), round)? || bends;
             rounds_alike = if bent == bends { rounds_alike + 1 } else { 0 };
             bends = bent;
             if first {
@@ -211,8 +222,8 @@ impl Quick {
         let frame = Frame::new(e);
         let around = std::f64::consts::PI * (e.semi_major_px + e.semi_minor_px) * 2.0 * near;
         let thin = if start { (around / START_PIXELS).clamp(1.0, THINNEST) as usize } else { 1 };
-        let rings = Rings { near, inner, outer: reach.min(outer_px), thin, fetch: first };
-        let whole = lanes::run(Collect { view, frame: &frame, rings, out: &mut self.pixels });
+        self.rings = Rings { near, inner, outer: reach.min(outer_px), thin, fetch: first };
+        let whole = lanes::run(Collect { view, frame: &frame, rings: self.rings, out: &mut self.pixels });
         (whole && self.pixels.near.count > 3 * N).then_some(())
     }
 
@@ -233,7 +244,13 @@ impl Quick {
     }
 
     /// Noise of either side, and whether the light of a large disc is seen to bend; none where rows differ more than pixels do.
-    fn judge_noise(&mut self, view: &GrayView, state: &mut Clean, floor: f64, round: usize) -> Option<bool> {
+    fn judge_noise(
+        &mut self,
+        view: &GrayView,
+        state: &mut Clean,
+        (outer_px, floor): (f64, f64),
+        round: usize,
+    ) -> Option<bool> {
         let found = [0, 1].map(|side| self.pixels.sums[side].noise(floor, &state.allow));
         let level = found.iter().all(Result::is_ok);
         let asked = !level || self.bent.is_some() || round == 1;
@@ -243,9 +260,14 @@ impl Quick {
             let turn = self.turn(&state.ellipse);
             let side =
                 |side: usize| Bent::new(view, &self.pixels, side, &turn, (floor, &state.allow), state.step.abs()).ok();
-            let mut sides = Bent::of_both(side(0)?, side(1)?);
+            let mut sides = [side(0)?, side(1)?];
+            let long = state.ellipse.perimeter_px() > bent::LONG_CONTOUR_PX && sides.iter().any(Bent::rises);
+            if round > 0 && (long || self.bent.is_some() || sides.iter().any(Bent::bends)) {
+                self.look_beyond(view, state, (outer_px, floor), &mut sides);
+            }
+            let mut sides = Bent::of_both(sides);
             seen = !level || sides.iter().any(Bent::bends);
-            if state.ellipse.perimeter_px() > bent::LONG_CONTOUR_PX && sides.iter().any(Bent::rises) {
+            if long {
                 sides.iter_mut().for_each(Bent::loosen);
             }
             // Once bent it stays so, lest rounds take turns.
@@ -262,6 +284,24 @@ impl Quick {
         let least = floor.max(a.max(b) / 16.0);
         state.variance = [a.max(least), b.max(least)];
         Some(seen)
+    }
+
+    /// What the pixels near the edge say of light that bends together with those further off, on the sides where both say the same.
+    fn look_beyond(&mut self, view: &GrayView, state: &Clean, (outer_px, floor): (f64, f64), sides: &mut [Bent; 2]) {
+        let e = &state.ellipse;
+        let outer = (self.rings.outer + BEYOND * e.semi_minor_px).min(outer_px).min(border_px(view, e) - 1.0);
+        self.beyond.start_beside(&self.pixels);
+        lanes::run(Beyond { view, frame: &Frame::new(e), rings: self.rings, outer, out: &mut self.beyond });
+        let mut same = self.same_beyond.unwrap_or([true; 2]);
+        for (k, same) in same.iter_mut().enumerate().filter(|(_, same)| **same) {
+            let both = sides[k].with(view, k, [&self.pixels, &self.beyond], (floor, &state.allow));
+            *same = both.is_some();
+            if let Some(both) = both {
+                sides[k] = both;
+                self.pixels.runs[k].extend_from_slice(&self.beyond.runs[k]);
+            }
+        }
+        self.same_beyond = Some(same);
     }
 
     /// The mean of either side, with slopes as expected.
@@ -454,13 +494,11 @@ impl Quick {
     pub(crate) fn clean(&self, state: &Clean) -> bool {
         let squares: f64 = self.shares.iter().map(|s| s.squares).sum();
         let pixels: f64 = self.shares.iter().map(|s| s.pixels).sum();
-        let Allowance { rows, squares: common, .. } = state.allow;
         if squares > pixels * 1.15 + 5.0 * (2.0 * pixels).sqrt() {
             return false;
         }
-        let like_noise = |(sum, count): (f64, f64), side: usize| {
-            sum < rows * (count + 3.5 * ((2.0 * count + 2.0_f64) * common).sqrt()) * state.variance[side]
-        };
+        let like_noise =
+            |(sum, count): (f64, f64), side: usize| sum < state.allow.most_of_rows(count) * state.variance[side];
         if let Some(bent) = &self.bent {
             let light = |side| Vector6::from(columns_of(side).map(|k| self.light[of_light(k)]));
             return (0..2).all(|k| like_noise(bent[k].left_by_rows(&self.pixels.runs[k], &light(k)), k));

@@ -250,7 +250,7 @@ fn fine_reach(model: &EdgeModel, start: &Start) -> Reach {
 }
 
 /// Least distance of the ellipse from the outermost pixel centres, px; negative where it leaves the image.
-fn border_px(view: &GrayView, e: &Ellipse) -> f64 {
+pub(crate) fn border_px(view: &GrayView, e: &Ellipse) -> f64 {
     let (s, c) = e.angle_rad.sin_cos();
     let half_width = (e.semi_major_px * c).hypot(e.semi_minor_px * s);
     let half_height = (e.semi_major_px * s).hypot(e.semi_minor_px * c);

@@ -1,6 +1,6 @@
 //! Light that bends: polynomials of the second degree on the pixels that see one side only.
 //!
-//! Sums of products of the monomials `1, u, v, u^2, u v, v^2` over stretches of rows have closed forms; with the grey values there is one
+//! Sums of products of the monomials `1, u, v, u^2, u v, v^2, ...` over stretches of rows have closed forms; with the grey values there is one
 //! pass. An affine map turns the monomials about the reference pixel into the polynomials of [`crate::detect::light`],
 //!
 //! ```text
@@ -9,11 +9,15 @@
 //!
 //! and its rule says what degree the light has. So a large disc under light that bends takes no longer way than others.
 //!
+//! What bends is better seen from afar: all pixels within the edge, and some more outside, are asked too. They count where they and those near the
+//! edge have the same six coefficients, `chi^2` of both less that of each being what chance makes of six (Chow's test), where noise is the same, and where
+//! all together show nothing of third degree.
+//!
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
 //! | u, v | - | 1 | px | column and row about the reference pixel |
-//! | - | `Moments::products` | 15 | px^0 .. px^4 | sums of `u^i v^j`, `i + j <= 4` |
-//! | - | `Moments::right` | 6 | grey | sums of the grey value times the monomials |
+//! | - | `Moments::products` | 28 | px^0 .. px^6 | sums of `u^i v^j`, `i + j <= 6` |
+//! | - | `Moments::right` | 10 | grey | sums of the grey value times the monomials up to third degree |
 //! | - | `turn` | 6 x 6 | | polynomials from monomials |
 
 use super::pixels::{Pixels, Run, Sums};
@@ -29,20 +33,45 @@ pub(super) const LEAST_CONTOUR_PX: f64 = 130.0;
 /// be sure of, moves the edge by half of one of its own.
 pub(super) const LONG_CONTOUR_PX: f64 = 250.0;
 
-/// Exponents of the monomials.
-const MONOMIALS: [(usize, usize); 6] = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)];
+/// By how much `chi^2` may rise where pixels further off are to have the same six coefficients, and fall for the four of the third degree: chance
+/// does more once in a thousand and once in a hundred sides.
+const SAME_LIGHT: f64 = 22.5;
+const THIRD_DEGREE: f64 = 13.3;
+
+/// The coefficients of a surface.
+const SURFACE: [usize; Side::MOST] = [0, 1, 2, 3, 4, 5];
+
+/// Exponents of the monomials: the first six are those of a surface.
+const MONOMIALS: [(usize, usize); CUBIC] =
+    [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)];
+const CUBIC: usize = 10;
+/// Orders of products of two of them.
+const ORDERS: usize = 7;
+/// Binomial coefficients.
+const CHOOSE: [[f64; ORDERS]; ORDERS] = [
+    [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    [1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    [1.0, 2.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+    [1.0, 3.0, 3.0, 1.0, 0.0, 0.0, 0.0],
+    [1.0, 4.0, 6.0, 4.0, 1.0, 0.0, 0.0],
+    [1.0, 5.0, 10.0, 10.0, 5.0, 1.0, 0.0],
+    [1.0, 6.0, 15.0, 20.0, 15.0, 6.0, 1.0],
+];
 
 /// Sums over all stretches of one side.
 #[derive(Debug, Clone, Copy, Default)]
 struct Moments {
     /// Of `u^i v^j` at `[i][j]`.
-    products: [[f64; 5]; 5],
-    right: [f64; 6],
+    products: [[f64; ORDERS]; ORDERS],
+    right: [f64; CUBIC],
+    /// Of the squared grey values.
+    squares: f64,
 }
 
 /// What the pixels of one side say about its light.
 #[derive(Debug)]
 pub(super) struct Bent {
+    moments: Moments,
     pub(super) fits: Fits<6>,
     /// Polynomials from monomials.
     turn: SMatrix<f64, 6, 6>,
@@ -60,24 +89,61 @@ impl Bent {
         pixels: &Pixels,
         side: usize,
         turn: &Matrix3<f64>,
-        (floor, allow): (f64, &Allowance),
+        noise: (f64, &Allowance),
         step: f64,
     ) -> Result<Self, ()> {
         let sums = &pixels.sums[side];
-        let moments = Moments::new(view, pixels, side);
-        let turn = second_degree(turn);
-        let fits = moments.fits(&turn, sums);
-        let mut out = Self { fits, turn, side: Side::plain(0, step), across: 0.0, variance: None };
+        Self::of(Moments::new(view, pixels, side), second_degree(turn), sums, noise, step)
+    }
+
+    fn of(
+        moments: Moments,
+        turn: SMatrix<f64, 6, 6>,
+        sums: &Sums,
+        (floor, allow): (f64, &Allowance),
+        step: f64,
+    ) -> Result<Self, ()> {
+        let fits = moments.fits(&turn);
+        let mut out = Self { moments, fits, turn, side: Side::plain(0, step), across: 0.0, variance: None };
         if sums.count() < 16.0 {
             return Ok(out);
         }
-        let (left, _) = out.fits.left_by(&[0, 1, 2, 3, 4, 5]).ok_or(())?;
+        let (left, _) = out.fits.left_by(&SURFACE).ok_or(())?;
         let variance = sums.noise_about(left, 6.0, floor, allow)?;
         let degrees = out.fits.degrees().ok_or(())?;
         out.across = Side::bend_across(&degrees[2].1);
         out.side = out.fits.side(&degrees, variance.max(floor), sums.count(), step);
         out.variance = Some(variance);
         Ok(out)
+    }
+
+    /// With the pixels `beyond` those it was made of, `pixels`, where they show the same light and the same noise.
+    pub(super) fn with(
+        &self,
+        view: &GrayView,
+        side: usize,
+        [pixels, beyond]: [&Pixels; 2],
+        (floor, allow): (f64, &Allowance),
+    ) -> Option<Self> {
+        let (own, more) = (&pixels.sums[side], &beyond.sums[side]);
+        let variance = self.variance?.max(floor);
+        let mut moments = Moments::new(view, beyond, side);
+        let (alone, light) = moments.fits(&self.turn).left_by(&SURFACE)?;
+        let noise = more.noise_about(alone, 6.0, floor, allow).ok()?;
+        let scatter = (2.0 * allow.squares * (1.0 / own.count() + 1.0 / more.count())).sqrt();
+        let (rows, count) = self.left_by_rows(&beyond.runs[side], &light);
+        if noise > variance * (1.25 + 5.0 * scatter) || rows > allow.most_of_rows(count) * noise.max(floor) {
+            return None;
+        }
+        moments.add_all(&self.moments);
+        let mut sums = *own;
+        sums.add(more);
+        let both = Self::of(moments, self.turn, &sums, (floor, allow), self.side.step).ok()?;
+        let together = both.fits.left_by(&SURFACE)?.0;
+        let apart = together - self.fits.left_by(&SURFACE)?.0 - alone;
+        let third = together - moments.left_by_third_degree()?;
+        let chance = allow.sums * both.variance?.max(floor);
+        (apart < SAME_LIGHT * chance && third < THIRD_DEGREE * chance).then_some(both)
     }
 
     /// Takes the light to bend.
@@ -106,8 +172,7 @@ impl Bent {
     }
 
     /// Both sides. Light that bends outside bends inside as well, where a dark disc hides it in the noise.
-    pub(super) fn of_both(inside: Self, outside: Self) -> [Self; 2] {
-        let mut inside = inside;
+    pub(super) fn of_both([mut inside, outside]: [Self; 2]) -> [Self; 2] {
         inside.side.degree = inside.side.degree.max(outside.side.degree);
         [inside, outside]
     }
@@ -154,73 +219,89 @@ impl Moments {
             let (u, v) = ((first + pixels.reference.0) as usize, (run.v + pixels.reference.1) as usize);
             let range = v * view.stride() + u..v * view.stride() + u + run.n as usize;
             let grey = match view.samples() {
-                Samples::U8(s) => whole_squares(&s[range], pixels.ground),
-                Samples::U16(s) => whole_squares(&s[range], pixels.ground),
-                Samples::F32(s) => squares(&s[range], pixels.ground),
+                Samples::U8(s) => with_places(&s[range], pixels.ground),
+                Samples::U16(s) => with_places(&s[range], pixels.ground),
+                Samples::F32(s) => with_places(&s[range], pixels.ground),
             };
             out.add(run, first, grey);
         }
+        out.squares = pixels.sums[side].right().1;
         out
     }
 
-    /// Adds a stretch from the column `first` on, with its sums of the grey value times place and times its square.
-    fn add(&mut self, run: &Run, first: f64, [gi, gii]: [f64; 2]) {
+    fn add_all(&mut self, other: &Self) {
+        self.products.as_flattened_mut().iter_mut().zip(other.products.as_flattened()).for_each(|(a, b)| *a += b);
+        self.right.iter_mut().zip(&other.right).for_each(|(a, b)| *a += b);
+        self.squares += other.squares;
+    }
+
+    /// Adds a stretch from the column `first` on, with its sums of the grey value times place, its square and its cube.
+    fn add(&mut self, run: &Run, first: f64, [gi, gii, giii]: [f64; 3]) {
         let (n, v, f) = (run.n, run.v, first);
-        let m = n - 1.0;
-        // Sums of i^k from 0 to n - 1, then of (first + i)^k.
-        let (s1, s2) = (0.5 * n * m, n * m * (2.0 * n - 1.0) / 6.0);
-        let (s3, s4) = (s1 * s1, s2 * (3.0 * n * m - 1.0) / 5.0);
-        let f2 = f * f;
-        let powers = [
-            n,
-            s1 + n * f,
-            s2 + 2.0 * f * s1 + n * f2,
-            s3 + 3.0 * f * s2 + 3.0 * f2 * s1 + n * f2 * f,
-            s4 + 4.0 * f * s3 + 6.0 * f2 * s2 + 4.0 * f2 * f * s1 + n * f2 * f2,
-        ];
-        for (i, power) in powers.into_iter().enumerate() {
+        // Sums of t^k about the middle of the stretch, then of (middle + t)^k; those of odd powers are none.
+        let (middle, n2) = (f + 0.5 * (n - 1.0), n * n);
+        let second = n * (n2 - 1.0) / 12.0;
+        let fourth = second * (3.0 * n2 - 7.0) / 20.0;
+        let sixth = second * (3.0 * n2 * n2 - 18.0 * n2 + 31.0) / 112.0;
+        let about = [n, 0.0, second, 0.0, fourth, 0.0, sixth];
+        for i in 0..ORDERS {
+            // Horner's rule in the middle.
+            let power = (0..=i).fold(0.0, |sum, k| sum * middle + CHOOSE[i][k] * about[k]);
             let mut x = power;
-            for j in 0..5 - i {
+            for j in 0..ORDERS - i {
                 self.products[i][j] += x;
                 x *= v;
             }
         }
-        let (gu, guu) = (gi + f * run.g, gii + 2.0 * f * gi + f2 * run.g);
-        let right = [run.g, gu, run.g * v, guu, gu * v, run.g * v * v];
-        (0..6).for_each(|k| self.right[k] += right[k]);
+        let f2 = f * f;
+        let gu = gi + f * run.g;
+        let guu = gii + 2.0 * f * gi + f2 * run.g;
+        let guuu = giii + 3.0 * f * gii + 3.0 * f2 * gi + f2 * f * run.g;
+        let by_columns = [run.g, gu, guu, guuu];
+        for (right, (i, j)) in self.right.iter_mut().zip(MONOMIALS) {
+            *right += by_columns[i] * v.powi(j as i32);
+        }
     }
 
-    fn fits(&self, turn: &SMatrix<f64, 6, 6>, sums: &Sums) -> Fits<6> {
-        let product = |k: usize, l: usize| {
-            let (a, b) = (MONOMIALS[k], MONOMIALS[l]);
-            self.products[a.0 + b.0][a.1 + b.1]
-        };
-        let matrix = turn * SMatrix::<f64, 6, 6>::from_fn(product) * turn.transpose();
-        Fits { matrix, right: turn * SVector::from(self.right), squares: sums.right().1 }
+    fn product(&self, k: usize, l: usize) -> f64 {
+        let (a, b) = (MONOMIALS[k], MONOMIALS[l]);
+        self.products[a.0 + b.0][a.1 + b.1]
+    }
+
+    fn fits(&self, turn: &SMatrix<f64, 6, 6>) -> Fits<6> {
+        let matrix = turn * SMatrix::<f64, 6, 6>::from_fn(|k, l| self.product(k, l)) * turn.transpose();
+        Fits { matrix, right: turn * SVector::from_fn(|k, _| self.right[k]), squares: self.squares }
+    }
+
+    /// Squares that a surface of the third degree leaves.
+    fn left_by_third_degree(&self) -> Option<f64> {
+        let all: [usize; CUBIC] = std::array::from_fn(|k| k);
+        let matrix = SMatrix::from_fn(|k, l| self.product(k, l));
+        let fits = Fits::<CUBIC> { matrix, right: SVector::from(self.right), squares: self.squares };
+        fits.left_by(&all).map(|x| x.0)
     }
 }
 
-/// Sums of the grey value times the place, and times its square.
-fn squares(grey: &[f32], ground: f64) -> [f64; 2] {
-    let (mut gi, mut gii) = (0.0, 0.0);
-    for (i, x) in grey.iter().enumerate() {
-        let x = (f64::from(*x) - ground) * i as f64;
-        gi += x;
-        gii += x * i as f64;
+/// Sums of the grey value times the place, times its square and times its cube.
+fn with_places<T: Copy + Into<f64>>(grey: &[T], ground: f64) -> [f64; 3] {
+    // Side by side, so that none waits for the one before.
+    const SIDE_BY_SIDE: usize = 8;
+    let mut sums = [[0.0; SIDE_BY_SIDE]; 3];
+    let mut add = |k: usize, i: usize, x: T| {
+        let place = i as f64;
+        let mut x = x.into() - ground;
+        for sum in &mut sums {
+            x *= place;
+            sum[k] += x;
+        }
+    };
+    let eights = grey.chunks_exact(SIDE_BY_SIDE);
+    let done = grey.len() - eights.remainder().len();
+    for (c, eight) in eights.enumerate() {
+        (0..SIDE_BY_SIDE).for_each(|k| add(k, c * SIDE_BY_SIDE + k, eight[k]));
     }
-    [gi, gii]
-}
-
-/// The same of whole numbers.
-fn whole_squares<T: Copy + Into<i64>>(grey: &[T], ground: f64) -> [f64; 2] {
-    let ground = ground as i64;
-    let (mut gi, mut gii) = (0, 0);
-    for (i, x) in grey.iter().enumerate() {
-        let x = ((*x).into() - ground) * i as i64;
-        gi += x;
-        gii += x * i as i64;
-    }
-    [gi as f64, gii as f64]
+    (done..grey.len()).for_each(|i| add(0, i, grey[i]));
+    sums.map(|s| s.iter().sum())
 }
 
 #[cfg(test)]

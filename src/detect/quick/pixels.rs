@@ -42,6 +42,21 @@ pub(super) struct Sums {
 }
 
 impl Sums {
+    pub(super) fn add(&mut self, more: &Self) {
+        self.n += more.n;
+        self.u += more.u;
+        self.v += more.v;
+        self.uu += more.uu;
+        self.uv += more.uv;
+        self.vv += more.vv;
+        self.g += more.g;
+        self.gu += more.gu;
+        self.gv += more.gv;
+        self.gg += more.gg;
+        self.dd += more.dd;
+        self.pairs += more.pairs;
+    }
+
     /// Sums of products of `(1, u, v)`.
     pub(super) fn matrix(&self) -> Matrix3<f64> {
         Matrix3::new(self.n, self.u, self.v, self.u, self.uu, self.uv, self.v, self.uv, self.vv)
@@ -105,7 +120,7 @@ pub(super) struct Pixels {
 }
 
 /// How far from the ellipse which pixels are taken, px; every `thin`-th row only. Whether all rows are brought near first.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Default, Clone, Copy)]
 pub(super) struct Rings {
     pub(super) near: f64,
     pub(super) inner: f64,
@@ -161,13 +176,10 @@ impl Kernel for Collect<'_> {
     #[inline(always)]
     fn run<L: Lanes>(self) -> bool {
         let (frame, rings) = (self.frame, self.rings);
-        // The parallel curve of an ellipse lies inside the ellipse with both axes grown by this much.
-        let bulge = (frame.a + frame.b) / (2.0 * (frame.a * frame.b).sqrt());
-        let near = rings.near * bulge;
+        let near = rings.near * bulge(frame);
         let outer = rings.outer.max(near);
         let (a, b) = (frame.a + outer, frame.b + outer);
-        let half_height = ((a * frame.sin) * (a * frame.sin) + (b * frame.cos) * (b * frame.cos)).sqrt();
-        let half_width = ((a * frame.cos) * (a * frame.cos) + (b * frame.sin) * (b * frame.sin)).sqrt();
+        let [half_width, half_height] = half_size(frame, outer);
         let (u_last, v_last) = (self.view.width() as f64 - 1.0, self.view.height() as f64 - 1.0);
         let (top, bottom) = (frame.v0 - half_height, frame.v0 + half_height);
         if top <= 0.0 || bottom >= v_last || frame.u0 - half_width <= 0.0 || frame.u0 + half_width >= u_last {
@@ -184,9 +196,7 @@ impl Kernel for Collect<'_> {
         }
         let out = self.out;
         out.near.clear();
-        out.runs[0].clear();
-        out.runs[1].clear();
-        out.sums = [Sums::default(); 2];
+        out.clear_runs();
         out.reference = ((frame.u0 as usize) as f64, (frame.v0 as usize) as f64);
         out.ground = f64::from(self.view.get(frame.u0 as usize, frame.v0 as usize));
         // Outside, outside and inside of the near band, and the hole.
@@ -194,34 +204,90 @@ impl Kernel for Collect<'_> {
         let band = Cut::new(frame, frame.a + near, frame.b + near);
         let core = Cut::new(frame, frame.a - near, frame.b - near);
         let hole = Cut::new(frame, frame.a - rings.inner, frame.b - rings.inner);
-        let (mut v, last) = (*rows.start(), *rows.end());
-        while v <= last {
-            let mut dv = [0.0; ROWS];
-            for k in 0..ROWS {
-                dv[k] = (v + k * rings.thin) as f64 - frame.v0;
+        spans_of_rows(frame, [far, band, core, hole], rows, rings.thin, |v, [far, band, core, hole]| {
+            for (from, to) in without(far, band) {
+                out.run(self.view, 1, v, from, to);
             }
-            let mut spans = [[[0; ROWS]; 2]; 4];
-            for (cut, spans) in [&far, &band, &core, &hole].into_iter().zip(&mut spans) {
-                cut.spans(frame.u0, &dv, spans);
+            for (from, to) in without(band, core) {
+                out.take(self.view, frame, v, from, to);
             }
-            for k in 0..ROWS.min((last - v) / rings.thin + 1) {
-                let [far, band, core, hole] = spans.each_ref().map(|s| (s[0][k] as usize, s[1][k] as usize));
-                let v = v + k * rings.thin;
-                for (from, to) in without(far, band) {
-                    out.run(self.view, 1, v, from, to);
-                }
-                for (from, to) in without(band, core) {
-                    out.take(self.view, frame, v, from, to);
-                }
-                for (from, to) in without(core, hole) {
-                    out.run(self.view, 0, v, from, to);
-                }
+            for (from, to) in without(core, hole) {
+                out.run(self.view, 0, v, from, to);
             }
-            v += ROWS * rings.thin;
-        }
+        });
         out.near.fill_up(frame.a);
         true
     }
+}
+
+/// Columns of some rows, every `thin`-th, within each of the cuts.
+#[inline(always)]
+fn spans_of_rows<const N: usize>(
+    frame: &Frame,
+    cuts: [Cut; N],
+    rows: RangeInclusive<usize>,
+    thin: usize,
+    mut each: impl FnMut(usize, [(usize, usize); N]),
+) {
+    let (mut v, last) = (*rows.start(), *rows.end());
+    while v <= last {
+        let mut dv = [0.0; ROWS];
+        for k in 0..ROWS {
+            dv[k] = (v + k * thin) as f64 - frame.v0;
+        }
+        let mut spans = [[[0; ROWS]; 2]; N];
+        for (cut, spans) in cuts.iter().zip(&mut spans) {
+            cut.spans(frame.u0, &dv, spans);
+        }
+        for k in 0..ROWS.min((last - v) / thin + 1) {
+            each(v + k * thin, spans.each_ref().map(|s| (s[0][k] as usize, s[1][k] as usize)));
+        }
+        v += ROWS * thin;
+    }
+}
+
+/// Sums up the rows that [`Collect`] with the same rings left: all within, and those outside up to `outer` from the ellipse, px, for which there must be room.
+pub(super) struct Beyond<'a> {
+    pub(super) view: &'a GrayView<'a>,
+    pub(super) frame: &'a Frame,
+    pub(super) rings: Rings,
+    pub(super) outer: f64,
+    pub(super) out: &'a mut Pixels,
+}
+
+impl Kernel for Beyond<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let (frame, rings, out) = (self.frame, self.rings, self.out);
+        let taken = rings.outer.max(rings.near * bulge(frame));
+        let outer = self.outer.max(taken);
+        let [_, half_height] = half_size(frame, outer);
+        let rows = (frame.v0 - half_height).ceil() as usize..=(frame.v0 + half_height).floor() as usize;
+        let grown = |by: f64| Cut::new(frame, frame.a + by, frame.b + by);
+        let cuts = [grown(outer), grown(taken), grown(-rings.inner)];
+        spans_of_rows(frame, cuts, rows, 1, |v, [wide, taken, hole]| {
+            for (from, to) in without(wide, taken) {
+                out.run(self.view, 1, v, from, to);
+            }
+            out.run(self.view, 0, v, hole.0, hole.1);
+        });
+    }
+}
+
+/// The parallel curve of an ellipse lies inside the ellipse with both axes grown by this much.
+#[inline(always)]
+fn bulge(frame: &Frame) -> f64 {
+    (frame.a + frame.b) / (2.0 * (frame.a * frame.b).sqrt())
+}
+
+/// Half the width and height of the ellipse with both axes grown, px.
+#[inline(always)]
+fn half_size(frame: &Frame, by: f64) -> [f64; 2] {
+    let (a, b) = (frame.a + by, frame.b + by);
+    let height = ((a * frame.sin) * (a * frame.sin) + (b * frame.cos) * (b * frame.cos)).sqrt();
+    let width = ((a * frame.cos) * (a * frame.cos) + (b * frame.sin) * (b * frame.sin)).sqrt();
+    [width, height]
 }
 
 /// Has a rectangle of an image brought near, all rows at once: read one after the other each is waited for.
@@ -242,6 +308,17 @@ fn without(whole: (usize, usize), hole: (usize, usize)) -> [(usize, usize); 2] {
 }
 
 impl Pixels {
+    fn clear_runs(&mut self) {
+        self.runs.iter_mut().for_each(Vec::clear);
+        self.sums = [Sums::default(); 2];
+    }
+
+    /// Empty, to be summed up about the reference pixel of `other`.
+    pub(super) fn start_beside(&mut self, other: &Self) {
+        self.clear_runs();
+        (self.reference, self.ground) = (other.reference, other.ground);
+    }
+
     /// Sums up a stretch of one side.
     #[inline(always)]
     fn run(&mut self, view: &GrayView, side: usize, v: usize, from: usize, to: usize) {
