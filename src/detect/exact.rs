@@ -125,6 +125,8 @@ pub(crate) struct Exact {
     /// Residual of each pixel over the noise.
     left: Vec<f64>,
     hidden: Hidden,
+    /// How much of each pixel counts; empty where nothing is hidden.
+    counted: Vec<f64>,
     /// Sums of residuals far from the edge: squares and number of either side.
     away: [[f64; 2]; 2],
     within: Within,
@@ -151,15 +153,9 @@ impl Exact {
         self.band.collect(view, &state.ellipse, contour, reach);
         // The same whichever sectors count and whatever is hidden: residuals of pixels that a fit left out are those of its light.
         let ground = self.band.grey.first().copied().unwrap_or(0.0);
-        if !self.hidden.none() {
-            let frame = Frame::new(&state.ellipse);
-            for i in 0..self.band.len() {
-                if self.hidden.hides(hidden::pixel(&frame, self.band.x[i], self.band.y[i])) {
-                    self.band.distance[i] = f64::NAN;
-                }
-            }
-        }
+        self.leave_out_hidden(state);
         self.count = self.band.compact(keep);
+        self.count_parts(state);
         self.band.grey.iter_mut().for_each(|g| *g -= ground);
         self.count > 2 * FIXED
     }
@@ -230,7 +226,7 @@ impl Exact {
         at: usize,
     ) {
         let (feet, pixels) = self.feet_and_pixels(state, frame, lanes, (i, shown));
-        let root = pixels.map(|pixel| Self::weight(state, pixel.inside).sqrt());
+        let root = self.roots(state, i, pixels.map(|pixel| pixel.inside));
         let (of_waves, waves) = self.fill_waves(state, &pixels, &root, None, at);
         let j = Self::lights(state);
         for l in 0..shown {

@@ -7,6 +7,14 @@
 //! Skirts fall at least exponentially, so the expectation is on the safe side; they do not rise outwards, so a ring of few pixels that is
 //! brighter by chance than those before it is taken together with them.
 //!
+//! What rings show so little of is not all lost: with the mean residual `m` of its `n` pixels, known to `n^(-1/2)`, a ring's pixels may hold
+//!
+//! ```text
+//! e^2 = VARIES (m^2 + 1/n)
+//! ```
+//!
+//! each, in units of the noise, and count as much as noise larger by that lets them: `1 / (1 + e^2)` of a pixel.
+//!
 //! Light that exceeds the model by `e` on both sides of an edge blurred by `s` shifts it by `sum e h / sum h^2`, `h = E phi(d / s) / s`:
 //!
 //! ```text
@@ -22,10 +30,12 @@
 //! | e | | grey | what a skirt adds |
 //! | s, E | | px, grey | blur and step of the edge |
 //! | felt | | noise | mean residual of the rings that are hidden on long contours |
-//! | - | `Hidden` | | the hidden pixels of the image |
+//! | m | `mean` | noise | mean residual of a ring, positive in the spot, at least none |
+//! | - | `Hidden` | | the hidden pixels of the image, in whole or in part |
 
 use super::{Exact, State};
 use crate::conic::Frame;
+use crate::detect::band::LANES;
 use crate::detect::contour::Contour;
 use crate::detect::refine::Start;
 use crate::image::GrayView;
@@ -45,6 +55,10 @@ const CORNERS: usize = 1;
 const MOST_RINGS: usize = (MOST_SKIRT_PX as f64 / RING_PX) as usize;
 /// Rings that are looked at together on long contours.
 const TOGETHER: usize = 5;
+/// By how much more than its mean a skirt differs from pixel to pixel of a ring, as a variance.
+const VARIES: f64 = 3.0;
+/// Parts of a pixel.
+const WHOLE: u8 = 16;
 /// Largest share of the pixels of either side that may be hidden.
 const MOST_HIDDEN: f64 = 0.4;
 /// Largest share that glare is believed to hide where it may as well be smoke.
@@ -106,7 +120,8 @@ impl<T: Copy> Grid<T> {
 /// The hidden pixels around one disc.
 #[derive(Debug, Default, Clone, PartialEq)]
 pub(crate) struct Hidden {
-    at: Grid<bool>,
+    /// Parts of each pixel that count.
+    at: Grid<u8>,
     /// Share of the pixels on the side of the edge that has more of them.
     share: f64,
 }
@@ -120,13 +135,14 @@ impl Hidden {
         self.share == 0.0
     }
 
-    pub(super) fn hides(&self, (u, v): (i64, i64)) -> bool {
-        self.at.place(u, v).is_some_and(|p| self.at.at[p])
+    /// How much of a pixel counts.
+    fn counted(&self, (u, v): (i64, i64)) -> f64 {
+        self.at.place(u, v).map_or(1.0, |p| f64::from(self.at.at[p]) / f64::from(WHOLE))
     }
 }
 
 /// The pixel at a place in the frame of the axes.
-pub(super) fn pixel(frame: &Frame, x: f64, y: f64) -> (i64, i64) {
+fn pixel(frame: &Frame, x: f64, y: f64) -> (i64, i64) {
     let (u, v) = (frame.u0 + frame.cos * x - frame.sin * y, frame.v0 + frame.sin * x + frame.cos * y);
     (u.round() as i64, v.round() as i64)
 }
@@ -140,6 +156,43 @@ fn usual(mut sizes: Vec<f64>) -> f64 {
 }
 
 impl Exact {
+    /// Leaves out what does not count, before the band is made compact.
+    pub(super) fn leave_out_hidden(&mut self, state: &State) {
+        let frame = Frame::new(&state.ellipse);
+        let seen = if self.hidden.none() { 0 } else { self.band.len() };
+        for i in 0..seen {
+            if self.left_of(&frame, i) == 0.0 {
+                self.band.distance[i] = f64::NAN;
+            }
+        }
+    }
+
+    /// How much of each pixel of the compact band counts.
+    pub(super) fn count_parts(&mut self, state: &State) {
+        let frame = Frame::new(&state.ellipse);
+        let mut counted = std::mem::take(&mut self.counted);
+        counted.clear();
+        if !self.hidden.none() {
+            counted.extend((0..self.count).map(|i| self.left_of(&frame, i)));
+        }
+        self.counted = counted;
+    }
+
+    /// How much something leaves of the pixel at place `i` of the band.
+    fn left_of(&self, frame: &Frame, i: usize) -> f64 {
+        self.hidden.counted(pixel(frame, self.band.x[i], self.band.y[i]))
+    }
+
+    /// How much of the pixel at place `p` counts.
+    pub(super) fn counted(&self, p: usize) -> f64 {
+        self.counted.get(p).copied().unwrap_or(1.0)
+    }
+
+    /// Roots of the weights of `LANES` pixels from place `i` on, of which so much is inside.
+    pub(super) fn roots(&self, state: &State, i: usize, inside: [f64; LANES]) -> [f64; LANES] {
+        std::array::from_fn(|l| (self.counted(i + l) * Self::weight(state, inside[l])).sqrt())
+    }
+
     /// Takes back the sectors that were dropped, but for the pixels that something hides: `kept` says which sectors counted in the fit
     /// whose result stands in the scratch. Returns the sectors that count now; none, with the state as it was, where too much
     /// is hidden.
@@ -236,7 +289,7 @@ impl Exact {
         };
         let together = usual_of(&mean);
         seen.iter().for_each(|p| odd.at[*p] |= mean(*p).abs() > ODD * together);
-        let mut hidden = odd.clone();
+        let mut hidden = left.like(WHOLE);
         let shorter = SHORT_PX / state.ellipse.perimeter_px();
         for spot in spots(&odd) {
             let (rings, sign) = rings(&left, &spot);
@@ -244,12 +297,16 @@ impl Exact {
             if shorter < 1.0 {
                 end = felt_on_either_side(&left, &inside, &rings, end, sign / (single * shorter.sqrt()));
             }
-            rings[..=end].iter().flatten().for_each(|p| hidden.at[*p] = true);
+            spot.iter().for_each(|p| hidden.at[*p] = 0);
+            for ring in &rings[1..=end] {
+                let parts = parts(&left, ring, sign / single);
+                ring.iter().for_each(|p| hidden.at[*p] = parts.min(hidden.at[*p]));
+            }
         }
         let mut share = [[0.0; 2]; 2];
         for (i, (u, v)) in places.iter().enumerate() {
             let side = &mut share[usize::from(band.distance[i] > 0.0)];
-            side[0] += f64::from(u8::from(left.place(*u, *v).is_some_and(|p| hidden.at[p])));
+            side[0] += f64::from(u8::from(left.place(*u, *v).is_some_and(|p| hidden.at[p] < WHOLE)));
             side[1] += 1.0;
         }
         let share = share.map(|[n, of]| n / f64::max(of, 1.0));
@@ -300,6 +357,13 @@ fn rings(left: &Grid<f64>, spot: &[usize]) -> (Vec<Vec<usize>>, f64) {
     }
     rings[0] = rim;
     (rings, sign)
+}
+
+/// Parts of the pixels of a ring that count; residuals times `scale` are in units of the noise, positive in the spot.
+fn parts(left: &Grid<f64>, ring: &[usize], scale: f64) -> u8 {
+    let n = f64::max(ring.len() as f64, 1.0);
+    let mean = (scale * ring.iter().map(|p| left.at[*p]).sum::<f64>() / n).max(0.0);
+    (f64::from(WHOLE) / (1.0 + VARIES * (mean * mean + 1.0 / n))).round() as u8
 }
 
 /// The last ring in which a spot is felt; residuals times `scale` are in units of the noise, positive in the spot.
@@ -376,6 +440,21 @@ mod tests {
         assert_eq!(rings[2].len(), 4);
         assert_eq!(rings[3].len(), 8);
         assert_eq!(rings.iter().map(Vec::len).sum::<usize>(), 21 * 21);
+    }
+
+    #[test]
+    fn rings_count_by_what_they_may_hold() {
+        let of = |mean: f64, n: usize| {
+            let left = grid(|_, _| 2.0 * mean);
+            f64::from(parts(&left, &(0..n).collect::<Vec<_>>(), 0.5)) / f64::from(WHOLE)
+        };
+        // Darker than expected by chance: no more is known than that it holds as much as its mean may be off.
+        for (mean, n, e2) in [(0.0, 4, 0.75), (-0.4, 4, 0.75), (0.5, 12, 1.0), (1.0, 8, 3.375)] {
+            let off = of(mean, n) - 1.0 / (1.0 + e2);
+            assert!(off.abs() <= 0.5 / f64::from(WHOLE), "mean {mean} of {n}: off by {off}");
+        }
+        assert_eq!(of(6.0, 8), 0.0);
+        assert_eq!(of(9.0, 0), of(0.0, 1));
     }
 
     /// Means of rings of so many pixels.

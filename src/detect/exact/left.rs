@@ -22,13 +22,13 @@ pub(crate) struct Share {
 }
 
 impl Share {
-    /// Takes in a pixel with the response `h` and the residual `left`, both over the noise.
+    /// Takes in a pixel of which so much counts, with the response `h` and the residual `left`, both over the noise.
     #[inline(always)]
-    pub(crate) fn push(&mut self, h: f64, left: f64) {
+    pub(crate) fn push(&mut self, h: f64, left: f64, counted: f64) {
         self.score += h * left;
         self.information += h * h;
         self.squares += left * left;
-        self.pixels += 1.0;
+        self.pixels += counted;
     }
 
     /// Outward shift of the edge beyond that of the ellipse, px.
@@ -83,14 +83,15 @@ impl Exact {
                 self.left.push(left);
                 let (q, h) = (self.inside[p], self.response[p]);
                 let share = &mut self.shares[self.band.sector[p] as usize];
-                share.push(h, left);
+                let counted = self.counted.get(p).copied().unwrap_or(1.0);
+                share.push(h, left, counted);
                 let far = if q > 0.995 { Some(0) } else { (q < 0.005).then_some(1) };
                 if let Some(side) = far {
                     self.away[side][0] += left * left / Self::weight(state, q);
-                    self.away[side][1] += 1.0;
+                    self.away[side][1] += counted;
                 }
                 self.within.all += q;
-                let here = (q > 0.9).then_some((p, left));
+                let here = (q > 0.9 && counted == 1.0).then_some((p, left));
                 if let Some((_, r2)) = here {
                     self.within.squares += left * left;
                     self.within.count += 1.0;

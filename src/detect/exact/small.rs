@@ -59,7 +59,7 @@ impl Exact {
         let seen = self.rim.seen(&super::eight(&self.band.x, i), &super::eight(&self.band.y, i));
         let (_, local) = self.feet_and_pixels(state, frame, lanes, (i, shown));
         let pixels: [At; LANES] = std::array::from_fn(|l| exactly(state, &local[l], &seen, l.min(shown - 1)));
-        let root = pixels.map(|pixel| Self::weight(state, pixel.inside.clamp(0.0, 1.0)).sqrt());
+        let root = self.roots(state, i, pixels.map(|pixel| pixel.inside.clamp(0.0, 1.0)));
         let beyond = Beyond::new(&pixels, &local);
         let (of_waves, waves) = self.fill_waves(state, &local, &root, Some(&beyond), at);
         let j = Self::lights(state);

@@ -38,7 +38,7 @@ impl Kernel for ShareOut<'_> {
         for k in 0..count {
             let i = k / 2 + (k % 2) * half;
             let sector = contour.sector_from(cell[i] as usize, f64::from(diamond[i]));
-            shares[sector].push(f64::from(response[i]), f64::from(left[i]));
+            shares[sector].push(f64::from(response[i]), f64::from(left[i]), 1.0);
         }
     }
 }
