@@ -468,4 +468,42 @@ mod tests {
             assert_eq!(out.runs[side].iter().map(|r| r.n).sum::<f64>(), plain[side].n);
         }
     }
+
+    /// What is further off is taken up where the rest ends: together every pixel within the outermost ellipse once.
+    #[test]
+    fn rows_further_off_hold_the_rest() {
+        let (width, height) = (90, 80);
+        let grey: Vec<u8> = (0..width * height).map(|i| ((i * i) % 251) as u8).collect();
+        let view = GrayView::new(Samples::U8(&grey), width, height, width).expect("an image");
+        let e = Ellipse { center_px: Pixel::new(44.3, 38.8), semi_major_px: 21.0, semi_minor_px: 14.0, angle_rad: 0.6 };
+        let frame = Frame::new(&e);
+        let (mut near, mut beyond) = (Pixels::default(), Pixels::default());
+        let rings = Rings { near: 3.0, inner: 8.0, outer: 7.0, thin: 1, fetch: false };
+        assert!(lanes::run(Collect { view: &view, frame: &frame, rings, out: &mut near }));
+        beyond.start_beside(&near);
+        lanes::run(Beyond { view: &view, frame: &frame, rings, outer: 15.5, out: &mut beyond });
+        let within = |by: f64, u: f64, v: f64| {
+            let (x, y) = (frame.cos * u + frame.sin * v, frame.cos * v - frame.sin * u);
+            (x / (frame.a + by)).powi(2) + (y / (frame.b + by)).powi(2) <= 1.0
+        };
+        let mut wanted = [Sums::default(); 2];
+        for (u, v) in (0..height).flat_map(|v| (0..width).map(move |u| (u, v))) {
+            let at = |by: f64| within(by, u as f64 - frame.u0, v as f64 - frame.v0);
+            let side = match (at(-8.0), at(7.0), at(15.5)) {
+                (true, ..) => 0,
+                (_, false, true) => 1,
+                _ => continue,
+            };
+            let (x, y) = (u as f64 - near.reference.0, v as f64 - near.reference.1);
+            let g = f64::from(view.get(u, v)) - near.ground;
+            let s = &mut wanted[side];
+            (s.n, s.u, s.v, s.uv, s.g, s.gv) = (s.n + 1.0, s.u + x, s.v + y, s.uv + x * y, s.g + g, s.gv + g * y);
+        }
+        for side in 0..2 {
+            let (found, wanted) = (&beyond.sums[side], &wanted[side]);
+            assert!(wanted.n > 100.0);
+            let of = |s: &Sums| [s.n, s.u, s.v, s.uv, s.g, s.gv];
+            assert_eq!(of(found), of(wanted), "side {side}");
+        }
+    }
 }
