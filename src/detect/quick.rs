@@ -262,11 +262,12 @@ impl Quick {
                 |side: usize| Bent::new(view, &self.pixels, side, &turn, (floor, &state.allow), state.step.abs()).ok();
             let mut sides = [side(0)?, side(1)?];
             let long = state.ellipse.perimeter_px() > bent::LONG_CONTOUR_PX && sides.iter().any(Bent::rises);
-            if round > 0 && (long || self.bent.is_some() || sides.iter().any(Bent::bends)) {
+            seen = !level || sides.iter().any(Bent::bends);
+            // The round in which it is first seen to bend is never the last.
+            if round > 0 && (self.bent.is_some() || long && !seen) {
                 self.look_beyond(view, state, (outer_px, floor), &mut sides);
             }
             let mut sides = Bent::of_both(sides);
-            seen = !level || sides.iter().any(Bent::bends);
             if long {
                 sides.iter_mut().for_each(Bent::loosen);
             }
