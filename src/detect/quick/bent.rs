@@ -24,6 +24,7 @@ use super::pixels::{Pixels, Run, Sums};
 use crate::detect::correlation::Allowance;
 use crate::detect::light::{Fits, Side};
 use crate::image::{GrayView, Samples};
+use crate::lanes::{self, Kernel, Lanes};
 use nalgebra::{Matrix3, SMatrix, SVector};
 
 /// Contours shorter than this have too few pixels beside them to tell light that bends from smoke, px.
@@ -211,9 +212,19 @@ fn second_degree(turn: &Matrix3<f64>) -> SMatrix<f64, 6, 6> {
     SMatrix::from_fn(|i, j| rows[i][j])
 }
 
-impl Moments {
-    fn new(view: &GrayView, pixels: &Pixels, side: usize) -> Self {
-        let mut out = Self::default();
+/// Sums up the rows of one side.
+struct Rows<'a> {
+    view: &'a GrayView<'a>,
+    pixels: &'a Pixels,
+    side: usize,
+}
+
+impl Kernel for Rows<'_> {
+    type Output = Moments;
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> Moments {
+        let Self { view, pixels, side } = self;
+        let mut out = Moments::default();
         for run in &pixels.runs[side] {
             let first = run.u / run.n - 0.5 * (run.n - 1.0);
             let (u, v) = ((first + pixels.reference.0) as usize, (run.v + pixels.reference.1) as usize);
@@ -227,6 +238,12 @@ impl Moments {
         }
         out.squares = pixels.sums[side].right().1;
         out
+    }
+}
+
+impl Moments {
+    fn new(view: &GrayView, pixels: &Pixels, side: usize) -> Self {
+        lanes::run(Rows { view, pixels, side })
     }
 
     fn add_all(&mut self, other: &Self) {
@@ -283,24 +300,30 @@ impl Moments {
 }
 
 /// Sums of the grey value times the place, times its square and times its cube.
+#[inline(always)]
 fn with_places<T: Copy + Into<f64>>(grey: &[T], ground: f64) -> [f64; 3] {
     // Side by side, so that none waits for the one before.
     const SIDE_BY_SIDE: usize = 8;
     let mut sums = [[0.0; SIDE_BY_SIDE]; 3];
-    let mut add = |k: usize, i: usize, x: T| {
-        let place = i as f64;
-        let mut x = x.into() - ground;
-        for sum in &mut sums {
-            x *= place;
-            sum[k] += x;
-        }
-    };
     let eights = grey.chunks_exact(SIDE_BY_SIDE);
     let done = grey.len() - eights.remainder().len();
     for (c, eight) in eights.enumerate() {
-        (0..SIDE_BY_SIDE).for_each(|k| add(k, c * SIDE_BY_SIDE + k, eight[k]));
+        for k in 0..SIDE_BY_SIDE {
+            let place = (c * SIDE_BY_SIDE + k) as i32 as f64;
+            let mut x = eight[k].into() - ground;
+            for sum in &mut sums {
+                x *= place;
+                sum[k] += x;
+            }
+        }
     }
-    (done..grey.len()).for_each(|i| add(0, i, grey[i]));
+    for (i, x) in grey.iter().enumerate().skip(done) {
+        let mut x = (*x).into() - ground;
+        for sum in &mut sums {
+            x *= i as f64;
+            sum[0] += x;
+        }
+    }
     sums.map(|s| s.iter().sum())
 }
 
