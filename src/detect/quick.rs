@@ -1,5 +1,6 @@
 //! A clean disc, fast: the model of [`crate::detect::exact`] with level and slope of the light on either side, nothing hidden, nothing beside it.
-//! On large discs the light may bend: what the pixels away from the edge show of second degree is fitted with the rest.
+//! On large discs the light may bend: what the pixels away from the edge show of second degree is fitted with the rest, of the whole disc where all of
+//! it shows the same (`bent`).
 //!
 //! Pixels near the edge are worked on sixteen at a time; those further away see one side only, and rows of them
 //! are summed up as they are. One set of sums serves every question about the light: a slope that is not asked for is held at what other discs tell
@@ -166,6 +167,7 @@ impl Quick {
         self.rounds(view, state, outer_px, floor)
     }
 
+    /// The same, with what is known of the light further off.
     fn rounds(&mut self, view: &GrayView, state: &mut Clean, outer_px: f64, floor: f64) -> Option<()> {
         (self.bent, self.slanted_inside) = (None, false);
         // Light that bends is asked for in the second round.

@@ -82,9 +82,8 @@ impl Exact {
                 let left = self.columns[(lights + FIXED) * CHUNK + l] - model[l];
                 self.left.push(left);
                 let (q, h) = (self.inside[p], self.response[p]);
-                let share = &mut self.shares[self.band.sector[p] as usize];
-                let counted = self.counted.get(p).copied().unwrap_or(1.0);
-                share.push(h, left, counted);
+                let counted = self.counted(p);
+                self.shares[self.band.sector[p] as usize].push(h, left, counted);
                 let far = if q > 0.995 { Some(0) } else { (q < 0.005).then_some(1) };
                 if let Some(side) = far {
                     self.away[side][0] += left * left / Self::weight(state, q);

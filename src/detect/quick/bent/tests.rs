@@ -112,6 +112,15 @@ fn third(view: &GrayView, pixels: &Pixels, side: usize) -> f64 {
     (b - a * x).norm_squared()
 }
 
+/// How often chance surpasses the limits of what is the same light.
+#[test]
+fn limits_are_what_chance_makes() {
+    use crate::stats::chi_square_above;
+    let (coefficients, third) = (SURFACE.len() as f64, (CUBIC - SURFACE.len()) as f64);
+    assert!((chi_square_above(SAME_LIGHT, coefficients) - 1e-3).abs() < 1e-4);
+    assert!((chi_square_above(THIRD_DEGREE, third) - 1e-2).abs() < 1e-3);
+}
+
 fn start_beside() -> Clean {
     let mut ellipse = LARGE;
     ellipse.center_px.u_px += 0.3;
