@@ -22,7 +22,7 @@ mod x86_greys;
 
 pub(crate) use columns::{Column, ColumnMut};
 pub(crate) use greys::Greys;
-pub(crate) use raster::{Level, Raster, fetch};
+pub(crate) use raster::{LINE, Level, Raster, fetch};
 pub(crate) use singles::{Picks, SINGLES, Singles, WithPicks, sum_of_singles};
 pub(crate) use sweep::{Each, sweep};
 pub(crate) use twice::Twice;

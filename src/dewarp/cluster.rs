@@ -11,6 +11,7 @@ use super::kernel::MOST_TAPS;
 use super::rows::Places;
 use super::weights::Table;
 use crate::lanes::{Level, Picks, Raster, SINGLES, WithPicks};
+use std::hint::black_box;
 
 /// Most rows between the first and the last window.
 const MOST_ROWS: usize = 4;
@@ -74,7 +75,7 @@ impl<S: Level> WithPicks for Cluster<'_, S> {
         let down = self.table.each(P::load(&self.at.x[1][self.first..]));
         let mut index = [column.index(); MOST_TAPS];
         for i in 1..MOST_TAPS {
-            index[i] = (column + P::splat(i as f32)).index();
+            index[i] = P::behind(index[0], i as i32);
         }
         let mut sums = [P::splat(0.0); MOST_TAPS];
         if depth == 0 {
@@ -103,7 +104,8 @@ impl<S: Level> WithPicks for Cluster<'_, S> {
                 add_where(has, &mut sums, P::line(&lines.samples()), &index, weight);
             }
         }
-        let across = self.table.each(P::load(&self.at.x[0][self.first..]));
+        // A table that the compiler does not know again: it would keep all coefficients in memory from the first time to the second.
+        let across = black_box(self.table).each(P::load(&self.at.x[0][self.first..]));
         for i in 0..MOST_TAPS {
             sums[i] = sums[i] * across[i];
         }

@@ -9,7 +9,7 @@ use super::sampler::Sampler;
 use super::weights::Table;
 use crate::error::{Invalid, Result};
 use crate::image::{GrayImage, GrayView, Pixels, Samples};
-use crate::lanes::{Level, run};
+use crate::lanes::Level;
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
@@ -53,7 +53,7 @@ impl Plane<'_> {
         let (table, panels) = (table.as_ref(), &Panels::of(grid.width_px));
         let band = ROWS * grid.width_px;
         pixels.par_chunks_mut(band).zip(valid.par_chunks_mut(band)).enumerate().for_each(|(k, (pixels, valid))| {
-            run(Band { source, table, panels, map, grid, z_mm, first_row: k * ROWS, levels: levels(pixels), valid });
+            Band { source, table, panels, map, grid, z_mm, first_row: k * ROWS, levels: levels(pixels), valid }.fill();
         });
     }
 

@@ -189,20 +189,43 @@ pub(super) struct Band<'a, S> {
     pub(super) valid: &'a mut [bool],
 }
 
-impl<S: Level> lanes::Kernel for Band<'_, S> {
+/// A band with its weights. Each is compiled by itself: what one of them needs leaves the registers of the others alone.
+struct By<'a, S, W, const T: usize> {
+    band: Band<'a, S>,
+    weights: &'a W,
+}
+
+impl<S: Level, W: Weights<T>, const T: usize> lanes::Kernel for By<'_, S, W, T> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        match (self.source.kernel, self.table) {
-            (Kernel::Nearest, _) => self.rows::<L, _, 1>(&Nearest),
-            (Kernel::Linear, _) => self.rows::<L, _, 2>(&Linear),
-            (Kernel::Lanczos | Kernel::BSpline, Some(table)) => self.rows::<L, _, 8>(table),
-            _ => self.rows::<L, _, 4>(&Cubic),
-        }
+        self.band.rows::<L, W, T>(self.weights);
     }
 }
 
+/// Does something with a band and the weights of its kernel.
+macro_rules! by_kernel {
+    ($band:expr, |$by:ident| $work:expr) => {{
+        let band = $band;
+        match (band.source.kernel, band.table) {
+            (Kernel::Nearest, _) => by_kernel!(band, &Nearest, 1, $by, $work),
+            (Kernel::Linear, _) => by_kernel!(band, &Linear, 2, $by, $work),
+            (Kernel::Lanczos | Kernel::BSpline, Some(table)) => by_kernel!(band, table, 8, $by, $work),
+            _ => by_kernel!(band, &Cubic, 4, $by, $work),
+        }
+    }};
+    ($band:ident, $weights:expr, $taps:literal, $by:ident, $work:expr) => {{
+        let $by = By::<_, _, $taps> { band: $band, weights: $weights };
+        $work
+    }};
+}
+
 impl<S: Level> Band<'_, S> {
+    /// Writes levels and validity, as wide as the processor is.
+    pub(super) fn fill(self) {
+        by_kernel!(self, |band| lanes::run(band));
+    }
+
     #[inline(always)]
     fn rows<L: Lanes, W: Weights<T>, const T: usize>(mut self, weights: &W) {
         let bounds = Bounds::new::<S, T>(&self.source);
@@ -336,7 +359,7 @@ mod tests {
                 levels: Levels::F32(&mut levels),
                 valid: &mut valid,
             };
-            lanes::Kernel::run::<L>(band);
+            by_kernel!(band, |band| lanes::Kernel::run::<L>(band));
             (levels.iter().map(|x| x.to_bits()).collect(), valid)
         }
     }

@@ -31,7 +31,7 @@ impl Level for f32 {
 }
 
 /// Samples of a row from which numbers are picked.
-const LINE: usize = 2 * SINGLES;
+pub(crate) const LINE: usize = 2 * SINGLES;
 
 /// Samples whose rows begin `stride` samples apart, read in windows of T rows of T samples.
 #[derive(Clone, Copy)]

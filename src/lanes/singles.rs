@@ -2,7 +2,7 @@
 //!
 //! The rules of [`super`] hold with [`SINGLES`] running sums: bits are equal on every machine.
 
-use super::{Level, Several};
+use super::{LINE, Level, Several};
 
 /// Pixels that go through a kernel together, whatever the width.
 pub(crate) const SINGLES: usize = 16;
@@ -25,9 +25,11 @@ pub(crate) trait Picks: Singles {
     /// Sixteen numbers of numbers in a line.
     type Index: Copy;
     /// Of grey levels.
-    fn line<S: Level>(x: &[S; 2 * SINGLES]) -> Self::Line;
+    fn line<S: Level>(x: &[S; LINE]) -> Self::Line;
     /// Of whole numbers from 0 to 31.
     fn index(self) -> Self::Index;
+    /// The same, so much later.
+    fn behind(index: Self::Index, by: i32) -> Self::Index;
     /// From a line.
     fn pick(line: Self::Line, index: Self::Index) -> Self;
 }
@@ -151,22 +153,25 @@ mod tests {
         }
     }
 
-    /// The numbers of a line at places that run forth and back.
-    struct Picked([u16; 2 * SINGLES]);
+    /// The numbers of a line at places that run forth and back, and three later.
+    struct Picked([u16; LINE]);
     impl WithPicks for Picked {
-        type Output = [f32; SINGLES];
+        type Output = [[f32; SINGLES]; 2];
         #[inline(always)]
-        fn run<P: Picks>(self) -> [f32; SINGLES] {
-            let (mut places, mut out) = ([0.0; SINGLES], [0.0; SINGLES]);
-            places.iter_mut().enumerate().for_each(|(i, x)| *x = (7 * i % 32) as f32);
-            P::pick(P::line(&self.0), P::load(&places).index()).store(&mut out);
+        fn run<P: Picks>(self) -> Self::Output {
+            let mut out = [[0.0; SINGLES]; 2];
+            let mut places = [0.0; SINGLES];
+            places.iter_mut().enumerate().for_each(|(i, x)| *x = (7 * i % (LINE - 3)) as f32);
+            let (line, first) = (P::line(&self.0), P::load(&places).index());
+            P::pick(line, first).store(&mut out[0]);
+            P::pick(line, P::behind(first, 3)).store(&mut out[1]);
             out
         }
     }
     #[derive(Clone)]
     struct Picking;
     impl Kernel for Picking {
-        type Output = Option<[f32; SINGLES]>;
+        type Output = Option<[[f32; SINGLES]; 2]>;
         #[inline(always)]
         fn run<L: Lanes>(self) -> Self::Output {
             L::with_picks(Picked(std::array::from_fn(|i| 1000 + i as u16)))
@@ -176,7 +181,8 @@ mod tests {
     #[test]
     fn numbers_are_picked_where_the_processor_can() {
         for picked in run_all(&Picking).into_iter().flatten() {
-            assert_eq!(picked, std::array::from_fn(|i| (1000 + 7 * i % 32) as f32));
+            let wanted = |later: usize| std::array::from_fn(|i| (1000 + 7 * i % (LINE - 3) + later) as f32);
+            assert_eq!(picked, [wanted(0), wanted(3)]);
         }
     }
 

@@ -3,7 +3,7 @@
 //! A value of these types is only ever made inside a function compiled for its instructions, which [`super::run`] enters after having
 //! asked the processor: that is what makes each `unsafe` below sound.
 
-use super::{Kernel, Lanes, Level, Picks, SINGLES, Several, Singles, WithPicks};
+use super::{Kernel, LINE, Lanes, Level, Picks, SINGLES, Several, Singles, WithPicks};
 use std::arch::x86_64::{
     __m256, __m256d, __m512, __m512d, __m512i, __mmask8, __mmask16, _CMP_LT_OQ, _MM_FROUND_NO_EXC,
     _MM_FROUND_TO_NEG_INF, _mm_storeu_ps, _mm256_add_epi32, _mm256_add_pd, _mm256_add_ps, _mm256_and_pd,
@@ -240,9 +240,9 @@ impl Picks for SixteenSingles {
     type Line = [Self; 2];
     type Index = __m512i;
     #[inline(always)]
-    fn line<S: Level>(x: &[S; 2 * SINGLES]) -> [Self; 2] {
-        let mut numbers = [0.0; 2 * SINGLES];
-        for i in 0..2 * SINGLES {
+    fn line<S: Level>(x: &[S; LINE]) -> [Self; 2] {
+        let mut numbers = [0.0; LINE];
+        for i in 0..LINE {
             numbers[i] = x[i].number();
         }
         [Self::load(&numbers), Self::load(&numbers[SINGLES..])]
@@ -251,6 +251,11 @@ impl Picks for SixteenSingles {
     fn index(self) -> __m512i {
         // SAFETY: see the head of the file.
         unsafe { _mm512_cvtps_epi32(self.0) }
+    }
+    #[inline(always)]
+    fn behind(index: __m512i, by: i32) -> __m512i {
+        // SAFETY: see the head of the file.
+        unsafe { _mm512_add_epi32(index, _mm512_set1_epi32(by)) }
     }
     #[inline(always)]
     fn pick(line: [Self; 2], index: __m512i) -> Self {
