@@ -153,18 +153,20 @@ mod tests {
         }
     }
 
-    /// The numbers of a line at places that run forth and back, and three later.
+    /// The numbers of a line at places that run forth and back, and at others three later.
     struct Picked([u16; LINE]);
     impl WithPicks for Picked {
         type Output = [[f32; SINGLES]; 2];
         #[inline(always)]
         fn run<P: Picks>(self) -> Self::Output {
-            let mut out = [[0.0; SINGLES]; 2];
-            let mut places = [0.0; SINGLES];
-            places.iter_mut().enumerate().for_each(|(i, x)| *x = (7 * i % (LINE - 3)) as f32);
-            let (line, first) = (P::line(&self.0), P::load(&places).index());
-            P::pick(line, first).store(&mut out[0]);
-            P::pick(line, P::behind(first, 3)).store(&mut out[1]);
+            let places = |within: usize| {
+                let mut places = [0.0; SINGLES];
+                places.iter_mut().enumerate().for_each(|(i, x)| *x = (7 * i % within) as f32);
+                P::load(&places).index()
+            };
+            let (line, mut out) = (P::line(&self.0), [[0.0; SINGLES]; 2]);
+            P::pick(line, places(LINE)).store(&mut out[0]);
+            P::pick(line, P::behind(places(LINE - 3), 3)).store(&mut out[1]);
             out
         }
     }
@@ -181,8 +183,8 @@ mod tests {
     #[test]
     fn numbers_are_picked_where_the_processor_can() {
         for picked in run_all(&Picking).into_iter().flatten() {
-            let wanted = |later: usize| std::array::from_fn(|i| (1000 + 7 * i % (LINE - 3) + later) as f32);
-            assert_eq!(picked, [wanted(0), wanted(3)]);
+            let wanted = |within: usize, later: usize| std::array::from_fn(|i| (1000 + 7 * i % within + later) as f32);
+            assert_eq!(picked, [wanted(LINE, 0), wanted(LINE - 3, 3)]);
         }
     }
 
