@@ -56,6 +56,17 @@ impl Dense {
         positive
     }
 
+    /// Solves for several right sides at a time, in place, with the factor.
+    pub(crate) fn solve_each<const K: usize>(&self, right: &mut [[f64; K]]) {
+        lanes::run(SubstituteEach { factor: &self.matrix, right });
+    }
+
+    /// Cholesky's factor of the Schur complement on blur and geometry.
+    pub(crate) fn fixed_factor(&self, n: usize) -> SMatrix<f64, FIXED, FIXED> {
+        let at = n - FIXED;
+        SMatrix::from_fn(|i, j| if j <= i { self.matrix[(at + i) * n + at + j] } else { 0.0 })
+    }
+
     /// Variances of the first `count` of the `n` unknowns, from the factor.
     pub(crate) fn variances(&self, count: usize, n: usize) -> Vec<f64> {
         lanes::run(Inverse { factor: &self.matrix, n, count })
@@ -93,6 +104,41 @@ impl Kernel for Inverse<'_> {
             }
         }
         out
+    }
+}
+
+/// Solves with the factor for several right sides, in place.
+struct SubstituteEach<'a, const K: usize> {
+    factor: &'a [f64],
+    right: &'a mut [[f64; K]],
+}
+
+impl<const K: usize> Kernel for SubstituteEach<'_, K> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { factor, right } = self;
+        let n = right.len();
+        for i in 0..n {
+            let row = &factor[i * n..=i * n + i];
+            let (known, rest) = right.split_at_mut(i);
+            for (x, a) in known.iter().zip(row) {
+                for l in 0..K {
+                    rest[0][l] -= a * x[l];
+                }
+            }
+            rest[0].iter_mut().for_each(|x| *x /= row[i]);
+        }
+        for i in (0..n).rev() {
+            let row = &factor[i * n..=i * n + i];
+            let (above, rest) = right.split_at_mut(i);
+            rest[0].iter_mut().for_each(|x| *x /= row[i]);
+            for (x, a) in above.iter_mut().zip(row) {
+                for l in 0..K {
+                    x[l] -= a * rest[0][l];
+                }
+            }
+        }
     }
 }
 
@@ -217,6 +263,14 @@ mod tests {
             let inverse = full.try_inverse().unwrap();
             let covariance = inverse.view((n - 5, n - 5), (5, 5));
             assert!((dense.covariance - covariance).amax() < 1e-9 * covariance.amax(), "{n}");
+            let mut each = [3, n - 1].map(|j| (0..n).map(|i| f64::from(u8::from(i == j))).collect::<Vec<_>>());
+            let mut right: Vec<[f64; 2]> = (0..n).map(|i| [each[0][i], each[1][i]]).collect();
+            dense.solve_each(&mut right);
+            (0..n).for_each(|i| (each[0][i], each[1][i]) = (right[i][0], right[i][1]));
+            for (column, j) in each.iter().zip([3, n - 1]) {
+                let off = (DVector::from_column_slice(column) - inverse.column(j)).amax();
+                assert!(off < 1e-9 * inverse.column(j).amax(), "{n}: {off}");
+            }
             let variances = dense.variances(3, n);
             assert!((0..3).all(|i| (variances[i] / inverse[(i, i)] - 1.0).abs() < 1e-9), "{n}");
             let all = lanes::run_all(&Made { a: matrix, n });

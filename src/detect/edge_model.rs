@@ -30,7 +30,7 @@
 //! short contours over all. The sums stay without bias for any `E` that does not know of their errors; of the information remains
 //! `<E>^2 / <E^2>`, for `E` that scatters by a fifth 0.96.
 //!
-//! A small disc cannot tell its size from blur; a weak prior holds what the data leave open: blur within `PRIOR_BLUR_PX` of the value given.
+//! A small disc cannot tell its size from blur; a weak prior holds what the data leave open: blur within a third of the value given, or of a pixel.
 //!
 //! Not valid where the radius of curvature is not well above the blur, or where another edge lies within the band.
 
@@ -41,8 +41,8 @@ use crate::detect::light::{Light, NodePrior, Side};
 use crate::detect::sectors::{LOCAL, Sectors};
 use nalgebra::{SMatrix, SVector};
 
-/// Standard deviation of the prior of the blur, px.
-pub(crate) const PRIOR_BLUR_PX: f64 = 0.3;
+/// Standard deviation of the prior of the blur, of the blur or of a pixel, the larger one: the line that was followed shows it to a tenth.
+const PRIOR_BLUR: f64 = 0.3;
 /// Half the standard deviation of the area of a pixel, px.
 pub(crate) const LEAST_BLUR_PX: f64 = 0.15;
 /// Sectors either side over which the step is averaged where the light follows nodes; of short contours all around.
@@ -53,6 +53,11 @@ const MOST: usize = 2 * Side::MOST + FIXED;
 const NODE: usize = LOCAL - 2;
 /// Blur and geometry and the node where the chain closes.
 const BORDER: usize = FIXED + NODE;
+
+/// Weight of the prior of the blur, 1/px^2.
+pub(crate) fn blur_weight(expected_px: f64) -> f64 {
+    (PRIOR_BLUR * expected_px.max(1.0)).powi(-2)
+}
 
 /// State of the model of one disc.
 #[derive(Debug, Clone)]
@@ -143,7 +148,7 @@ impl EdgeModel {
     }
 
     fn blur_prior(&self) -> (f64, f64) {
-        let weight = PRIOR_BLUR_PX.powi(-2);
+        let weight = blur_weight(self.expected_blur_px);
         (weight, weight * (self.expected_blur_px - self.blur_px))
     }
 

@@ -4,8 +4,8 @@
 //! ([`crate::detect::profile`]) and light ([`crate::detect::surface`]). Gauss-Newton in geometry and blur, exact in the light.
 //!
 //! Smoke is a random field: waves on a lattice of wave vectors `k` in units of the semi-axes, whose heights are
-//! unknowns with a prior, variance of a height `~ amp^2 S(k l)`, of smooth light, `S = (1 + (k l)^2 / 6)^(-3)`, or of turbulence cut
-//! by a sheet, `S = (1 + (k l)^2)^(-4/3)`. Spectrum, amplitude and length are those with the largest restricted likelihood of the image,
+//! unknowns with a prior, variance of a height `~ amp^2 S(k l) exp(-s^2 k^2)`, of smooth light, `S = (1 + (k l)^2 / 6)^(-3)`, or of turbulence cut
+//! by a sheet, `S = (1 + (k l)^2)^(-4/3)`; the last factor is what the blur s takes. Spectrum, amplitude and length are those with the largest restricted likelihood of the image,
 //!
 //! ```text
 //! -2 ln L = chi^2 + ln det(J^T W J + Lambda^-1) + ln det Lambda + sum ln variance - sum ln W
@@ -18,7 +18,8 @@
 //! spend, for light carries shot noise that the ground does not show. Of small discs these are few: then the mean is over the noise as
 //! well, which may be four times louder where there is more light (`ln (variance / outside) ~ N(0, ln 4)`), but hardly quieter (`ln 1.3`).
 //! A small disc is asked for smoke where its inside is louder or less even than its ground, where its light rises and the ground does not, or where more is left
-//! than noise: weak slow smoke shows no more than a slope, and its bend would draw the contour.
+//! than noise: weak slow smoke shows no more than a slope, and its bend would draw the contour. Behind a blur any smoke may look so: a few fields are
+//! asked then whether they say more (`Exact::may_be_smoke`). What light and edge do to each other in second order is taken off (`second.rs`).
 //! Of large discs ([`is_large`]) a field is asked for where light along the contour changes slowly, and must leave no more than noise; nodes along
 //! the contour ([`crate::detect::light`]) follow what is faster.
 //!
@@ -28,10 +29,12 @@
 //! | k | `Field::waves` | n | 1 | wave vectors |
 //! | J^T W J | `gram` | n x n | | products of all columns, the grey values last |
 
+mod area;
 mod field;
 mod hidden;
 mod left;
 mod products;
+mod second;
 mod small;
 mod waves;
 pub(crate) use field::Field;
@@ -42,7 +45,7 @@ use crate::detect::band::{Band, LANES, Reach};
 use crate::detect::contour::Contour;
 use crate::detect::correlation::Allowance;
 use crate::detect::dense::{Dense, FIXED};
-use crate::detect::edge_model::{LEAST_BLUR_PX, PRIOR_BLUR_PX};
+use crate::detect::edge_model::{LEAST_BLUR_PX, blur_weight};
 use crate::detect::light::Side;
 use crate::detect::profile::{Lanes, Profile, Profiled};
 use crate::detect::refine::{Start, reach_px};
@@ -51,12 +54,13 @@ use crate::detect::shared_light::in_axes;
 use crate::detect::surface::{At, on_contour};
 use crate::image::GrayView;
 use crate::lanes;
-use field::{MOST_LOUD, PRIOR_PIXELS, Verdict};
+use area::Area;
+use field::{MOST_LOUD, Verdict};
 pub(crate) use hidden::Hidden;
 use left::Within;
 use nalgebra::{SMatrix, SVector};
 use products::{CHUNK, Products};
-use waves::{Beyond, Turns, Waves};
+use waves::{Each, Heights, Turns, Waves};
 
 /// Pixels that are looked at or passed over together.
 const SLICE: usize = 64;
@@ -104,6 +108,7 @@ pub(crate) struct Exact {
     count: usize,
     columns: Vec<f64>,
     turns: Turns,
+    area: Area,
     /// The slopes expected, in the axes of the ellipse.
     expected: [[f64; 2]; 2],
     /// Step of the light at each pixel, or at each node of the rim, while the light is not known; empty otherwise.
@@ -113,8 +118,10 @@ pub(crate) struct Exact {
     inside: Vec<f64>,
     /// Of the chunks, one in so many is looked at.
     thinned: usize,
-    /// Added to the right side of blur and geometry, see [`Exact::price_of_room`].
-    tilt: [f64; FIXED],
+    /// Added to the right side of blur and geometry, see `second.rs`.
+    tilt: SVector<f64, FIXED>,
+    /// What the unknowns follow of the grey value of each of `LANES` pixels.
+    followed: Vec<Each>,
     gram: Vec<f64>,
     dense: Dense,
     /// Coefficients of the light and change of the fixed unknowns.
@@ -195,11 +202,7 @@ impl Exact {
         if self.light.is_empty() {
             return state.step + inside - outside;
         }
-        let at = 2 * state.field.as_ref().map_or(0, |f| f.waves.len());
-        let edge = on_contour(c, s);
-        let inner = state.sides[0].count();
-        let sum = |c: &[f64]| c.iter().zip(&edge).map(|(c, e)| c * e).sum::<f64>();
-        sum(&self.light[at..at + inner]) - sum(&self.light[at + inner..]) + inside - outside
+        polynomial_step(state, c, s, |j| self.light[j]) + inside - outside
     }
 
     /// The columns of the polynomials of both sides, from column `j` on; returns what is expected of their slopes, grey.
@@ -227,7 +230,7 @@ impl Exact {
     ) {
         let (feet, pixels) = self.feet_and_pixels(state, frame, lanes, (i, shown));
         let root = self.roots(state, i, pixels.map(|pixel| pixel.inside));
-        let (of_waves, waves) = self.fill_waves(state, &pixels, &root, None, at);
+        let (of_waves, waves) = self.fill_waves(state, &pixels, &root, at);
         let j = Self::lights(state);
         for l in 0..shown {
             let (p, at) = (i + l, at + l);
@@ -268,12 +271,11 @@ impl Exact {
         state: &State,
         pixels: &[At; LANES],
         root: &[f64; LANES],
-        beyond: Option<&Beyond>,
         at: usize,
     ) -> ([f64; LANES], usize) {
         let Some(field) = &state.field else { return ([0.0; LANES], 0) };
-        let (light, columns, turns) = (&self.light, &mut self.columns[at..], &mut self.turns);
-        let of_waves = lanes::run(Waves { field, pixels, root, light, beyond, columns, turns });
+        let (heights, columns, turns) = (Heights::Common(&self.light), &mut self.columns[at..], &mut self.turns);
+        let of_waves = lanes::run(Waves { field, pixels, root, heights, columns, turns });
         (of_waves, 2 * field.waves.len())
     }
 
@@ -366,11 +368,11 @@ impl Exact {
                 at += 1;
             }
         }
-        let weight = PRIOR_BLUR_PX.powi(-2);
+        let weight = blur_weight(state.expected_blur_px);
         self.dense.matrix[at * n + at] += weight;
         self.dense.right[at] += weight * (state.expected_blur_px - state.blur_px);
         for (i, t) in self.tilt.iter().enumerate() {
-            self.dense.right[lights + i] -= t;
+            self.dense.right[lights + i] += t;
         }
         if !self.dense.solve(n) {
             return None;
@@ -492,7 +494,7 @@ impl Exact {
         let (mut round, mut chosen) = (0, 0);
         let afresh = state.field.as_ref().is_some_and(|f| f.waves.is_empty());
         self.held.clear();
-        self.tilt = [0.0; FIXED];
+        self.tilt = SVector::zeros();
         loop {
             cut(contour, &state.ellipse);
             let count = contour.len();
@@ -520,13 +522,9 @@ impl Exact {
                     break;
                 }
                 if chosen == 2 {
-                    if self.count > PRIOR_PIXELS {
-                        // Room grows with the area, what the contour says with its length and the contrast: no longer felt.
-                        break;
-                    }
                     chosen = 3;
                     round = round.min(MOST_ROUNDS - 3);
-                    self.tilt = self.price_of_room(view, state, contour, &kept, reach, cut)?;
+                    self.tilt = self.second_order(state)?;
                     continue;
                 }
                 // The prior was chosen where the contour was first thought to be.
@@ -569,6 +567,15 @@ impl Exact {
 /// Whether a disc is fitted with a field only where the light changes slowly.
 pub(crate) fn is_large(e: &Ellipse) -> bool {
     e.perimeter_px() > MOST_CONTOUR_PX
+}
+
+/// Difference of the polynomials of the two sides on the contour, at an eccentric angle, with coefficients `of` the unknowns of the light.
+fn polynomial_step(state: &State, c: f64, s: f64, of: impl Fn(usize) -> f64) -> f64 {
+    let first = 2 * state.field.as_ref().map_or(0, |f| f.waves.len());
+    let [inner, outer] = [0, 1].map(|i| state.sides[i].count());
+    let edge = on_contour(c, s);
+    let sum = |from: usize, count: usize| (0..count).map(|m| of(from + m) * edge[m]).sum::<f64>();
+    sum(first, inner) - sum(first + inner, outer)
 }
 
 /// `LANES` numbers of a list from place `i` on.

@@ -129,7 +129,7 @@ fn refine_all<'a>(
             neighbours: &around.neighbours,
             slopes: light.slopes(candidate),
             noise: &noise,
-            traced: candidate.level == 0,
+            level: candidate.level,
             clear: sigma < CLEAR * candidate.contrast * candidate.ellipse.perimeter_px().sqrt(),
             smoke: if *wisp { few(all.len()) } else { smoke },
         };

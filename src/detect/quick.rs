@@ -28,7 +28,7 @@ use crate::conic::{Ellipse, Frame, from_regular, to_regular};
 use crate::detect::contour::Contour;
 use crate::detect::correlation::Allowance;
 use crate::detect::dense::{Dense, FIXED};
-use crate::detect::edge_model::{LEAST_BLUR_PX, PRIOR_BLUR_PX};
+use crate::detect::edge_model::{LEAST_BLUR_PX, blur_weight};
 use crate::detect::exact::{SLOPE, SMALL, Share};
 use crate::detect::light::Side;
 use crate::detect::refine::{border_px, reach_px};
@@ -400,7 +400,7 @@ impl Quick {
             let k = of_light(column(i));
             self.dense.right[i] -= w * (self.light[k] - expected[k]);
         }
-        let weight = PRIOR_BLUR_PX.powi(-2);
+        let weight = blur_weight(state.expected_blur_px);
         let blur = bends + LIGHTS;
         self.dense.matrix[blur * n + blur] += weight;
         self.dense.right[blur] += weight * (state.expected_blur_px - state.blur_px);
@@ -441,7 +441,7 @@ impl Quick {
         for (i, column) in ORDER.into_iter().enumerate().filter(|(_, column)| *column < LIGHTS) {
             self.few.add(i, weights[column], expected[column] - self.light[column]);
         }
-        self.few.add(BLUR, PRIOR_BLUR_PX.powi(-2), state.expected_blur_px - state.blur_px);
+        self.few.add(BLUR, blur_weight(state.expected_blur_px), state.expected_blur_px - state.blur_px);
         lanes::run(few::Factor(&mut self.few)).then_some(())
     }
 

@@ -23,7 +23,7 @@ use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::edge_model::{EdgeModel, Solution};
 use crate::detect::exact::Exact;
 use crate::detect::light::{self, Light, Side};
-use crate::detect::quick::Quick;
+use crate::detect::quick::{Quick, contour_of};
 use crate::detect::rough::{roughen, roughness_px2};
 use crate::detect::sectors::{Lens, Sectors};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
@@ -72,12 +72,29 @@ pub(crate) struct Start<'a> {
     pub(crate) slopes: [[f64; 2]; 2],
     /// What the noise of neighbouring pixels has in common.
     pub(crate) noise: &'a NoiseCorrelation,
-    /// Whether the ellipse is that of a line followed in the pixels of the image themselves.
-    pub(crate) traced: bool,
+    /// The level of the pyramid in which the line of the ellipse was followed; 0 are the pixels of the image themselves.
+    pub(crate) level: u32,
     /// Whether noise hardly moved that line.
     pub(crate) clear: bool,
     /// Whether a random field of light may be fitted, which takes thousands of times as long as a clean disc.
     pub(crate) smoke: bool,
+}
+
+impl Start<'_> {
+    /// The ellipse and the blur that the line followed is that of.
+    fn contour(&self) -> (Ellipse, f64) {
+        let scale = f64::from(1_u32 << self.level);
+        let of_level = Ellipse {
+            semi_major_px: self.ellipse.semi_major_px / scale,
+            semi_minor_px: self.ellipse.semi_minor_px / scale,
+            ..self.ellipse
+        };
+        let (e, blur_px) = contour_of(&of_level, self.blur_px / scale);
+        (
+            Ellipse { semi_major_px: scale * e.semi_major_px, semi_minor_px: scale * e.semi_minor_px, ..e },
+            scale * blur_px,
+        )
+    }
 }
 
 /// Refines one disc, or says why it is none.
@@ -153,10 +170,11 @@ fn solve(model: &EdgeModel, s: &mut Scratch) -> Result<(), RejectionReason> {
 
 /// Light that rises across the disc, narrow band: brings the ellipse within a fraction of the blur.
 fn rough_model(view: &GrayView, start: &Start, s: &mut Scratch) -> Result<EdgeModel, RejectionReason> {
+    let (_, blur_px) = start.contour();
     let mut model = EdgeModel {
         ellipse: start.ellipse,
-        blur_px: start.blur_px,
-        expected_blur_px: start.blur_px,
+        blur_px,
+        expected_blur_px: blur_px,
         light: Light::Surface([Side::plain(1, 1.0); 2]),
         // Weights in units of the contrast, until the noise is known.
         variance: [(0.05 * start.contrast).powi(2).max(1e-300); 2],
@@ -505,7 +523,7 @@ mod tests {
             neighbours: &[],
             slopes: [[0.0; 2]; 2],
             noise: &noise,
-            traced: true,
+            level: 0,
             clear: true,
             smoke: false,
         };

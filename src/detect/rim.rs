@@ -154,7 +154,7 @@ impl Looks<'_> {
 
 /// `exp(-h)` for `h >= 0`, error below 1e-11: the series of `exp(-h / 64)`, squared six times; beyond 40 as at 40.
 #[inline(always)]
-fn gaussian<L: lanes::Lanes>(h: L) -> L {
+pub(crate) fn gaussian<L: lanes::Lanes>(h: L) -> L {
     let number = |x: f64| L::splat(x);
     let z = h.at_most(number(40.0)) * number(-1.0 / 64.0);
     let mut power = number(1.0)

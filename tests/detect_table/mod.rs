@@ -222,16 +222,31 @@ impl Condition {
         scenes: usize,
         shots: usize,
         seed: u64,
-        mut each: impl FnMut(&Spot, &[f32], Option<&Disc>),
+        each: impl FnMut(&Spot, &[f32], Option<&Disc>),
     ) -> [f64; 4] {
-        let mut random = Random(seed);
-        let mut bound = [0.0; 4];
-        let light = self.light_columns();
         // The smoke modulates the step, a spot hides another stretch of the contour: the bound is another in each scene.
         let bounds = match self.light {
             Light::Smoke | Light::Haze | Light::Glare => scenes,
             _ => 1,
         };
+        self.expose_all([scenes, shots, bounds], seed, each)
+    }
+
+    /// The same without the bound, which takes most of the time.
+    pub fn show_only(&self, scenes: usize, seed: u64, mut each: impl FnMut(&Spot, Option<&Disc>)) {
+        self.expose_all([scenes, 1, 0], seed, |spot, _, disc| each(spot, disc));
+    }
+
+    /// As [`Condition::show`], with the bound of the first `bounds` scenes.
+    fn expose_all(
+        &self,
+        [scenes, shots, bounds]: [usize; 3],
+        seed: u64,
+        mut each: impl FnMut(&Spot, &[f32], Option<&Disc>),
+    ) -> [f64; 4] {
+        let mut random = Random(seed);
+        let mut bound = [0.0; 4];
+        let light = if bounds > 0 { self.light_columns() } else { vec![] };
         for scene in 0..scenes {
             let spot = self.spot((scene as f64 * 0.618).fract() - 0.5, (scene as f64 * 0.414).fract() - 0.5);
             let waves = self.waves(seed * 1000 + scene as u64);

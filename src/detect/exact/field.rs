@@ -1,12 +1,10 @@
 //! Smoke as a random field: its lattice of waves, its prior, and what not knowing it costs.
 
 use super::{Exact, SLICE, State, is_large};
-use crate::conic::{Ellipse, from_regular, to_regular};
-use crate::detect::band::{LANES, Reach};
-use crate::detect::contour::Contour;
+use crate::conic::Ellipse;
+use crate::detect::band::LANES;
 use crate::detect::dense::FIXED;
 use crate::detect::light::Side;
-use crate::image::GrayView;
 use nalgebra::{SMatrix, SVector};
 use std::f64::consts::{PI, SQRT_2, TAU};
 
@@ -20,6 +18,12 @@ const MOST_WAVES: f64 = 200.0;
 const WORTH: f64 = 16.0;
 /// Loss in the same that a field may bring in a small disc: light without waves is among what its result is the mean over.
 const AFFORDED: f64 = 8.0;
+/// Fields that are asked whether a small disc may be full of smoke: lengths in semi-axes, amplitudes in steps of the light; and the gain in twice the
+/// logarithm of the likelihood that says so, where the light outside is even and where it rises: discs in such light gain up to 7 and, as not knowing its slopes costs
+/// 15, up to 21, smoke behind a blur 20 to 500.
+const ASKED_LENGTHS: [f64; 3] = [0.64, 1.15, 2.2];
+const ASKED_AMPLITUDES: [f64; 3] = [0.06, 0.12, 0.24];
+const LIKELIER: [f64; 2] = [10.0, 30.0];
 /// Loss in the same from which a field has no say.
 const NO_SAY: f64 = 16.0;
 /// Times that noise inside is made louder by a factor of `sqrt(2)` in its variance.
@@ -35,7 +39,7 @@ const NOISE_KNOWN: f64 = 150.0;
 const FAR: f64 = 6.0;
 const MOST_STEPS: usize = 4;
 /// Pixels from which the prior of a field is chosen.
-pub(super) const PRIOR_PIXELS: usize = 3000;
+const PRIOR_PIXELS: usize = 3000;
 
 /// Minus twice the logarithm of the prior of the noise inside, beside that outside: with more light comes more shot noise, of a factor
 /// that may well be `LIKELY`; less noise with more light is hardly more than another ground.
@@ -50,7 +54,7 @@ fn prior_of_amplitude(amplitude: f64, step: f64) -> f64 {
     (amplitude / (AMPLE * step)).powi(2)
 }
 
-/// How the variance of the waves falls with the wave number `k`, for a length `l`.
+/// How the variance of the waves falls with the wave number `k`, for a length `l`, before the blur takes its part.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) enum Spectrum {
     /// `(1 + (k l)^2 / 6)^(-3)`: light with a slope that has a slope itself (Matern). A bell would promise more: that light seen
@@ -97,13 +101,13 @@ pub(crate) struct Field {
     pub(super) steps: Vec<[i32; 2]>,
     pub(super) spacing: [f64; 2],
     pub(super) most: [usize; 2],
-    /// Prior variances of the heights for an amplitude of one.
+    /// Prior variances of the heights, as the image shows them, for an amplitude of one.
     pub(super) variances: Vec<f64>,
 }
 
 impl Field {
     /// The lattice for the disc `e` seen with the blur given.
-    fn new(spectrum: Spectrum, length: f64, e: &Ellipse, blur_px: f64) -> Self {
+    pub(super) fn new(spectrum: Spectrum, length: f64, e: &Ellipse, blur_px: f64) -> Self {
         let axes = [e.semi_major_px, e.semi_minor_px];
         let spacing = axes.map(|a| TAU / (2.0 * (1.0 + 2.5 * blur_px / a) + spectrum.margin(length)));
         let shortest = match spectrum {
@@ -120,7 +124,8 @@ impl Field {
                 if (i > 0 || j > 0) && (k[0] / shortest[0]).hypot(k[1] / shortest[1]) < 1.0 {
                     field.waves.push(k);
                     field.steps.push([i, j]);
-                    field.variances.push(spectrum.variance(k[0].hypot(k[1]) * length));
+                    let phase = (k[0] / axes[0]).hypot(k[1] / axes[1]) * blur_px;
+                    field.variances.push(spectrum.variance(k[0].hypot(k[1]) * length) * (-phase * phase).exp());
                 }
             }
         }
@@ -169,46 +174,6 @@ impl Exact {
         }
     }
 
-    /// Half the derivatives of `ln det` of the light's block by blur and geometry: a larger disc has more room for light, and explains
-    /// more by that alone; the likelihood with the light integrated out takes it back.
-    pub(super) fn price_of_room(
-        &mut self,
-        view: &GrayView,
-        state: &State,
-        contour: &mut Contour,
-        keep: &[bool],
-        reach: &dyn Fn(&State) -> Reach,
-        cut: &dyn Fn(&mut Contour, &Ellipse),
-    ) -> Option<[f64; FIXED]> {
-        const STEP_PX: f64 = 0.05;
-        let mut tilt = [0.0; FIXED];
-        let fixed = reach(state);
-        for (i, t) in tilt.iter_mut().enumerate() {
-            for sign in [1.0, -1.0] {
-                let mut moved = state.clone();
-                if i == 0 {
-                    moved.blur_px += sign * STEP_PX;
-                } else {
-                    let mut q = to_regular(&state.ellipse);
-                    q[i - 1] += sign * STEP_PX;
-                    moved.ellipse = from_regular(&q)?;
-                }
-                cut(contour, &moved.ellipse);
-                let keep: Vec<bool> =
-                    (0..contour.len()).map(|k| keep[(k * keep.len() / contour.len()).min(keep.len() - 1)]).collect();
-                if !self.look(view, &moved, contour, &keep, fixed) {
-                    return None;
-                }
-                self.sum_up(&moved);
-                self.solve(&moved)?;
-                let (lights, n) = (Self::lights(&moved), Self::lights(&moved) + FIXED);
-                let log_det: f64 = (0..lights).map(|j| 2.0 * self.dense.matrix[j * n + j].ln()).sum();
-                *t += 0.5 * sign * log_det / (2.0 * STEP_PX);
-            }
-        }
-        Some(tilt)
-    }
-
     /// What the fields of one spectrum and length say, with amplitudes uphill from the one given, a factor of `sqrt(2)` apart;
     /// the best is among them.
     fn listen(&mut self, tried: &mut State, start: f64) -> Vec<Said> {
@@ -253,6 +218,35 @@ impl Exact {
             all.extend([0, 1].into_iter().filter_map(|degree| self.listen_plainly(state, degree)));
         }
         (all, bests)
+    }
+
+    /// Whether a field may say as much of a small disc as the polynomials of `state`, to which the image was fitted last: what the blur leaves
+    /// of smoke is often no more than such light shows.
+    pub(crate) fn may_be_smoke(&mut self, state: &State) -> bool {
+        let own = (self.dense.clone(), self.found.clone(), self.light.clone());
+        self.hold_steps(state);
+        self.light.clear();
+        let plain = [0, 1].into_iter().filter_map(|degree| self.listen_plainly(state, degree));
+        let plain = plain.map(|s| s.value).fold(f64::INFINITY, f64::min);
+        let mut least = f64::INFINITY;
+        for length in ASKED_LENGTHS {
+            let field = Field::new(Spectrum::Smooth, length, &state.ellipse, state.blur_px);
+            let mut tried = State { field: Some(field), ..state.clone() };
+            tried.sides[0] = Side::plain(0, state.step.abs());
+            self.sum_up(&tried);
+            let noise = self.price_of_noise(&tried);
+            for part in ASKED_AMPLITUDES {
+                let amplitude = part * state.step.abs();
+                if let Some(f) = &mut tried.field {
+                    f.amplitude = amplitude;
+                }
+                let value = self.solve(&tried).map_or(f64::INFINITY, |x| x + prior_of_amplitude(amplitude, state.step));
+                least = least.min(value + noise);
+            }
+        }
+        self.held.clear();
+        (self.dense, self.found, self.light) = own;
+        least + LIKELIER[usize::from(state.sides[1].degree > 0)] < plain
     }
 
     /// Spectrum, length and amplitude with the largest likelihood; no field where none is worth it, beside light without waves, both under

@@ -1,15 +1,8 @@
 //! Columns of discs that are small against their blur: the [`Rim`](crate::detect::rim::Rim) tells what a pixel sees of them.
 //!
-//! The shift of a wave's complex place (`waves.rs`) is that along the local profile, and what profile `P` and disc `g` differ by is added as a series,
-//!
-//! ```text
-//! g(p + i s^2 k) = P(p + i s^2 k) + (g - P) + i s^2 k . grad (g - P) - s^4/2 k . grad grad (g - P) k + ...
-//! ```
-//!
-//! Derivatives by geometry and blur are integrals along the contour over the light there, which of a wave is higher than the image shows it far from
+//! Waves are summed up over its places (`area.rs`). Derivatives by geometry and blur are integrals along the contour over the light there, which of a wave is higher than the image shows it far from
 //! the edge, by `exp(s^2 k^2 / 2)`.
 
-use super::waves::Beyond;
 use super::{Exact, State};
 use crate::conic::Frame;
 use crate::detect::band::LANES;
@@ -23,6 +16,9 @@ impl Exact {
     /// Sets up the contour and the step of the light along it.
     pub(super) fn prepare_rim(&mut self, state: &State, frame: &Frame) {
         self.rim.set(frame, state.blur_px);
+        if let Some(field) = &state.field {
+            self.area.set([frame.a, frame.b], state.blur_px, &field.waves);
+        }
         self.rim.step = if self.light.is_empty() && self.held.len() == self.rim.angles().count() {
             self.held.clone()
         } else {
@@ -56,12 +52,15 @@ impl Exact {
         (i, shown): (usize, usize),
         at: usize,
     ) {
-        let seen = self.rim.seen(&super::eight(&self.band.x, i), &super::eight(&self.band.y, i));
+        let place = [&self.band.x, &self.band.y].map(|list| super::eight(list, i));
+        let seen = self.rim.seen(&place[0], &place[1]);
         let (_, local) = self.feet_and_pixels(state, frame, lanes, (i, shown));
         let pixels: [At; LANES] = std::array::from_fn(|l| exactly(state, &local[l], &seen, l.min(shown - 1)));
         let root = self.roots(state, i, pixels.map(|pixel| pixel.inside.clamp(0.0, 1.0)));
-        let beyond = Beyond::new(&pixels, &local);
-        let (of_waves, waves) = self.fill_waves(state, &local, &root, Some(&beyond), at);
+        let (of_waves, waves) = self.fill_waves(state, &local, &root, at);
+        if waves > 0 {
+            self.area.fill(&place, &root, &mut self.columns[at..]);
+        }
         let j = Self::lights(state);
         for l in 0..shown {
             let (p, at, root) = (i + l, at + l, root[l]);
@@ -144,7 +143,9 @@ mod tests {
     fn light_on_the_contour_is_what_moving_the_disc_shows() {
         let state = state();
         // No light but that of the wave.
-        let mut exact = Exact { light: vec![HEIGHTS[0], HEIGHTS[1], 0.0, 0.0], ..Exact::default() };
+        let mut light = vec![0.0; Exact::lights(&state)];
+        light[..2].copy_from_slice(&HEIGHTS);
+        let mut exact = Exact { light, ..Exact::default() };
         exact.prepare_rim(&state, &Frame::new(&state.ellipse));
         for at in [[4.0, 1.0], [-4.9, 0.5], [1.0, -3.0]] {
             const H: f64 = 0.2;

@@ -29,17 +29,35 @@ const UNFELT: f64 = 1e-9;
 const TERMS: usize = 7;
 
 /// One number for each of several pixels.
-type Each = [f64; LANES];
+pub(super) type Each = [f64; LANES];
+
+/// Heights of the waves, cosine and sine wave by wave.
+#[derive(Clone, Copy)]
+pub(super) enum Heights<'a> {
+    /// Of the light; empty while it is not known.
+    Common(&'a [f64]),
+    /// Others for each pixel.
+    Each(&'a [Each]),
+}
+
+impl Heights<'_> {
+    #[inline(always)]
+    fn of(self, wave: usize) -> [Each; 2] {
+        match self {
+            Self::Common([]) => [[0.0; LANES]; 2],
+            Self::Common(light) => [[light[2 * wave]; LANES], [light[2 * wave + 1]; LANES]],
+            Self::Each(light) => [light[2 * wave], light[2 * wave + 1]],
+        }
+    }
+}
 
 /// Fills the columns of the waves of `LANES` pixels, each times the `root` of its weight, cosine and sine wave by wave, from `columns[0]` on;
-/// returns the derivative of the light by the distance that heights as in `light` mean (1/px; none where they are not known).
+/// returns the derivative of the light by the distance that these heights mean (1/px; none where they are not known).
 pub(super) struct Waves<'a> {
     pub(super) field: &'a Field,
     pub(super) pixels: &'a [At; LANES],
     pub(super) root: &'a Each,
-    pub(super) light: &'a [f64],
-    /// Of discs that are small against their blur.
-    pub(super) beyond: Option<&'a Beyond>,
+    pub(super) heights: Heights<'a>,
     pub(super) columns: &'a mut [f64],
     pub(super) turns: &'a mut Turns,
 }
@@ -66,37 +84,6 @@ impl Turns {
                     (cos[l], sin[l]) = (cos[l] * c[l] - sin[l] * s[l], sin[l] * c[l] + cos[l] * s[l]);
                 }
             }
-        }
-    }
-}
-
-/// By how much what pixels see of a disc, and the first two derivatives of that, surpass the local profile; units as in [`At`], times `s^2` and `s^4 / 2`.
-#[derive(Debug, Clone)]
-pub(super) struct Beyond {
-    inside: Each,
-    gradient: [Each; 2],
-    bend: [Each; 3],
-}
-
-impl Beyond {
-    pub(super) fn new(exact: &[At; LANES], local: &[At; LANES]) -> Self {
-        let each = |f: &dyn Fn(&At) -> f64| std::array::from_fn(|l| f(&exact[l]) - f(&local[l]));
-        let s2 = exact[0].blur_px * exact[0].blur_px;
-        Self {
-            inside: each(&|p| p.inside),
-            gradient: [0, 1].map(|i| each(&|p| s2 * p.gradient[i])),
-            bend: [0, 1, 2].map(|i| each(&|p| 0.5 * s2 * s2 * p.bend[i])),
-        }
-    }
-
-    /// Adds to real and minus the imaginary part of what a wave is multiplied with.
-    #[inline(always)]
-    fn add(&self, k: [f64; 2], a: &mut Each, b: &mut Each) {
-        let [xx, xy, yy] = [k[0] * k[0], 2.0 * k[0] * k[1], k[1] * k[1]];
-        for l in 0..LANES {
-            let bend = xx * self.bend[0][l] + xy * self.bend[1][l] + yy * self.bend[2][l];
-            a[l] += self.inside[l] - bend;
-            b[l] -= k[0] * self.gradient[0][l] + k[1] * self.gradient[1][l];
         }
     }
 }
@@ -214,26 +201,19 @@ impl Kernel for Waves<'_> {
         let none = [0.0; LANES];
         let mut response = none;
         for (w, k) in field.waves.iter().enumerate() {
-            let (mut a, mut b, da, db) = if edge.felt {
-                let [a, b, da, db] = edge.seen(*k);
-                (a, b, da, db)
-            } else {
-                (edge.inside, none, none, none)
-            };
-            if let Some(beyond) = self.beyond {
-                beyond.add(*k, &mut a, &mut b);
-            }
+            let [a, b, da, db] = if edge.felt { edge.seen(*k) } else { [edge.inside, none, none, none] };
             let [i, j] = field.steps[w];
             let ([ci, si], [cj, sj]) = (&self.turns.0[0][i as usize], &self.turns.0[1][j.unsigned_abs() as usize]);
             let sign = if j < 0 { -1.0 } else { 1.0 };
             let (x, y) = self.columns[2 * w * CHUNK..].split_at_mut(CHUNK);
-            let heights = if self.light.is_empty() { [0.0; 2] } else { [self.light[2 * w], self.light[2 * w + 1]] };
+            let heights = self.heights.of(w);
             for l in 0..LANES {
                 let turn = sign * sj[l];
                 let (cos, sin) = (ci[l] * cj[l] - si[l] * turn, si[l] * cj[l] + ci[l] * turn);
                 x[l] = self.root[l] * (cos * a[l] + sin * b[l]);
                 y[l] = self.root[l] * (sin * a[l] - cos * b[l]);
-                response[l] += heights[0] * (cos * da[l] + sin * db[l]) + heights[1] * (sin * da[l] - cos * db[l]);
+                response[l] +=
+                    heights[0][l] * (cos * da[l] + sin * db[l]) + heights[1][l] * (sin * da[l] - cos * db[l]);
             }
         }
         response
@@ -245,7 +225,6 @@ mod tests {
     use super::*;
     use crate::conic::{Ellipse, Frame};
     use crate::detect::profile::Profile;
-    use crate::detect::rim::Rim;
     use crate::frames::Pixel;
     use std::f64::consts::{PI, TAU};
 
@@ -253,7 +232,6 @@ mod tests {
     #[derive(Clone, Copy)]
     struct Blurred(f64, f64, f64);
     const LARGE: Blurred = Blurred(22.0, 15.0, 0.9);
-    const SMALL: Blurred = Blurred(4.8, 4.0, 1.5);
 
     fn ellipse(Blurred(a, b, _): Blurred) -> Ellipse {
         Ellipse { center_px: Pixel::new(0.0, 0.0), semi_major_px: a, semi_minor_px: b, angle_rad: 0.0 }
@@ -317,7 +295,7 @@ mod tests {
 
     /// Columns and response of eight pixels in every width.
     #[derive(Clone)]
-    struct Made([At; LANES], Vec<f64>, Option<Beyond>);
+    struct Made([At; LANES], Vec<f64>);
     impl Kernel for Made {
         type Output = (Vec<f64>, Each);
         #[inline(always)]
@@ -325,16 +303,8 @@ mod tests {
             let field = field();
             let mut columns = vec![0.0; 2 * field.waves.len() * CHUNK];
             let (mut turns, root) = (Turns::default(), [1.0; LANES]);
-            let (pixels, light, columns_of) = (&self.0, &self.1[..], &mut columns[..]);
-            let waves = Waves {
-                field: &field,
-                pixels,
-                root: &root,
-                light,
-                beyond: self.2.as_ref(),
-                columns: columns_of,
-                turns: &mut turns,
-            };
+            let (pixels, heights, columns_of) = (&self.0, Heights::Common(&self.1), &mut columns[..]);
+            let waves = Waves { field: &field, pixels, root: &root, heights, columns: columns_of, turns: &mut turns };
             let response = waves.run::<L>();
             (columns, response)
         }
@@ -348,7 +318,7 @@ mod tests {
         };
         let pixels = at(0.0);
         let light: Vec<f64> = (0..2 * field().waves.len()).map(|i| (i as f64 * 1.3).cos()).collect();
-        let all = lanes::run_all(&Made(pixels, light.clone(), None));
+        let all = lanes::run_all(&Made(pixels, light.clone()));
         all.iter().for_each(|one| assert_eq!(*one, all[0]));
         let (columns, response) = &all[0];
         for (w, k) in field().waves.iter().enumerate() {
@@ -362,7 +332,7 @@ mod tests {
         // The light held while the edge moves inwards by as much as the pixel moves outwards: its own gradient along the normal taken off.
         const H: f64 = 1e-4;
         let sums = |pixels: [At; LANES]| -> Each {
-            let (columns, _) = &lanes::run_all(&Made(pixels, light.clone(), None))[0];
+            let (columns, _) = &lanes::run_all(&Made(pixels, light.clone()))[0];
             std::array::from_fn(|l| (0..light.len()).map(|j| light[j] * columns[j * CHUNK + l]).sum())
         };
         let (up, down) = (sums(at(H)), sums(at(-H)));
@@ -381,43 +351,5 @@ mod tests {
             let expected = (up[l] - down[l]) / (2.0 * H) - turned;
             assert!((response[l] - expected).abs() < 5e-3, "{}: {} and {expected}", distances[l], response[l]);
         }
-    }
-
-    /// What the rim tells in place of the profile.
-    fn exactly(disc: Blurred, pixels: &[At; LANES]) -> [At; LANES] {
-        let Blurred(a, b, blur_px) = disc;
-        let mut rim = Rim::default();
-        rim.set(&Frame::new(&ellipse(disc)), blur_px);
-        rim.step = rim.angles().map(|_| 1.0).collect();
-        let seen = rim.seen(&pixels.map(|p| a * p.place[0]), &pixels.map(|p| b * p.place[1]));
-        std::array::from_fn(|l| At {
-            inside: seen.inside[l],
-            gradient: [seen.gradient[0][l] / a, seen.gradient[1][l] / b],
-            bend: [seen.bend[0][l] / (a * a), seen.bend[1][l] / (a * b), seen.bend[2][l] / (b * b)],
-            ..pixels[l]
-        })
-    }
-
-    /// Waves longer than the disc is wide, which say most of its light.
-    #[test]
-    fn waves_in_a_disc_that_is_small_against_its_blur_are_as_well() {
-        let pixels: [At; LANES] =
-            std::array::from_fn(|l| pixel(SMALL, 0.3 + l as f64 * PI / 4.3, 0.9 * l as f64 - 3.0));
-        let beyond = Beyond::new(&exactly(SMALL, &pixels), &pixels);
-        let columns = |beyond| lanes::run_all(&Made(pixels, vec![], beyond))[0].0.clone();
-        let (with, without) = (columns(Some(beyond)), columns(None));
-        let mut worst = [0.0_f64; 2];
-        for (w, k) in field().waves.iter().enumerate().filter(|(_, k)| k[0].hypot(k[1]) < 2.0) {
-            for l in 0..LANES {
-                let expected = by_grid(SMALL, *k, pixels[l].place);
-                for (worst, columns) in worst.iter_mut().zip([&with, &without]) {
-                    for i in 0..2 {
-                        *worst = worst.max((columns[(2 * w + i) * CHUNK + l] - expected[i]).abs());
-                    }
-                }
-            }
-        }
-        println!("off by {:.4}, without what is beyond the profile by {:.4}", worst[0], worst[1]);
-        assert!(worst[0] < 0.004 && worst[1] > 3.0 * worst[0], "{worst:?}");
     }
 }

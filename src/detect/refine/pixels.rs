@@ -6,7 +6,7 @@ use crate::detect::contour::{Contour, NEIGHBOUR};
 use crate::detect::edge_model::EdgeModel;
 use crate::detect::exact::{Exact, Field, Hidden, Share, State, is_large};
 use crate::detect::light::{Light, Side};
-use crate::detect::quick::{Clean, contour_of};
+use crate::detect::quick::Clean;
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::GrayView;
 use nalgebra::SVector;
@@ -45,7 +45,7 @@ pub(super) fn clean_disc(
     if start.inner_px < 0.89 * start.ellipse.semi_minor_px {
         return None;
     }
-    let begin = start.traced.then(|| contour_of(&start.ellipse, start.blur_px));
+    let begin = (start.level == 0).then(|| start.contour());
     let near = begin.filter(|(e, _)| e.semi_minor_px > LEAST_NEAR * start.ellipse.semi_minor_px);
     let (ellipse, blur_px) = near.unwrap_or((start.ellipse, start.blur_px));
     let mut state = Clean {
@@ -169,7 +169,7 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let floor = quantisation(view).max((1e-4 * model.step).powi(2));
     s.exact.uncovered();
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-    let smoky = nodes || looks_smoky(&state, &s.exact, large);
+    let smoky = nodes || looks_smoky(&state, &mut s.exact, large, start.smoke);
     let explained = large || s.exact.misfit() < UNEXPLAINED;
     let (mut clear, mut doubtful) = (false, None);
     if start.smoke && !(nodes && large) {
@@ -217,11 +217,13 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
 }
 
 /// Whether what polynomials leave looks like smoke. A small disc hardly shows that: there light that rises inside alone, and more left than
-/// noise, are enough to ask.
-fn looks_smoky(state: &State, exact: &Exact, large: bool) -> bool {
+/// noise, are enough to ask; otherwise, where smoke is `asked` for, a few fields are.
+fn looks_smoky(state: &State, exact: &mut Exact, large: bool, asked: bool) -> bool {
     let [inside, outside] = state.sides.map(|side| side.degree > 0);
     let unlike_noise = exact.misfit() > MOST_NOISE + 4.0 * exact.sigma_of_misfit();
-    exact.smoke_left(state) || exact.louder_inside(state) || !large && (inside && !outside || unlike_noise)
+    exact.smoke_left(state)
+        || exact.louder_inside(state)
+        || !large && (inside && !outside || unlike_noise || asked && exact.may_be_smoke(state))
 }
 
 /// The disc without the pixels that something hides.

@@ -199,7 +199,7 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
         assert!(sides.iter().all(|s| s.degree == 2));
 
         let start = Start {
-            traced: false,
+            level: 1,
             clear: false,
             ellipse: LARGE,
             blur_px,
