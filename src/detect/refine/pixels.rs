@@ -169,13 +169,16 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let floor = quantisation(view).max((1e-4 * model.step).powi(2));
     s.exact.uncovered();
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-    let smoky = nodes || looks_smoky(&state, &mut s.exact, large, start.smoke);
+    let seen = nodes || looks_smoky(&state, &s.exact, large);
+    // Light that only fields explain is not to pass for something hidden.
+    let told = !seen && !large && start.smoke && s.exact.may_be_smoke(&state);
+    let smoky = seen || told;
     let explained = large || s.exact.misfit() < UNEXPLAINED;
     let (mut clear, mut doubtful) = (false, None);
     if start.smoke && !(nodes && large) {
         // What is hidden is asked for before smoke.
         let mut found = uncover(view, &state, &kept, start, floor, s);
-        doubtful = found.take_if(|x| !x.believed(smoky));
+        doubtful = found.take_if(|x| told || !x.believed(smoky));
         if found.is_none() && !explained {
             found = leave_a_stretch(view, &before, start, (&keep, floor), s);
         }
@@ -217,13 +220,11 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
 }
 
 /// Whether what polynomials leave looks like smoke. A small disc hardly shows that: there light that rises inside alone, and more left than
-/// noise, are enough to ask; otherwise, where smoke is `asked` for, a few fields are.
-fn looks_smoky(state: &State, exact: &mut Exact, large: bool, asked: bool) -> bool {
+/// noise, are enough to ask; of the others a few fields are asked.
+fn looks_smoky(state: &State, exact: &Exact, large: bool) -> bool {
     let [inside, outside] = state.sides.map(|side| side.degree > 0);
     let unlike_noise = exact.misfit() > MOST_NOISE + 4.0 * exact.sigma_of_misfit();
-    exact.smoke_left(state)
-        || exact.louder_inside(state)
-        || !large && (inside && !outside || unlike_noise || asked && exact.may_be_smoke(state))
+    exact.smoke_left(state) || exact.louder_inside(state) || !large && (inside && !outside || unlike_noise)
 }
 
 /// The disc without the pixels that something hides.
