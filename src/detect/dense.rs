@@ -74,9 +74,8 @@ impl Dense {
 
     /// Covariance of the geometry, from the factor; false where the geometry is not fixed.
     pub(crate) fn geometry(&mut self, n: usize) -> bool {
-        let a = &self.matrix;
-        // The last block of the factor is that of the Schur complement on the geometry.
-        let lower = SMatrix::<f64, 5, 5>::from_fn(|i, j| if j <= i { a[(n - 5 + i) * n + n - 5 + j] } else { 0.0 });
+        // Its last block is that of the Schur complement on the geometry alone.
+        let lower = self.fixed_factor(n).fixed_view::<5, 5>(1, 1).into_owned();
         let Some(root) = lower.try_inverse() else { return false };
         self.covariance = root.transpose() * root;
         self.covariance.trace().is_finite()

@@ -140,6 +140,24 @@ impl Field {
     }
 }
 
+#[cfg(test)]
+impl State {
+    /// A disc in light that a field and a level on either side say.
+    pub(super) fn in_smoke(ellipse: Ellipse, blur_px: f64, step: f64, variance: f64, field: Field) -> Self {
+        Self {
+            ellipse,
+            blur_px,
+            expected_blur_px: blur_px,
+            sides: [Side::plain(0, step); 2],
+            field: Some(field),
+            slopes: [[0.0; 2]; 2],
+            variance: [variance; 2],
+            step,
+            allow: crate::detect::correlation::Allowance::NONE,
+        }
+    }
+}
+
 /// What one field says.
 struct Said {
     /// Minus twice the logarithm of its likelihood.
@@ -220,7 +238,7 @@ impl Exact {
         (all, bests)
     }
 
-    /// Whether a field may say as much of a small disc as the polynomials of `state`, to which the image was fitted last: what the blur leaves
+    /// Whether a field says clearly more of a small disc than the polynomials of `state`, to which the image was fitted last: what the blur leaves
     /// of smoke is often no more than such light shows.
     pub(crate) fn may_be_smoke(&mut self, state: &State) -> bool {
         let own = (self.dense.clone(), self.found.clone(), self.light.clone());

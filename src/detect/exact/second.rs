@@ -118,9 +118,7 @@ mod tests {
     use crate::conic::Ellipse;
     use crate::detect::band::Reach;
     use crate::detect::contour::Contour;
-    use crate::detect::correlation::Allowance;
     use crate::detect::exact::field::{Field, Spectrum};
-    use crate::detect::light::Side;
     use crate::frames::Pixel;
     use crate::image::{GrayView, Samples};
     use nalgebra::DMatrix;
@@ -141,17 +139,7 @@ mod tests {
             .collect();
         let mut field = Field::new(Spectrum::default(), 0.64, &ellipse, blur_px);
         field.amplitude = 9.0;
-        let state = State {
-            ellipse,
-            blur_px,
-            expected_blur_px: blur_px,
-            sides: [Side::plain(0, 60.0); 2],
-            field: Some(field),
-            slopes: [[0.0; 2]; 2],
-            variance: [2.0; 2],
-            step: 60.0,
-            allow: Allowance::NONE,
-        };
+        let state = State::in_smoke(ellipse, blur_px, 60.0, 2.0, field);
         let (mut exact, mut contour) = (Exact::default(), Contour::default());
         contour.cut(&ellipse, &[]);
         let view = GrayView::new(Samples::F32(&grey), SIDE, SIDE, SIDE).unwrap();

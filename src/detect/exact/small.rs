@@ -1,7 +1,7 @@
 //! Columns of discs that are small against their blur: the [`Rim`](crate::detect::rim::Rim) tells what a pixel sees of them.
 //!
-//! Waves are summed up over its places (`area.rs`). Derivatives by geometry and blur are integrals along the contour over the light there, which of a wave is higher than the image shows it far from
-//! the edge, by `exp(s^2 k^2 / 2)`.
+//! Waves are summed up over its places (`area.rs`). Derivatives by geometry and blur are integrals along the contour over the light there, which of a
+//! wave is higher than the image shows it far from the edge, by `exp(s^2 k^2 / 2)`.
 
 use super::{Exact, State};
 use crate::conic::Frame;
@@ -93,9 +93,7 @@ fn exactly(state: &State, local: &At, seen: &Seen, l: usize) -> At {
 mod tests {
     use super::*;
     use crate::conic::Ellipse;
-    use crate::detect::correlation::Allowance;
     use crate::detect::exact::Field;
-    use crate::detect::light::Side;
     use crate::frames::Pixel;
     use std::f64::consts::TAU;
 
@@ -109,17 +107,7 @@ mod tests {
         field.waves = vec![WAVE];
         let ellipse =
             Ellipse { center_px: Pixel::new(0.0, 0.0), semi_major_px: AXES[0], semi_minor_px: AXES[1], angle_rad: 0.0 };
-        State {
-            ellipse,
-            blur_px: BLUR,
-            expected_blur_px: BLUR,
-            sides: [Side::plain(0, 1.0); 2],
-            field: Some(field),
-            slopes: [[0.0; 2]; 2],
-            variance: [1.0; 2],
-            step: 1.0,
-            allow: Allowance::NONE,
-        }
+        State::in_smoke(ellipse, BLUR, 1.0, 1.0, field)
     }
 
     /// The wave within the disc moved by `moved` px along its major axis, blurred, over a fine grid.
