@@ -30,7 +30,7 @@
 //! short contours over all. The sums stay without bias for any `E` that does not know of their errors; of the information remains
 //! `<E>^2 / <E^2>`, for `E` that scatters by a fifth 0.96.
 //!
-//! A small disc cannot tell its size from blur; a weak prior holds what the data leave open: blur within a third of the value given, or of a pixel.
+//! A small disc cannot tell its size from blur; a prior holds what the data leave open: blur within 0.15 of the value given, or of a pixel.
 //!
 //! Not valid where the radius of curvature is not well above the blur, or where another edge lies within the band.
 
@@ -41,8 +41,9 @@ use crate::detect::light::{Light, NodePrior, Side};
 use crate::detect::sectors::{LOCAL, Sectors};
 use nalgebra::{SMatrix, SVector};
 
-/// Standard deviation of the prior of the blur, of the blur or of a pixel, the larger one: the line that was followed shows it to a tenth.
-const PRIOR_BLUR: f64 = 0.3;
+/// Standard deviation of the prior of the blur, of the blur or of a pixel, the larger one: that of a disc of 4 px, in smoke, beside what the line that was
+/// followed shows; larger ones show it to a twentieth.
+const PRIOR_BLUR: f64 = 0.15;
 /// Half the standard deviation of the area of a pixel, px.
 pub(crate) const LEAST_BLUR_PX: f64 = 0.15;
 /// Sectors either side over which the step is averaged where the light follows nodes; of short contours all around.

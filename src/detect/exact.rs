@@ -150,6 +150,11 @@ impl Exact {
         self.verdict.map_or(self.dense.covariance, |v| v.covariance)
     }
 
+    /// How unlikely the image is with the disc and the smoke that were found; for two fits of one image.
+    pub(crate) fn unlikely(&self) -> f64 {
+        self.verdict.map_or(f64::INFINITY, |v| v.value)
+    }
+
     /// Number of unknowns of the light.
     fn lights(state: &State) -> usize {
         let waves = state.field.as_ref().map_or(0, |f| 2 * f.waves.len());

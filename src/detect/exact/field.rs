@@ -172,6 +172,8 @@ struct Said {
 pub(super) struct Verdict {
     pub(super) change: SVector<f64, FIXED>,
     pub(super) covariance: SMatrix<f64, 5, 5>,
+    /// Minus twice the logarithm of the likelihood of the likeliest, less that of ground in every pixel: discs that take in more or fewer pixels are compared.
+    pub(super) value: f64,
 }
 
 impl Exact {
@@ -419,7 +421,8 @@ impl Exact {
                 (s.covariance + off * off.transpose()) * (weight(s) / sum)
             })
             .sum();
-        Some(Verdict { change, covariance })
+        let ground = self.count as f64 * (1.0 + state.variance[1].ln());
+        Some(Verdict { change, covariance, value: least - ground })
     }
 
     /// By how much the noise inside differs from that which the fit took, variance over variance: the most likely with its prior,

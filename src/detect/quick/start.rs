@@ -80,24 +80,28 @@ fn shown_of(looked_at: f64, middle: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::detect::band::LANES;
     use crate::detect::candidate::Candidate;
+    use crate::detect::edge_model::blur_weight;
     use crate::detect::find::candidates_of;
+    use crate::detect::rim::Rim;
     use crate::frames::Pixel;
     use crate::image::{GrayView, Samples};
 
     const SIZE: usize = 90;
 
-    /// An image of one disc under a Gaussian blur; the shift of its edge is that of the profile for a curved contour.
+    /// An image of one disc under a Gaussian blur, by integrals along its contour.
     fn image(e: &Ellipse, blur_px: f64) -> Vec<f32> {
-        let frame = crate::conic::Frame::new(e);
-        let grey = |u: usize, v: usize| {
-            let foot = frame.feet(&[frame.inside(u as f64, v as f64).0], &[frame.inside(u as f64, v as f64).1]);
-            let curvature = foot.curvature[0];
-            let (mut tail, mut density) = ([0.0], [0.0]);
-            normal_tails(&[foot.distance[0] / blur_px + 0.5 * curvature * blur_px], &mut tail, &mut density);
-            (50.0 + 100.0 * tail[0]) as f32
-        };
-        (0..SIZE * SIZE).map(|i| grey(i % SIZE, i / SIZE)).collect()
+        let (frame, mut rim) = (crate::conic::Frame::new(e), Rim::default());
+        rim.set(&frame, blur_px);
+        rim.step = vec![0.0; rim.angles().count()];
+        let places: Vec<(f64, f64)> =
+            (0..SIZE * SIZE).map(|i| frame.inside((i % SIZE) as f64, (i / SIZE) as f64)).collect();
+        let seen = places.chunks(LANES).flat_map(|some| {
+            let at = |l: usize| some[l.min(some.len() - 1)];
+            rim.seen(&std::array::from_fn(|l| at(l).0), &std::array::from_fn(|l| at(l).1)).inside
+        });
+        seen.take(SIZE * SIZE).map(|inside| (50.0 + 100.0 * inside) as f32).collect()
     }
 
     /// Discs of all sizes and blurs that go the short way, at several places within the pixel: within the change that ends its rounds.
@@ -152,6 +156,30 @@ mod tests {
             let (_, blur) = contour_of(&all[0].ellipse, all[0].blur_px);
             println!("{a} x {b} px, blur {blur_px} px: line says {:.2}, found {blur:.2}", all[0].blur_px);
             assert!((blur / blur_px - 1.0).abs() < 0.1, "{a} x {b} px: {blur} in place of {blur_px}");
+        }
+    }
+
+    /// Within the prior of the blur, which they would be pulled to.
+    #[test]
+    fn lines_of_small_discs_tell_the_blur_to_its_prior() {
+        for (a, b, blur_px) in
+            [(4.8, 4.0, 0.58), (4.8, 4.0, 0.85), (4.8, 4.0, 1.72), (6.6, 6.0, 0.85), (9.6, 8.0, 3.01)]
+        {
+            let off: f64 = (0..8)
+                .map(|k| {
+                    let center_px = Pixel::new(45.0 + 0.13 * f64::from(k), 44.6 + 0.29 * f64::from(k));
+                    let truth =
+                        Ellipse { center_px, semi_major_px: a, semi_minor_px: b, angle_rad: 0.3 * f64::from(k) };
+                    let grey = image(&truth, blur_px);
+                    let view =
+                        GrayView::new(Samples::F32(&grey), SIZE, SIZE, SIZE).unwrap_or_else(|e| unreachable!("{e}"));
+                    let all: Vec<Candidate> = candidates_of(&view);
+                    assert_eq!(all.len(), 1, "{a} x {b} px");
+                    contour_of(&all[0].ellipse, all[0].blur_px).1 - blur_px
+                })
+                .sum();
+            println!("{a} x {b} px, blur {blur_px} px: off by {:+.3} px", off / 8.0);
+            assert!(blur_weight(blur_px) * (off / 8.0).powi(2) < 1.0, "{a} x {b} px, blur {blur_px} px: {off}");
         }
     }
 }

@@ -25,6 +25,10 @@ const EXPLAINED: f64 = 1.5;
 const MOST_NOISE: f64 = 1.2;
 /// The same of a large disc, whose nodes are there otherwise.
 const WELL_EXPLAINED: f64 = 1.1;
+/// The same of a small disc whose smoke is known.
+const SMOKE_LEAVES: f64 = 1.3;
+/// Difference of what two fits of one image say that is none.
+const ALIKE: f64 = 0.5;
 /// Least part of the semi-minor axis of its line that a disc has where that line tells where it is.
 const LEAST_NEAR: f64 = 0.9;
 /// Longest contour with a field inside, px: its price grows with the area, 0.5 s for discs of 100 px.
@@ -45,14 +49,14 @@ pub(super) fn clean_disc(
     if start.inner_px < 0.89 * start.ellipse.semi_minor_px {
         return None;
     }
-    let begin = (start.level == 0).then(|| start.contour());
-    let near = begin.filter(|(e, _)| e.semi_minor_px > LEAST_NEAR * start.ellipse.semi_minor_px);
-    let (ellipse, blur_px) = near.unwrap_or((start.ellipse, start.blur_px));
+    let (contour, blur_px) = start.contour();
+    let near = start.level == 0 && contour.semi_minor_px > LEAST_NEAR * start.ellipse.semi_minor_px;
+    let ellipse = if near { contour } else { start.ellipse };
     let mut state = Clean {
         ellipse,
         blur_px,
         expected_blur_px: blur_px,
-        near: near.is_some() && start.clear,
+        near: near && start.clear,
         step: if start.bright { start.contrast } else { -start.contrast },
         slopes: start.slopes,
         variance: [1.0; 2],
@@ -345,17 +349,11 @@ fn fit_smoke(
         Some(x) => inside * (1.0 + 3.0 * x.sigma),
         None => BELIEVED * outside,
     };
-    // What is no smoke is not to pass for noise.
-    let explains = |state: &State, exact: &Exact, most: f64| {
-        state.field.is_some() && state.variance[0] < louder_by(state, exact) * known && exact.misfit() < most
-    };
     if !large {
         // Smoke looked like disagreement before it was known.
-        let mut whole = smoky.clone();
-        if let Some(kept) = s.exact.settle(view, &mut whole, &mut s.fine, &vec![true; keep.len()], start, floor) {
-            if explains(&whole, &s.exact, 1.3) {
-                return Some(Some((whole, kept)));
-            }
+        let all = vec![true; keep.len()];
+        if let Some(found) = likeliest_in_smoke(view, &smoky, [before, plain], start, (&all, floor, known), s) {
+            return Some(Some(found));
         }
     }
     let kept = s.exact.settle(view, &mut smoky, &mut s.fine, keep, start, floor)?;
@@ -368,5 +366,37 @@ fn fit_smoke(
     } else {
         1.5
     };
-    Some(explains(&smoky, &s.exact, most).then_some((smoky, kept)))
+    Some(explains(&smoky, &s.exact, known, most).then_some((smoky, kept)))
+}
+
+/// Whether a field leaves about the noise that is `known`: what is no smoke is not to pass for noise.
+fn explains(state: &State, exact: &Exact, known: f64, most: f64) -> bool {
+    state.field.is_some() && state.variance[0] < louder_by(state, exact) * known && exact.misfit() < most
+}
+
+/// The likelier one of what the fit with smoke finds from two places: where it begins decides which disc it finds, for another may explain much of the
+/// image.
+fn likeliest_in_smoke(
+    view: &GrayView,
+    smoky: &State,
+    from: [&State; 2],
+    start: &Start,
+    (keep, floor, known): (&[bool], f64, f64),
+    s: &mut Scratch,
+) -> Option<(State, Vec<bool>)> {
+    let mut best: Option<(f64, State, Vec<bool>)> = None;
+    let mut again = false;
+    for place in from {
+        let mut state = State { ellipse: place.ellipse, blur_px: place.blur_px, ..smoky.clone() };
+        again = best.is_some();
+        let Some(kept) = s.exact.settle(view, &mut state, &mut s.fine, keep, start, floor) else { continue };
+        let value = s.exact.unlikely();
+        if explains(&state, &s.exact, known, SMOKE_LEAVES) && best.as_ref().is_none_or(|b| value < b.0 + ALIKE) {
+            (best, again) = (Some((value, state, kept)), false);
+        }
+    }
+    let (_, mut state, kept) = best?;
+    // The other one was looked at last.
+    let kept = if again { s.exact.settle(view, &mut state, &mut s.fine, keep, start, floor)? } else { kept };
+    Some((state, kept))
 }
