@@ -20,7 +20,7 @@ mod priors;
 mod views;
 mod weak;
 
-pub use mapping::mapping_of_record;
+pub use mapping::{determines_measurements, mapping_of_record};
 
 use crate::bundle::{AdjustOptions, Adjustment, Iteration, NamedCovariance};
 use crate::error::{Result, Unusable};
@@ -130,12 +130,12 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
 }
 
 fn quantities(covariance: &NamedCovariance, keys: &Keys) -> Vec<KeyQuantity> {
-    let matrix = covariance.propagate(&keys.rows);
+    let sigmas = covariance.sigmas(&keys.rows);
     let quantity = |(k, key): (usize, &keys::Key)| KeyQuantity {
         name: key.name.clone(),
         unit: key.unit.into(),
         value: key.value,
-        sigma: if keys.determined[k] { matrix[(k, k)].max(0.0).sqrt() } else { f64::NAN },
+        sigma: sigmas[k],
     };
     keys.list.iter().enumerate().map(quantity).collect()
 }

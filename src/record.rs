@@ -24,6 +24,7 @@ mod schema;
 mod sheet_check;
 mod sigma;
 
+pub(crate) use diagnosis::SHEET_QUANTITIES;
 pub use diagnosis::{
     Diagnosis, EXACT, KeyQuantity, MappingMap, MappingSigma, MappingUncertainty, ModelTest, OutlierReason, Prior,
     ViewInfluence,

@@ -5,8 +5,10 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector2, Vector3};
 use spivcal::camera::Camera;
+use spivcal::diagnosis::mapping_of_record;
 use spivcal::frames::{Cam, Rig};
 use spivcal::pipeline::{CalibrateOptions, calibrate};
+use spivcal::reconstruct::perturbed_maps;
 use spivcal::record::Record;
 use spivcal::rig_file::RigDescription;
 use spivcal::simulate::{Scene, simulate};
@@ -95,6 +97,46 @@ fn a_fixed_sheet_is_flagged_without_the_focus_relation() {
     println!("flags: {:#?}", record.fit.flags);
     assert!(!record.fit.undetermined.is_empty(), "nothing is said to be undetermined");
     assert!(record.fit.nullity > 0 && !record.fit.flags.is_empty(), "{:?}", record.fit.flags);
+    let read = Record::from_json(&record.to_json().unwrap(), "calibration.json").unwrap();
+    assert_eq!(read.covariance.null_directions.len(), read.fit.nullity);
+    told_truly(&read, &truth);
+    // Nor does what follows make sigmas up.
+    assert!(perturbed_maps(&read).unwrap().is_none(), "sigmas of three components");
+    let (mapping, _) = mapping_of_record(&read).unwrap();
+    assert!(!mapping.undetermined.is_empty(), "{mapping:?}");
+    assert_eq!(read.covariance.sigma("right.cam_from_rig.tx_mm"), None);
+    assert!(read.covariance.sigma("target.spacing_mm").is_none_or(|s| s >= 0.0));
+}
+
+/// Every derived number that has a standard deviation lies within five of them of the truth.
+fn told_truly(found: &Record, truth: &Record) {
+    let (rig, true_rig) = (found.rig.unwrap(), truth.rig.unwrap());
+    let (sheet, true_sheet) = (found.sheet.as_ref().unwrap(), truth.sheet.as_ref().unwrap());
+    let mut all = vec![
+        ("baseline", rig.baseline_mm, true_rig.baseline_mm, rig.sigma.baseline_mm),
+        ("axes", rig.axes_angle_deg, true_rig.axes_angle_deg, rig.sigma.axes_angle_deg),
+        ("distance", sheet.distance_mm, true_sheet.distance_mm, sheet.sigma.distance_mm),
+        (
+            "angle to the baseline",
+            sheet.angle_to_baseline_deg,
+            true_sheet.angle_to_baseline_deg,
+            sheet.sigma.angle_to_baseline_deg,
+        ),
+    ];
+    for k in 0..3 {
+        all.push(("abc", sheet.abc_per_mm[k], true_sheet.abc_per_mm[k], sheet.sigma.abc_per_mm[k]));
+    }
+    for (c, t) in found.cameras.iter().zip(&truth.cameras) {
+        let (e, sigma) = (c.effective, c.sigma.effective);
+        all.push(("effective f", e.f_px, t.effective.f_px, sigma.f_px));
+        all.push(("effective cx", e.cx_px, t.effective.cx_px, sigma.cx_px));
+        all.push(("effective cy", e.cy_px, t.effective.cy_px, sigma.cy_px));
+    }
+    for (what, found, truth, sigma) in &all {
+        println!("{what}: {found} +- {sigma}, in truth {truth}");
+        assert!(sigma.is_nan() || (found - truth).abs() < 5.0 * sigma, "{what}: {found} +- {sigma}, in truth {truth}");
+    }
+    assert!(all.iter().filter(|x| x.3.is_nan()).count() > 4, "nothing is said to be unknown");
 }
 
 #[test]

@@ -18,7 +18,7 @@ use super::state::State;
 use crate::camera::{Camera, INTRINSIC_NAMES, INTRINSICS, LAYERS, WINDOW_STEP_NAMES};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::rigid::Motion;
-use crate::solve::{Posterior, posterior};
+use crate::solve::{NormalEquations, Posterior, posterior};
 use nalgebra::{DMatrix, DVector, SMatrix, Vector3};
 
 /// How a parameter is known.
@@ -42,13 +42,16 @@ pub struct NamedCovariance {
     pub names: Vec<String>,
     /// Covariance, over the determined directions.
     pub matrix: DMatrix<f64>,
+    /// By how much each parameter moves as the unknowns that it follows move by what the images fix each to where all others are known: the measure by
+    /// which a movement counts as none.
+    pub scale: DVector<f64>,
     /// False where a parameter moves along an undetermined direction.
     pub determined: Vec<bool>,
     /// Knowledge of each camera's intrinsics, in the order of [`INTRINSIC_NAMES`].
     pub intrinsics: Vec<[ParameterKnowledge; INTRINSICS]>,
     /// Number of undetermined directions.
     pub nullity: usize,
-    /// The undetermined directions in the named parameters, one column each, of arbitrary length.
+    /// The undetermined directions in the named parameters, one column each; the parameter that moves most moves by its scale.
     pub null_directions: DMatrix<f64>,
     /// Undetermined and prior-dominated parameters in words.
     pub undetermined: Vec<String>,
@@ -86,8 +89,23 @@ impl NamedCovariance {
     /// True where a linear function of named parameters, a (name, coefficient) list, stands still along every undetermined
     /// direction: the angle of the sheet to the baseline may be known where neither sheet nor baseline is.
     pub fn is_determined(&self, row: &[(String, f64)]) -> bool {
-        let terms: Vec<(usize, f64)> = row.iter().filter_map(|(n, c)| Some((self.index(n)?, *c))).collect();
-        still(&terms, &self.null_directions)
+        let mut all = DVector::zeros(self.names.len());
+        row.iter().filter_map(|(n, c)| Some((self.index(n)?, *c))).for_each(|(i, c)| all[i] += c);
+        self.stands_still(&all)
+    }
+    /// The same of derivatives by all names: its terms cancel, or are rounding against what it would feel if all of its parameters moved by their scale.
+    pub(crate) fn stands_still(&self, row: &DVector<f64>) -> bool {
+        let size: f64 = row.iter().zip(self.scale.iter()).map(|(r, s)| r.abs() * s).sum();
+        self.null_directions.column_iter().all(|d| {
+            let terms = row.component_mul(&d);
+            terms.sum().abs() <= (CANCELLED * terms.abs().sum()).max(ROUNDED * size)
+        })
+    }
+    /// Standard deviations of linear functions of named parameters, `NaN` where one is not determined.
+    pub fn sigmas(&self, rows: &[Vec<(String, f64)>]) -> Vec<f64> {
+        let c = self.propagate(rows);
+        let sigma = |k: usize| if self.is_determined(&rows[k]) { c[(k, k)].max(0.0).sqrt() } else { f64::NAN };
+        (0..rows.len()).map(sigma).collect()
     }
     /// Covariance of linear functions of named parameters: `rows` are (name, coefficient) lists.
     pub fn propagate(&self, rows: &[Vec<(String, f64)>]) -> DMatrix<f64> {
@@ -116,8 +134,12 @@ pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
         rows[r].terms.iter().filter(|t| t.0 == c).map(|t| t.1).sum::<f64>()
     });
     let matrix = &g * &full * g.transpose();
-    let moved = null_movements(&post, &places, adjustment.equations.as_ref()?);
-    let determined = rows.iter().map(|row| still(&row.terms, &moved)).collect();
+    // Large variances along weak directions cancel in small ones: rounding is not the same on both sides.
+    let matrix = 0.5 * (&matrix + matrix.transpose());
+    let equations = adjustment.equations.as_ref()?;
+    let (own, moved) = (own_precision(equations), null_movements(&post, equations));
+    let determined: Vec<bool> = rows.iter().map(|row| still(&row.terms, &moved, &own)).collect();
+    let scale = g.map(f64::abs) * &own;
     let names: Vec<String> = rows.into_iter().map(|r| r.name).collect();
     let offset_sigmas_mm = places.offsets.map_or_else(Vec::new, |at| {
         let sigma = |i: usize| post.global[(i, i)].max(0.0).sqrt();
@@ -125,11 +147,12 @@ pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
     });
     let mut out = NamedCovariance {
         names,
+        null_directions: measured(without(&g * &moved, &determined), &scale),
         matrix,
+        scale,
         determined,
         intrinsics: vec![],
         nullity: post.nullity,
-        null_directions: &g * &moved,
         undetermined: vec![],
         offset_sigmas_mm,
         natural,
@@ -261,14 +284,19 @@ fn shape_names(model: &Model) -> [&'static str; 3] {
     }
 }
 
+/// What the images and priors fix each unknown to where all others are known; 1 where nothing sees it.
+fn own_precision(e: &NormalEquations) -> DVector<f64> {
+    let of_blocks = e.blocks.iter().flat_map(|b| b.h_vv.diagonal().iter().copied().collect::<Vec<_>>());
+    let information = e.h_gg.diagonal().iter().copied().chain(of_blocks).collect::<Vec<_>>();
+    DVector::from_vec(information).map(|h| if h > 0.0 { h.sqrt().recip() } else { 1.0 })
+}
+
 /// Movement of all unknowns along each undetermined direction, one column each.
-fn null_movements(post: &Posterior, places: &Places, e: &crate::solve::NormalEquations) -> DMatrix<f64> {
-    let n = places.global;
-    let scale = |i: usize| if e.h_gg[(i, i)] > 0.0 { e.h_gg[(i, i)].sqrt().recip() } else { 1.0 };
-    let total = n + post.blocks.iter().map(|b| b.own.nrows()).sum::<usize>();
-    let mut moved = DMatrix::zeros(total, post.nullity);
+fn null_movements(post: &Posterior, e: &NormalEquations) -> DMatrix<f64> {
+    let (n, own) = (e.h_gg.nrows(), own_precision(e));
+    let mut moved = DMatrix::zeros(own.len(), post.nullity);
     for k in 0..post.nullity {
-        let global = DVector::from_fn(n, |i, _| post.null_directions[(i, k)] * scale(i));
+        let global = DVector::from_fn(n, |i, _| post.null_directions[(i, k)] * own[i]);
         moved.view_mut((0, k), (n, 1)).copy_from(&global);
         let mut at = n;
         for b in &post.blocks {
@@ -280,13 +308,34 @@ fn null_movements(post: &Posterior, places: &Places, e: &crate::solve::NormalEqu
     moved
 }
 
-/// A sum is undetermined where it moves along a null direction by more than a ten-thousandth of what the direction moves
-/// its terms.
-fn still(terms: &[(usize, f64)], moved: &DMatrix<f64>) -> bool {
+/// Directions without the rounding in what does not move along them.
+fn without(mut directions: DMatrix<f64>, still: &[bool]) -> DMatrix<f64> {
+    (0..still.len()).filter(|i| still[*i]).for_each(|i| directions.row_mut(i).fill(0.0));
+    directions
+}
+
+/// Directions of such length that what moves most moves by its scale.
+pub(crate) fn measured(mut directions: DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> {
+    for mut d in directions.column_iter_mut() {
+        let most = d.iter().zip(scale.iter()).filter(|(_, s)| **s > 0.0).map(|(d, s)| d.abs() / s).fold(0.0, f64::max);
+        if most > 0.0 {
+            d.unscale_mut(most);
+        }
+    }
+    directions
+}
+
+/// Part of the movements of its terms by which a sum may move and yet stand still, and part of their scales: what rounding makes of a direction.
+const CANCELLED: f64 = 1e-4;
+const ROUNDED: f64 = 1e-5;
+
+/// Whether a sum of unknowns stands still along every undetermined direction; `own` are the scales of the unknowns.
+fn still(terms: &[(usize, f64)], moved: &DMatrix<f64>, own: &DVector<f64>) -> bool {
+    let scale: f64 = terms.iter().map(|(i, c)| c.abs() * own[*i]).sum();
     moved.column_iter().all(|m| {
         let sum: f64 = terms.iter().map(|(i, c)| c * m[*i]).sum();
         let size: f64 = terms.iter().map(|(i, c)| (c * m[*i]).abs()).sum();
-        sum.abs() <= 1e-4 * size || size <= 1e-9
+        sum.abs() <= (CANCELLED * size).max(ROUNDED * scale)
     })
 }
 

@@ -2,6 +2,7 @@
 
 use crate::bundle::{NamedCovariance, Natural};
 use crate::camera::INTRINSIC_NAMES;
+use crate::record::SHEET_QUANTITIES;
 use crate::sheet::{Parameter, StereoSheet, stepped_camera, stepped_motion, stepped_window};
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -40,7 +41,7 @@ impl Keys {
                 break;
             }
             let row = derivative.row(k).transpose();
-            out.determined.push(still(&row, covariance, names));
+            out.determined.push(covariance.stands_still(&row));
             let terms = covariance.names.iter().zip(row.iter()).filter(|(_, v)| **v != 0.0);
             out.rows.push(terms.map(|(n, v)| (n.clone(), *v)).collect());
             out.list.push(Key { name, unit, value: *value });
@@ -86,13 +87,13 @@ fn labels(natural: &Natural, names: &[&str], gain: bool) -> Vec<(String, &'stati
         out.push(("angle between the lens axes".into(), "deg"));
     }
     if natural.rig_from_plane.is_some() {
-        out.push(("distance of the sheet".into(), "mm"));
+        out.push((SHEET_QUANTITIES[0].into(), "mm"));
         if natural.cam_from_rig.len() > 1 {
-            out.push(("angle of the sheet to the baseline".into(), "deg"));
+            out.push((SHEET_QUANTITIES[1].into(), "deg"));
         }
     }
     if gain {
-        out.push(("out-of-plane gain".into(), "%"));
+        out.push((SHEET_QUANTITIES[2].into(), "%"));
     }
     out
 }
@@ -114,22 +115,6 @@ pub(super) fn derivative(
         out.set_column(column, &((at(h)? - at(-h)?) / (2.0 * h)));
     }
     Some(out)
-}
-
-/// True where a function with these derivatives stands still along every undetermined direction: its terms cancel, or are rounding
-/// against what it would feel if all of its parameters moved as far as the one that moves most.
-pub(super) fn still(row: &DVector<f64>, covariance: &NamedCovariance, names: &[&str]) -> bool {
-    if covariance.nullity == 0 {
-        return true;
-    }
-    let typical: Vec<f64> =
-        covariance.names.iter().map(|n| typical(&covariance.natural, n, names).unwrap_or(0.0)).collect();
-    covariance.null_directions.column_iter().all(|d| {
-        let terms = row.component_mul(&d);
-        let most = d.iter().zip(&typical).filter(|(_, t)| **t > 0.0).map(|(d, t)| d.abs() / t).fold(0.0, f64::max);
-        let size: f64 = row.iter().zip(&typical).map(|(r, t)| r.abs() * t).sum();
-        terms.sum().abs() <= (1e-4 * terms.abs().sum()).max(1e-6 * most * size)
-    })
 }
 
 /// Lengths by which shifts are measured: where the rig looks.

@@ -7,8 +7,8 @@
 //! e_i = misplacement of point i in a camera,  e' = e - (shift, turn) fitted to all points of both cameras,  C' = P D C D^T P^T
 //! ```
 
-use super::keys::still;
-use crate::bundle::{NamedCovariance, Natural, ParameterKnowledge};
+use super::keys::typical;
+use crate::bundle::{NamedCovariance, Natural, ParameterKnowledge, measured};
 use crate::camera::INTRINSICS;
 use crate::record::{MappingMap, MappingSigma, MappingUncertainty, Record};
 use crate::sheet::{Parameter, PointUncertainty, SheetUncertainty, StereoSheet};
@@ -34,31 +34,43 @@ pub fn mapping_of_record(record: &Record) -> Option<(MappingUncertainty, Vec<Str
     let (names, c) = ([first.name.as_str(), second.name.as_str()], &record.covariance);
     let own: Vec<usize> = (0..c.names.len()).filter(|i| Parameter::of(&c.names[*i], names).is_some()).collect();
     let has_sheet = own.iter().any(|i| matches!(Parameter::of(&c.names[*i], names), Some(Parameter::Sheet(_))));
-    let matrix = DMatrix::from_fn(own.len(), own.len(), |i, j| c.matrix[own[i]][own[j]]);
+    let c = c.only(&own);
+    let n = own.len();
+    let matrix = DMatrix::from_fn(n, n, |i, j| c.matrix[i][j]);
     if !has_sheet || matrix.iter().any(|v| !v.is_finite()) {
         return None;
     }
     let known = ParameterKnowledge::Estimated { prior_share: 0.0 };
+    let natural = Natural {
+        cameras: vec![first.model().ok()?, second.model().ok()?],
+        cam_from_rig: vec![first.cam_from_rig.motion(), second.cam_from_rig.motion()],
+        rig_from_plane: Some(record.sheet.as_ref()?.rig_from_sheet.motion()),
+        rig_from_target: vec![],
+    };
+    let scale = DVector::from_fn(n, |i, _| typical(&natural, &c.names[i], &names).unwrap_or(0.0));
+    let directions = DMatrix::from_fn(n, c.null_directions.len(), |i, k| c.null_directions[k][i]);
     let covariance = NamedCovariance {
-        names: own.iter().map(|i| c.names[*i].clone()).collect(),
-        determined: vec![true; own.len()],
+        determined: (0..n).map(|i| c.determines(i)).collect(),
         intrinsics: vec![[known; INTRINSICS]; 2],
-        nullity: 0,
-        null_directions: DMatrix::zeros(own.len(), 0),
+        nullity: directions.ncols(),
+        null_directions: measured(directions, &scale),
         undetermined: vec![],
         offset_sigmas_mm: vec![],
-        natural: Natural {
-            cameras: vec![first.model().ok()?, second.model().ok()?],
-            cam_from_rig: vec![first.cam_from_rig.motion(), second.cam_from_rig.motion()],
-            rig_from_plane: Some(record.sheet.as_ref()?.rig_from_sheet.motion()),
-            rig_from_target: vec![],
-        },
+        names: c.names,
+        natural,
+        scale,
         matrix,
     };
     let sizes_px = [first, second].map(|c| c.image_size_px.map(|n| n as f64));
     let mut flags = vec![];
     let found = mapping_uncertainty(&covariance, &sizes_px, &names, &mut flags)?;
     Some((found, flags))
+}
+
+/// Whether what is measured with a record does not depend on anything that its calibration leaves undetermined.
+pub fn determines_measurements(record: &Record) -> bool {
+    let named = || mapping_of_record(record).is_some_and(|(mapping, _)| mapping.undetermined.is_empty());
+    record.covariance.null_directions.is_empty() || named()
 }
 
 pub(super) fn mapping_uncertainty(
@@ -157,7 +169,7 @@ fn places(
     let is_still = |row: usize| {
         let mut by_name = DVector::zeros(covariance.names.len());
         own.iter().zip(beside.row(row).iter()).for_each(|(i, x)| by_name[*i] = *x);
-        still(&by_name, covariance, names)
+        covariance.stands_still(&by_name)
     };
     let sigma = |row: usize| {
         if is_still(row) { spread.row(row).dot(&beside.row(row)).max(0.0).sqrt() } else { f64::NAN }

@@ -91,7 +91,8 @@ impl Prior {
             return Err(unknown("the calibration states no covariance of its cameras"));
         }
         let c = &start.covariance.matrix;
-        let lost = |(i, _): &&(usize, Parameter)| numbers.iter().any(|(j, _)| !c[*i][*j].is_finite());
+        let lost =
+            |(i, _): &&(usize, Parameter)| numbers.iter().any(|(j, _)| !start.covariance.known(*i, *j).is_finite());
         if let Some((i, _)) = numbers.iter().find(lost) {
             let name = &start.covariance.names[*i];
             return Err(unknown(&format!(
@@ -251,6 +252,8 @@ impl Prior {
                 .chain(STEP_NAMES.map(|s| format!("{SHEET}{s}")))
                 .collect(),
             matrix: (0..n + 6).map(|i| (0..n + 6).map(|j| entry(i, j)).collect()).collect(),
+            // Those of views and target: none moves the cameras, nor the sheet.
+            null_directions: old.only(&kept).null_directions.into_iter().map(|d| [d, vec![0.0; 6]].concat()).collect(),
         };
         Some(Propagated { plane_and_center, against_start, covariance })
     }

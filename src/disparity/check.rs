@@ -482,6 +482,13 @@ fn output(
     let across_rms_px = (used().map(|i| after.across_px[i].powi(2)).sum::<f64>() / n).sqrt();
     let misaligned = [misalignment(&before, false), misalignment(&after, true)];
     told(&misaligned[0], &misaligned[1], options.refine, &mut flags);
+    if shared.is_none() && !start.covariance.null_directions.is_empty() {
+        flags.push(
+            "the calibration leaves undetermined what the sheet depends on: sigmas here are those of the particles with the cameras held, and the \
+             sheet has none; calibrate again with what the report of the calibration asks for"
+                .into(),
+        );
+    }
     let light = last.sums.as_ref().map(|sums| Summed {
         sums,
         window_px: options.window_px,
@@ -551,12 +558,12 @@ fn corrected_record(
     } else {
         let c = &r.covariance;
         let kept: Vec<usize> = (0..c.names.len()).filter(|i| !c.names[*i].starts_with("sheet.")).collect();
-        let matrix = kept.iter().map(|i| kept.iter().map(|j| c.matrix[*i][*j]).collect()).collect();
-        r.covariance.names = kept.iter().map(|i| c.names[*i].clone()).collect();
-        r.covariance.matrix = matrix;
+        if !c.null_directions.is_empty() {
+            r = moved(&r, &Vector3::zeros(), &Matrix6::repeat(f64::NAN))?;
+        }
+        r.covariance = r.covariance.only(&kept);
     }
-    // What was said about the former sheet.
-    r.mapping_uncertainty = None;
+    r.forget_sheet();
     r.provenance.options.insert("sheet".into(), format!("self-calibration on {pairs} particle image pair(s){how}"));
     Ok(r)
 }

@@ -21,11 +21,12 @@
 
 use super::plane::{Match, PlaneFit, see, weighted_plane};
 use crate::dewarp::SheetMap;
+use crate::diagnosis::determines_measurements;
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::{Covariance, Record};
 use crate::rigid::Motion;
 use crate::sheet::{Parameter, STEP_NAMES, stepped_camera, stepped_motion, stepped_window};
-use nalgebra::{DMatrix, Matrix3, Matrix6, Matrix6x3, SMatrix, SVector, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Matrix6x3, SMatrix, SVector, Vector3};
 
 /// Row names of the sheet in a covariance.
 pub(super) const SHEET: &str = "sheet.rig_from_sheet.";
@@ -125,7 +126,7 @@ pub(super) fn propagate(
     let own = |(i, n): (usize, &String)| Some((i, Parameter::of(n, names)?));
     let mut numbers: Vec<(usize, Parameter)> = start.covariance.names.iter().enumerate().filter_map(own).collect();
     numbers.retain(|(_, p)| !matches!(p, Parameter::Sheet(_)));
-    if numbers.is_empty() {
+    if numbers.is_empty() || !determines_measurements(start) {
         return None;
     }
     let (pose, start_pose, q) = (sheet_pose(now)?, sheet_pose(start)?, start_rows(start)?);
@@ -223,8 +224,13 @@ fn with_sheet(
         (false, true) => cross[(i - n, j)],
         (true, false) => cross[(j - n, i)],
     };
+    let with_cameras = |d: &Vec<f64>| -> Vec<f64> {
+        let sheet = step_by_plane * by_number * DVector::from_fn(p.len(), |k, _| d[p[k]]);
+        kept.iter().map(|i| d[*i]).chain(sheet.iter().copied()).collect()
+    };
     Covariance {
         names: kept.iter().map(|i| old.names[*i].clone()).chain(STEP_NAMES.map(|s| format!("{SHEET}{s}"))).collect(),
         matrix: (0..n + 6).map(|i| (0..n + 6).map(|j| entry(i, j)).collect()).collect(),
+        null_directions: old.null_directions.iter().map(with_cameras).collect(),
     }
 }

@@ -109,9 +109,9 @@ fn covariance(record: &Record) -> String {
     let mut out = String::from("name");
     c.names.iter().for_each(|n| out += &format!(",{}", field(n)));
     out.push('\n');
-    for (name, row) in c.names.iter().zip(&c.matrix) {
+    for (i, name) in c.names.iter().enumerate() {
         out += &field(name);
-        row.iter().for_each(|x| out += &format!(",{}", number(*x)));
+        (0..c.names.len()).for_each(|j| out += &format!(",{}", number(c.known(i, j))));
         out.push('\n');
     }
     out

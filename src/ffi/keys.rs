@@ -234,7 +234,7 @@ pub const SPIVCAL_ARRAY_RIG_FROM_TARGET_SIGMA: i32 = 522;
 /// Index: view. Root mean square residual per camera, px, NaN where a camera does not see it.
 pub const SPIVCAL_ARRAY_VIEW_RMS_PX: i32 = 523;
 /// Covariance of all estimated numbers, n x n row-major, n = SPIVCAL_COUNT_COVARIANCE; units: those at the end of the two names;
-/// poses: steps as of SPIVCAL_ARRAY_CAM_FROM_RIG_SIGMA, which turn the translation too.
+/// poses: steps as of SPIVCAL_ARRAY_CAM_FROM_RIG_SIGMA, which turn the translation too. NaN in the rows and columns of numbers that nothing determines.
 pub const SPIVCAL_ARRAY_COVARIANCE: i32 = 531;
 /// Positions of the adjusted points in the target frame, mm: all x, then all y, then all z: 3 n doubles.
 pub const SPIVCAL_ARRAY_TARGET_POINT_XYZ_MM: i32 = 541;

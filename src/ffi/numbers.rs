@@ -189,7 +189,10 @@ pub(super) fn array(record: &Record, key: i32, index: u64) -> Result<Vec<f64>, F
             let rms = &view()?.rms_px;
             record.cameras.iter().map(|c| rms.get(&c.name).copied().unwrap_or(f64::NAN)).collect()
         }
-        SPIVCAL_ARRAY_COVARIANCE => record.covariance.matrix.concat(),
+        SPIVCAL_ARRAY_COVARIANCE => {
+            let n = record.covariance.names.len();
+            (0..n * n).map(|k| record.covariance.known(k / n, k % n)).collect()
+        }
         SPIVCAL_ARRAY_TARGET_POINT_XYZ_MM => columns(&|i, k| points[i].xyz_mm[k]),
         SPIVCAL_ARRAY_TARGET_POINT_SIGMA_MM => columns(&|i, k| points[i].sigma_mm[k]),
         SPIVCAL_ARRAY_TARGET_POINT_LABEL => columns(&|i, k| {

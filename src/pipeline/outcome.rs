@@ -41,6 +41,7 @@ pub(super) fn record(s: &Solved, fits: &[ImageFit], findings: &Findings, sheet: 
         covariance: Covariance {
             names: s.covariance.names.clone(),
             matrix: s.covariance.matrix.row_iter().map(|r| r.iter().copied().collect()).collect(),
+            null_directions: s.covariance.null_directions.column_iter().map(|d| d.iter().copied().collect()).collect(),
         },
     })
 }
@@ -136,9 +137,8 @@ fn effective_sigma(s: &Solved, name: &str, camera: &Camera) -> Effective {
     ];
     let named: Vec<Vec<(String, f64)>> =
         rows.into_iter().map(|r| r.into_iter().map(|(n, v)| (format!("{name}.{n}"), v)).collect()).collect();
-    let c = s.covariance.propagate(&named);
-    let root = |k: usize| c[(k, k)].max(0.0).sqrt();
-    Effective { f_px: root(0), cx_px: root(1), cy_px: root(2) }
+    let sigmas = s.covariance.sigmas(&named);
+    Effective { f_px: sigmas[0], cx_px: sigmas[1], cy_px: sigmas[2] }
 }
 
 fn rig(s: &Solved) -> Option<Rig> {
@@ -156,14 +156,11 @@ fn rig(s: &Solved) -> Option<Rig> {
         vec![(step("tx_mm"), b.x), (step("ty_mm"), b.y), (step("tz_mm"), b.z)],
         vec![(step("rx_rad"), -axis.y / sine), (step("ry_rad"), axis.x / sine)],
     ];
-    let c = s.covariance.propagate(&rows);
+    let sigmas = s.covariance.sigmas(&rows);
     Some(Rig {
         baseline_mm: t.norm(),
         axes_angle_deg: cosine.clamp(-1.0, 1.0).acos().to_degrees(),
-        sigma: RigSigma {
-            baseline_mm: c[(0, 0)].max(0.0).sqrt(),
-            axes_angle_deg: c[(1, 1)].max(0.0).sqrt().to_degrees(),
-        },
+        sigma: RigSigma { baseline_mm: sigmas[0], axes_angle_deg: sigmas[1].to_degrees() },
     })
 }
 

@@ -155,7 +155,7 @@ fn held_cameras(job: &RigDescription, calibration: &Record) -> Result<HeldCamera
         _ if sigmas[i] == 0.0 || sigmas[j] == 0.0 => 0.0,
         // A number that moves, but nobody knows how far.
         _ if i == j && !sigmas[i].is_finite() => f64::NAN,
-        (Some(a), Some(b)) => calibration.covariance.matrix[a][b],
+        (Some(a), Some(b)) => calibration.covariance.known(a, b),
         _ if i == j => f64::NAN,
         _ => 0.0,
     });
@@ -334,23 +334,26 @@ fn output(
     record.sheet = Some(sheet);
     record.provenance.options.insert("sheet".into(), format!("homography with the cameras held, from {}", job.file));
     record.provenance.images.extend(images.iter().map(|i| i.file(job)));
-    record.fit.flags.extend(flags(job, views, homography, &images));
+    let flags = flags(job, views, homography, &images);
+    record.fit.flags.extend(flags.into_iter().map(|f| format!("{FLAG}{f}")));
     let overlays = overlays(held, &images, homography, features, first);
     SheetOutput { record, images, overlays }
 }
 
-/// Views and covariance of a sheet that is no longer there.
+/// How what this room has to flag begins.
+const FLAG: &str = "sheet found alone: ";
+
+/// Views, covariance and statements of a sheet that is no longer there.
 fn forget_old_sheet(record: &mut Record) {
+    record.forget_sheet();
+    record.fit.flags.retain(|f| !f.starts_with(FLAG));
+    record.views.iter_mut().for_each(|v| v.in_sheet = false);
     record.views.retain(|v| v.used || v.why_unused != record::SHEET_ALONE);
     let kept = record.views.len();
     record.provenance.images.retain(|i| i.view < kept);
-    let c = &mut record.covariance;
-    let stays: Vec<usize> = (0..c.names.len()).filter(|i| !c.names[*i].starts_with("sheet.")).collect();
-    let pick = |row: &Vec<f64>| -> Vec<f64> { stays.iter().map(|j| row[*j]).collect() };
-    *c = record::Covariance {
-        matrix: stays.iter().map(|i| pick(&c.matrix[*i])).collect(),
-        names: stays.iter().map(|i| c.names[*i].clone()).collect(),
-    };
+    let stays: Vec<usize> =
+        (0..record.covariance.names.len()).filter(|i| !record.covariance.names[*i].starts_with("sheet.")).collect();
+    record.covariance = record.covariance.only(&stays);
 }
 
 fn appended(index: usize, images: &[SeenImage], job: &RigDescription) -> View {

@@ -2,6 +2,7 @@
 
 use crate::camera::{Camera, INTRINSIC_NAMES, Intrinsics, WINDOW_STEP_NAMES, WINDOW_STEPS};
 use crate::dewarp::SheetMap;
+use crate::diagnosis::determines_measurements;
 use crate::error::Result;
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::Record;
@@ -84,7 +85,9 @@ pub fn perturbed_maps(record: &Record) -> Result<Option<Vec<[Vec<SheetMap>; 2]>>
     for c in 0..record.cameras.len() {
         SheetMap::from_record(record, c)?;
     }
-    let Some((moved, covariance)) = moved_numbers(record) else { return Ok(None) };
+    let Some((moved, covariance)) = moved_numbers(record).filter(|_| determines_measurements(record)) else {
+        return Ok(None);
+    };
     let scale = DVector::from_fn(moved.len(), |i, _| covariance[(i, i)].max(0.0).sqrt());
     let free: Vec<usize> = (0..moved.len()).filter(|i| scale[*i] > 0.0).collect();
     // Correlations, a trace of the unit matrix added so that exact ones keep a factor.

@@ -217,6 +217,11 @@ fn check_covariance(c: &Covariance) -> Check {
             return fault(path(), format!("entry {j} differs from its mirror image: expected a symmetric matrix"));
         }
     }
+    for (k, d) in c.null_directions.iter().enumerate() {
+        if d.len() != n {
+            return fault(format!("covariance.null_directions[{k}]"), format!("{} numbers: expected {n}", d.len()));
+        }
+    }
     Ok(())
 }
 

@@ -1,6 +1,7 @@
 //! What a calibration says about itself beyond its sigmas: keys `fit.diagnosis` and `mapping_uncertainty`.
 
 use super::number::{maybe, maybe_array, maybe_list, maybe_rows};
+use super::schema::Record;
 use serde::{Deserialize, Serialize};
 
 /// Tests of a calibration against its own assumptions.
@@ -21,6 +22,21 @@ pub struct Diagnosis {
     /// Discs that were set aside, each with a reason.
     #[serde(default)]
     pub outliers: Vec<OutlierReason>,
+}
+
+/// Key quantities that the sheet is part of.
+pub(crate) const SHEET_QUANTITIES: [&str; 3] =
+    ["distance of the sheet", "angle of the sheet to the baseline", "out-of-plane gain"];
+
+impl Record {
+    /// Drops what was said with a sheet that is no longer there.
+    pub(crate) fn forget_sheet(&mut self) {
+        let of_sheet = |name: &String| SHEET_QUANTITIES.contains(&name.as_str());
+        self.mapping_uncertainty = None;
+        let Some(said) = &mut self.fit.diagnosis else { return };
+        said.key_quantities.retain(|k| !of_sheet(&k.name));
+        said.views.retain(|v| ![&v.sigma_growth_of, &v.shift_of, &v.z_of].into_iter().chain(&v.lost).any(of_sheet));
+    }
 }
 
 /// A number that a user relies on.

@@ -553,16 +553,38 @@ pub struct Covariance {
     /// Symmetric matrix, rows in the order of the names; unit: product of the two names' units.
     #[serde(with = "maybe_rows")]
     pub matrix: Vec<Vec<f64>>,
+    /// Directions that nothing determines, over the names, where there are any: the matrix holds the others alone. A name that one of them moves has no
+    /// standard deviation; a function of several has one where it stands still along all of them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub null_directions: Vec<Vec<f64>>,
 }
 
 impl Covariance {
+    /// Whether nothing undetermined moves the number of row `i`.
+    pub fn determines(&self, i: usize) -> bool {
+        self.null_directions.iter().all(|d| d.get(i).is_none_or(|x| *x == 0.0))
+    }
+    /// The entry of two rows; `NaN` where one of them is not determined.
+    pub fn known(&self, i: usize, j: usize) -> f64 {
+        if self.determines(i) && self.determines(j) { self.matrix[i][j] } else { f64::NAN }
+    }
+    /// That of some of the rows, in their order.
+    pub(crate) fn only(&self, rows: &[usize]) -> Self {
+        let pick = |row: &Vec<f64>| -> Vec<f64> { rows.iter().map(|j| row[*j]).collect() };
+        let directions = self.null_directions.iter().map(pick);
+        Self {
+            names: rows.iter().map(|i| self.names[*i].clone()).collect(),
+            matrix: rows.iter().map(|i| pick(&self.matrix[*i])).collect(),
+            null_directions: directions.filter(|d| d.iter().any(|x| *x != 0.0)).collect(),
+        }
+    }
     /// Index of a name.
     pub fn index(&self, name: &str) -> Option<usize> {
         self.names.iter().position(|n| n == name)
     }
     /// Standard deviation of a name; `None` where the name is unknown or the number does not exist.
     pub fn sigma(&self, name: &str) -> Option<f64> {
-        let i = self.index(name)?;
+        let i = self.index(name).filter(|i| self.determines(*i))?;
         let s = self.matrix.get(i)?.get(i)?.sqrt();
         s.is_finite().then_some(s)
     }

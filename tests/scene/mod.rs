@@ -214,7 +214,7 @@ fn covariance() -> Covariance {
         _ => 0.1,
     };
     let matrix = (0..n).map(|i| (0..n).map(|j| couple(i, j) * sigmas[i % 6] * sigmas[j % 6]).collect()).collect();
-    Covariance { names, matrix }
+    Covariance { names, matrix, ..Covariance::default() }
 }
 
 fn parameters() -> Vec<Parameter> {
