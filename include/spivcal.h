@@ -152,7 +152,8 @@
 #define SPIVCAL_ERROR_POISONED -12
 
 /**
- * A defect of the library. The object is poisoned, all others are as they were.
+ * A defect of the library. The object is poisoned, all others are as they were. A context is not poisoned: what was to be made in it
+ * was not made, and the call may be tried again with other input.
  */
 #define SPIVCAL_ERROR_PANIC -13
 

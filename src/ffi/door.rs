@@ -60,14 +60,14 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Words of a panic.
-pub(super) fn panic_text(payload: &(dyn Any + Send)) -> String {
+/// Words of a panic, and what it leaves.
+pub(super) fn panic_text(payload: &(dyn Any + Send), left: &str) -> String {
     let words = payload
         .downcast_ref::<&str>()
         .map(|s| (*s).to_string())
         .or_else(|| payload.downcast_ref::<String>().cloned())
         .unwrap_or_else(|| "no message".into());
-    format!("internal error (panic): {words}; this object can only be destroyed now; please report it")
+    format!("internal error (panic): {words}; {left}; please report it")
 }
 
 /// Runs a call on an object of type `kind`.
@@ -92,8 +92,11 @@ pub(super) fn run(object: &Arc<Object>, call: impl FnOnce(&Object) -> Outcome) -
             fault.status
         }
         Err(payload) => {
-            object.poisoned.store(true, Ordering::Release);
-            *lock(&object.error) = panic_text(&*payload);
+            // A context never changes: what was half done is the object that was to be made in it, and that is gone.
+            let whole = matches!(object.body, Body::Context(_));
+            object.poisoned.store(!whole, Ordering::Release);
+            let left = if whole { "nothing was made" } else { "this object can only be destroyed now" };
+            *lock(&object.error) = panic_text(&*payload, left);
             SPIVCAL_ERROR_PANIC
         }
     }

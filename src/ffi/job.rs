@@ -83,7 +83,7 @@ impl Shared {
                 Err(Fault::new(SPIVCAL_ERROR_CANCELLED, "the job was stopped by spivcal_job_cancel"))
             }
             Ok(result) => result.map(Arc::new),
-            Err(payload) => Err(Fault::new(SPIVCAL_ERROR_PANIC, panic_text(&*payload))),
+            Err(payload) => Err(Fault::new(SPIVCAL_ERROR_PANIC, panic_text(&*payload, "the job has no result"))),
         };
         *lock(&self.result) = Some(result);
         self.ended.notify_all();

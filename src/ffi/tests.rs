@@ -1,6 +1,6 @@
 //! The door from inside: panics, poisoning, memory of any alignment. What a C host can do wrong is in `cpp_tests/interface`.
 
-use super::door::{Fault, destroy, run};
+use super::door::{Fault, destroy, enter, run};
 use super::memory::{Filled, give, give_text, rows_of, text_of};
 use super::table::{self, Kind};
 use super::*;
@@ -16,6 +16,12 @@ fn context() -> u64 {
     handle
 }
 
+fn rig(context: u64) -> u64 {
+    let mut handle = 0;
+    assert_eq!(unsafe { spivcal_rig_create(context, &mut handle) }, SPIVCAL_OK);
+    handle
+}
+
 fn error_text(handle: u64) -> String {
     let mut buffer = [0 as c_char; 500];
     let mut needed = 0;
@@ -25,20 +31,32 @@ fn error_text(handle: u64) -> String {
 
 #[test]
 fn a_panic_is_a_status_and_poisons_its_object_alone() {
-    let (broken, whole) = (context(), context());
-    let object = table::find(broken).unwrap();
-    assert_eq!(run(&object, |_| panic!("seven {}", 7)), SPIVCAL_ERROR_PANIC);
+    let owner = context();
+    let (broken, whole) = (rig(owner), rig(owner));
+    assert_eq!(enter(broken, Kind::Rig, |_| panic!("seven {}", 7)), SPIVCAL_ERROR_PANIC);
     assert!(error_text(broken).contains("seven 7"));
-    let mut rig = 0;
-    assert_eq!(unsafe { spivcal_rig_create(broken, &mut rig) }, SPIVCAL_ERROR_POISONED);
-    assert_eq!(rig, 0);
-    assert_eq!(unsafe { spivcal_rig_create(whole, &mut rig) }, SPIVCAL_OK);
+    let mut view = 99;
+    assert_eq!(unsafe { spivcal_rig_add_view(broken, &mut view) }, SPIVCAL_ERROR_POISONED);
+    assert_eq!(view, 99);
+    assert_eq!(unsafe { spivcal_rig_add_view(whole, &mut view) }, SPIVCAL_OK);
     assert!(error_text(broken).contains("seven 7"), "the text of the panic stays");
-    drop(object);
-    assert_eq!(spivcal_context_destroy(broken), SPIVCAL_OK);
-    assert_eq!(spivcal_context_destroy(broken), SPIVCAL_ERROR_HANDLE);
-    assert_eq!(spivcal_context_destroy(whole), SPIVCAL_OK);
-    assert_eq!(spivcal_rig_check(rig), SPIVCAL_ERROR_HANDLE, "it ended with its context");
+    assert_eq!(spivcal_rig_destroy(broken), SPIVCAL_OK);
+    assert_eq!(spivcal_rig_destroy(broken), SPIVCAL_ERROR_HANDLE);
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+    assert_eq!(spivcal_rig_check(whole), SPIVCAL_ERROR_HANDLE, "it ended with its context");
+}
+
+#[test]
+fn a_panic_while_something_is_made_leaves_the_context_and_all_in_it() {
+    let owner = context();
+    let kept = rig(owner);
+    assert_eq!(enter(owner, Kind::Context, |_| panic!("seven {}", 7)), SPIVCAL_ERROR_PANIC);
+    let told = error_text(owner);
+    assert!(told.contains("seven 7") && told.contains("nothing was made"), "{told}");
+    let mut view = 99;
+    assert_eq!(unsafe { spivcal_rig_add_view(kept, &mut view) }, SPIVCAL_OK);
+    rig(owner);
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
 }
 
 #[test]
@@ -115,6 +133,90 @@ fn texts_keep_their_closing_zero_and_nothing_is_written_where_they_do_not_fit() 
         (fault.status, fault.text.as_str()),
         (SPIVCAL_ERROR_UTF8, "name is not UTF-8: byte 1 begins no character")
     );
+}
+
+/// A calibration of the corpus with what a full one holds beside it, as JSON.
+fn full_calibration() -> serde_json::Value {
+    let mut json: serde_json::Value = serde_json::from_str(CALIBRATIONS[0]).unwrap();
+    let point = serde_json::json!({
+        "point_mm": [0.0, 1.0], "in_plane_px": 0.1, "in_plane_mm": 0.01, "disparity_px": 0.1, "in_plane_scale": 0.001,
+        "out_of_plane_gain": 0.01, "displacement": [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0.7, 0.8, 0.9]]
+    });
+    let list = [0.1, 0.2];
+    json["mapping_uncertainty"] = serde_json::json!({
+        "middle": point, "largest": point, "map": {
+            "spacing_mm": [1.0, 1.0], "x_mm": list, "y_mm": list, "in_plane_px": list, "disparity_px": list,
+            "u_per_u": list, "w_per_w": [], "u_per_w": list, "v_per_w": list, "w_per_u": list
+        }
+    });
+    json
+}
+
+fn parsed(context: u64, json: &serde_json::Value) -> (i32, u64) {
+    let (text, mut handle) = (CString::new(serde_json::to_string_pretty(json).unwrap()).unwrap(), 0);
+    (unsafe { spivcal_calibration_parse(context, text.as_ptr(), &mut handle) }, handle)
+}
+
+/// Pointers to the first lists of a document; of many alike the first three.
+fn lists(value: &serde_json::Value, at: &str, found: &mut Vec<String>) {
+    match value {
+        serde_json::Value::Array(list) => {
+            found.push(at.to_string());
+            list.iter().take(3).enumerate().for_each(|(i, v)| lists(v, &format!("{at}/{i}"), found));
+        }
+        serde_json::Value::Object(map) => map.iter().for_each(|(k, v)| lists(v, &format!("{at}/{k}"), found)),
+        _ => {}
+    }
+}
+
+#[test]
+fn lists_of_any_length_in_a_calibration_are_read_or_refused() {
+    let (owner, whole) = (context(), full_calibration());
+    assert_eq!(parsed(owner, &whole).0, SPIVCAL_OK, "{}", error_text(owner));
+    let mut all = vec![];
+    lists(&whole, "", &mut all);
+    assert!(all.len() > 60, "{}", all.len());
+    for pointer in &all {
+        for change in 0..3 {
+            let mut json = whole.clone();
+            let list = json.pointer_mut(pointer).unwrap().as_array_mut().unwrap();
+            match change {
+                0 => list.clear(),
+                1 => drop(list.pop()),
+                _ => list.extend(list.last().cloned()),
+            }
+            let (status, handle) = parsed(owner, &json);
+            if status != SPIVCAL_OK {
+                assert_eq!(status, SPIVCAL_ERROR_INVALID_INPUT, "{pointer} {change}: {}", error_text(owner));
+                continue;
+            }
+            for key in 400..630 {
+                let (mut x, mut n) = (0.0, 0);
+                let got = unsafe {
+                    [
+                        spivcal_calibration_number(handle, key, 0, &mut x, &mut x),
+                        spivcal_calibration_array_copy(handle, key, 0, std::ptr::null_mut(), 0, &mut n),
+                        spivcal_calibration_text_copy(handle, key, 0, std::ptr::null_mut(), 0, &mut n),
+                    ]
+                };
+                assert!(!got.contains(&SPIVCAL_ERROR_PANIC), "{pointer} {change} {key}: {}", error_text(handle));
+            }
+        }
+    }
+    for (pointer, path) in [
+        ("/mapping_uncertainty/largest/displacement", "mapping_uncertainty.largest.displacement: "),
+        ("/mapping_uncertainty/middle/displacement/1", "mapping_uncertainty.middle.displacement[1]: "),
+        ("/mapping_uncertainty/map/y_mm", "mapping_uncertainty.map.y_mm: "),
+        ("/mapping_uncertainty/map/u_per_w", "mapping_uncertainty.map.u_per_w: "),
+    ] {
+        let mut json = whole.clone();
+        json.pointer_mut(pointer).unwrap().as_array_mut().unwrap().pop();
+        assert_eq!(parsed(owner, &json).0, SPIVCAL_ERROR_INVALID_INPUT, "{pointer}");
+        let told = error_text(owner);
+        let line: usize = told.split(':').nth(1).unwrap().parse().unwrap();
+        assert!(line > 100 && told.contains(path), "{told}");
+    }
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
 }
 
 /// Two cameras with a sheet, in air and behind a window.

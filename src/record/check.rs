@@ -1,5 +1,6 @@
 //! Values that no calibration can have, found after the types are right.
 
+use super::diagnosis::{MappingMap, MappingUncertainty};
 use super::schema::{Camera, Covariance, FORMAT, Pose, Record, Sheet, VERSION, View};
 use std::collections::BTreeSet;
 use std::f64::consts::FRAC_PI_2;
@@ -52,6 +53,9 @@ fn check_record(r: &Record) -> Check {
     }
     for (path, x) in [("fit.rms_px", r.fit.rms_px), ("fit.chi2", r.fit.chi2)] {
         not_negative(path, x)?;
+    }
+    if let Some(mapping) = &r.mapping_uncertainty {
+        check_mapping(mapping)?;
     }
     check_covariance(&r.covariance)
 }
@@ -195,20 +199,53 @@ fn check_view(v: &View, cameras: &BTreeSet<&str>, at: &str) -> Check {
     }
 }
 
+fn check_mapping(m: &MappingUncertainty) -> Check {
+    for (key, point) in [("middle", &m.middle), ("largest", &m.largest)] {
+        check_square(&point.displacement, 3, &format!("mapping_uncertainty.{key}.displacement"))?;
+    }
+    let MappingMap { x_mm, y_mm, in_plane_px, disparity_px, u_per_u, w_per_w, u_per_w, v_per_w, w_per_u, .. } = &m.map;
+    let n = x_mm.len();
+    if y_mm.len() != n {
+        return fault("mapping_uncertainty.map.y_mm", format!("{} numbers: expected {n}, as in x_mm", y_mm.len()));
+    }
+    let lists = [
+        ("in_plane_px", in_plane_px),
+        ("disparity_px", disparity_px),
+        ("u_per_u", u_per_u),
+        ("w_per_w", w_per_w),
+        ("u_per_w", u_per_w),
+        ("v_per_w", v_per_w),
+        ("w_per_u", w_per_u),
+    ];
+    match lists.into_iter().find(|(_, list)| !list.is_empty() && list.len() != n) {
+        None => Ok(()),
+        Some((key, list)) => {
+            let message = format!("{} numbers: expected {n}, as in x_mm, or none", list.len());
+            fault(format!("mapping_uncertainty.map.{key}"), message)
+        }
+    }
+}
+
+/// Whether a matrix has `n` rows of `n` numbers.
+fn check_square(rows: &[Vec<f64>], n: usize, at: &str) -> Check {
+    if rows.len() != n {
+        return fault(at, format!("{} rows: expected {n}", rows.len()));
+    }
+    match rows.iter().position(|row| row.len() != n) {
+        None => Ok(()),
+        Some(i) => fault(format!("{at}[{i}]"), format!("{} numbers: expected {n}", rows[i].len())),
+    }
+}
+
 fn check_covariance(c: &Covariance) -> Check {
     let n = c.names.len();
     let distinct: BTreeSet<_> = c.names.iter().collect();
     if distinct.len() != n {
         return fault("covariance.names", "a name occurs twice: expected different names");
     }
-    if c.matrix.len() != n {
-        return fault("covariance.matrix", format!("{} rows for {n} names: expected {n} rows", c.matrix.len()));
-    }
+    check_square(&c.matrix, n, "covariance.matrix")?;
     for (i, row) in c.matrix.iter().enumerate() {
         let path = || format!("covariance.matrix[{i}]");
-        if row.len() != n {
-            return fault(path(), format!("{} numbers: expected {n}", row.len()));
-        }
         if row[i] < 0.0 {
             return fault(path(), format!("variance of {} is {}: expected 0 or more", c.names[i], row[i]));
         }
