@@ -71,6 +71,7 @@ struct Staged {
     folder: PathBuf,
     /// The outermost folder that was made for them.
     made: Option<PathBuf>,
+    /// Those that wait for their place, and that place.
     files: Vec<(PathBuf, PathBuf)>,
     published: bool,
 }
@@ -89,18 +90,31 @@ impl Staged {
         if place.is_dir() {
             return Err(fault(&place, "there is a folder where a result must be written; remove or rename it"));
         }
-        let temporary = self.folder.join(format!(".{name}.{}.tmp", std::process::id()));
-        self.files.push((temporary.clone(), place.clone()));
-        let written = fs::File::create(&temporary).and_then(|mut f| {
+        let written = self.temporary(name).and_then(|(mut f, temporary)| {
+            self.files.push((temporary, place.clone()));
             f.write_all(bytes)?;
             // Without it a power failure could leave the new name with nothing in it.
             f.sync_all()
         });
         written.map_err(|e| fault(&place, format!("cannot be written: {e}")))
     }
+    /// A new file: other threads and processes may be writing the same result.
+    fn temporary(&self, name: &str) -> std::io::Result<(fs::File, PathBuf)> {
+        let mut number = 0u32;
+        loop {
+            let path = self.folder.join(format!(".{name}.{}.{number}.tmp", std::process::id()));
+            match fs::File::create_new(&path) {
+                Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => number += 1,
+                file => return Ok((file?, path)),
+            }
+        }
+    }
     fn publish(mut self) -> Result<()> {
-        for (temporary, place) in &self.files {
+        // In their order. What has its place is forgotten: its temporary name may be another thread's by now.
+        self.files.reverse();
+        while let Some((temporary, place)) = self.files.last() {
             fs::rename(temporary, place).map_err(|e| fault(place, format!("cannot be written: {e}")))?;
+            self.files.pop();
         }
         self.published = true;
         Ok(())
@@ -147,6 +161,29 @@ mod tests {
             assert_eq!(listing(&folder), ["x.txt", "y.bin"]);
             assert_eq!(fs::read_to_string(folder.join("x.txt")).unwrap(), content);
         }
+    }
+
+    #[test]
+    fn threads_that_write_one_file_leave_it_whole() {
+        let scratch = tempfile::tempdir().unwrap();
+        let (place, size) = (scratch.path().join("x.txt"), 300_000);
+        fs::write(&place, vec![b'0'; size]).unwrap();
+        let whole = |bytes: Vec<u8>| bytes.len() == size && bytes.iter().all(|b| *b == bytes[0]);
+        std::thread::scope(|s| {
+            let write = |letter: u8| {
+                for _ in 0..20 {
+                    let mut out = Output::default();
+                    out.add("x.txt", vec![letter; size]);
+                    out.commit(scratch.path()).unwrap();
+                }
+            };
+            let writers: Vec<_> = (b'a'..b'e').map(|letter| s.spawn(move || write(letter))).collect();
+            while !writers.iter().all(|w| w.is_finished()) {
+                assert!(whole(fs::read(&place).unwrap()));
+            }
+            writers.into_iter().for_each(|w| w.join().unwrap());
+        });
+        assert_eq!(listing(scratch.path()), ["x.txt"]);
     }
 
     #[test]
