@@ -70,9 +70,23 @@ pub(super) fn panic_text(payload: &(dyn Any + Send), left: &str) -> String {
     format!("internal error (panic): {words}; {left}; please report it")
 }
 
+/// The object of a handle. One of another type is told so in its own error text, unless that tells of a panic.
+fn object_of(handle: u64, kind: Kind) -> Result<Arc<Object>, i32> {
+    let object = table::find(handle)?;
+    let found = object.body.kind();
+    if found == kind {
+        return Ok(object);
+    }
+    if !object.poisoned.load(Ordering::Acquire) {
+        let text = format!("this handle names {}; the function takes {}", found.words(), kind.words());
+        *lock(&object.error) = text;
+    }
+    Err(SPIVCAL_ERROR_HANDLE_TYPE)
+}
+
 /// Runs a call on an object of type `kind`.
 pub(super) fn enter(handle: u64, kind: Kind, call: impl FnOnce(&Object) -> Outcome) -> i32 {
-    let object = match table::find_kind(handle, kind) {
+    let object = match object_of(handle, kind) {
         Ok(object) => object,
         Err(status) => return status,
     };
@@ -114,7 +128,8 @@ pub(super) fn enter_without_object(call: impl FnOnce() -> Outcome) -> i32 {
 /// Destroys an object; with a context everything that was made in it.
 pub(super) fn destroy(handle: u64, kind: Kind) -> i32 {
     enter_without_object(|| {
-        let removed = table::remove(handle, kind).map_err(|status| Fault::new(status, ""))?;
+        let removed = object_of(handle, kind).and_then(|_| table::remove(handle, kind));
+        let removed = removed.map_err(|status| Fault::new(status, ""))?;
         for object in &removed {
             // Another thread may still hold the job while it waits for it; its own thread must not outlive this call.
             if let Body::Job(job) = &object.body {

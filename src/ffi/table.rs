@@ -35,6 +35,18 @@ pub(super) enum Kind {
 impl Kind {
     pub(super) const ALL: [Kind; 6] =
         [Kind::Context, Kind::Image, Kind::Detection, Kind::Rig, Kind::Job, Kind::Calibration];
+
+    /// What it is called in messages.
+    pub(super) fn words(self) -> &'static str {
+        match self {
+            Kind::Context => "a context",
+            Kind::Image => "an image",
+            Kind::Detection => "a detection",
+            Kind::Rig => "a rig description",
+            Kind::Job => "a job",
+            Kind::Calibration => "a calibration",
+        }
+    }
 }
 
 /// What an object holds.
@@ -48,7 +60,7 @@ pub(super) enum Body {
 }
 
 impl Body {
-    fn kind(&self) -> Kind {
+    pub(super) fn kind(&self) -> Kind {
         match self {
             Body::Context(_) => Kind::Context,
             Body::Image(_) => Kind::Image,

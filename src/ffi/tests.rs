@@ -88,6 +88,25 @@ fn the_error_text_is_that_of_the_last_failure() {
 }
 
 #[test]
+fn a_handle_of_the_wrong_type_is_told_to_the_object_that_it_names() {
+    let owner = context();
+    let rig = rig(owner);
+    let (mut n, mut other) = (0, 0);
+    let told = |what| format!("this handle names a rig description; the function takes {what}");
+    assert_eq!(spivcal_rig_check(rig), SPIVCAL_ERROR_INVALID_INPUT);
+    assert_eq!(unsafe { spivcal_calibration_count(rig, SPIVCAL_COUNT_VIEWS, &mut n) }, SPIVCAL_ERROR_HANDLE_TYPE);
+    assert_eq!(error_text(rig), told("a calibration"));
+    assert_eq!(spivcal_image_destroy(rig), SPIVCAL_ERROR_HANDLE_TYPE);
+    assert_eq!(error_text(rig), told("an image"));
+    assert_eq!(unsafe { spivcal_rig_create(rig, &mut other) }, SPIVCAL_ERROR_HANDLE_TYPE);
+    assert_eq!(error_text(rig), told("a context"));
+    assert_eq!(enter(rig, Kind::Rig, |_| panic!("seven")), SPIVCAL_ERROR_PANIC);
+    assert_eq!(spivcal_image_destroy(rig), SPIVCAL_ERROR_HANDLE_TYPE);
+    assert!(error_text(rig).contains("seven"), "the text of the panic stays");
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+}
+
+#[test]
 fn memory_of_any_alignment_is_read_and_written() {
     let mut bytes = [0u8; 64];
     for shift in 0..8 {
