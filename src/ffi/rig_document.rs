@@ -74,15 +74,17 @@ impl Document {
         let count = self.list(list).len();
         let place = usize::try_from(index).ok().filter(|i| *i < count);
         let place = place.ok_or_else(|| Fault::index(list, index, count))?;
-        self.text = None;
         let found = self.tables.get_mut(list).and_then(|l| l.get_mut(place)).and_then(Value::as_table_mut);
-        found.ok_or_else(|| Fault::argument(format!("{list} {place} is no table")))
+        let found = found.ok_or_else(|| Fault::argument(format!("{list} {place} is no table")))?;
+        self.text = None;
+        Ok(found)
     }
 
     /// A table of the file, made where it is missing.
     pub(super) fn table(&mut self, key: &str) -> Result<&mut Table, Fault> {
+        let found = within(&mut self.tables, key)?;
         self.text = None;
-        within(&mut self.tables, key)
+        Ok(found)
     }
 
     fn place(&mut self, place: Place, index: u64) -> Result<&mut Table, Fault> {
@@ -113,18 +115,22 @@ impl Document {
             Form::Truth if value == 0.0 || value == 1.0 => Value::Boolean(value == 1.0),
             Form::Truth => return refused("0 or 1"),
         };
-        let table = self.place(place, index)?;
-        if place != Place::Radius {
-            table.insert(name.into(), written);
-            return Ok(());
+        if place == Place::Radius {
+            return self.set_radius(name, index, written);
         }
-        let radii = table.entry(name).or_insert_with(|| Value::Array(Vec::new()));
-        let Some(radii) = radii.as_array_mut() else { return Err(Fault::argument("radii_mm is no list")) };
+        self.place(place, index)?.insert(name.into(), written);
+        Ok(())
+    }
+
+    fn set_radius(&mut self, name: &str, index: u64, written: Value) -> Result<(), Fault> {
+        let radii = self.tables.get("target").and_then(|t| t.get(name)).and_then(Value::as_array);
+        let mut radii = radii.cloned().unwrap_or_default();
         match usize::try_from(index) {
             Ok(i) if i < radii.len() => radii[i] = written,
             Ok(i) if i == radii.len() && i < 2 => radii.push(written),
             _ => return Err(Fault::index("radius (set them in order)", index, radii.len())),
         }
+        self.table("target")?.insert(name.into(), Value::Array(radii));
         Ok(())
     }
 

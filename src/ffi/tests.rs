@@ -106,6 +106,42 @@ fn a_handle_of_the_wrong_type_is_told_to_the_object_that_it_names() {
     assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
 }
 
+/// A rig description with one camera, its radii not stated, as a user writes it.
+const RIG: &str = "# mine\n[[camera]]\nname = \"left\"\n[target]\nkind = \"two-discs\"\nspacing_mm = 26.0\n[[view]]\nleft = \"file.png\"\n";
+
+fn parsed_rig(context: u64) -> u64 {
+    let (text, mut rig) = (CString::new(RIG).unwrap(), 0);
+    assert_eq!(unsafe { spivcal_rig_parse(context, text.as_ptr(), std::ptr::null(), &mut rig) }, SPIVCAL_OK);
+    rig
+}
+
+fn rig_text(rig: u64) -> String {
+    let (mut buffer, mut needed) = ([0 as c_char; 500], 0);
+    assert_eq!(unsafe { spivcal_rig_text_copy(rig, buffer.as_mut_ptr(), 500, &mut needed) }, SPIVCAL_OK);
+    unsafe { CStr::from_ptr(buffer.as_ptr()) }.to_str().unwrap().to_string()
+}
+
+#[test]
+fn a_setter_that_fails_changes_nothing() {
+    let owner = context();
+    let rig = parsed_rig(owner);
+    for (key, index) in [
+        (SPIVCAL_RIG_TARGET_RADIUS_MM, 1),
+        (SPIVCAL_RIG_TARGET_RADIUS_MM, u64::MAX),
+        (SPIVCAL_RIG_CAMERA_PIXEL_PITCH_MM, 1),
+        (SPIVCAL_RIG_CAMERA_WINDOW_TILT_SIGMA_DEG, 1),
+        (SPIVCAL_RIG_VIEW_PLANE_Z_MM, 1),
+    ] {
+        assert_eq!(spivcal_rig_set_number(rig, key, index, 10.0), SPIVCAL_ERROR_INDEX, "{key}");
+        assert_eq!(rig_text(rig), RIG, "{key}");
+        assert_eq!(spivcal_rig_check(rig), SPIVCAL_OK, "{key}: {}", error_text(rig));
+    }
+    assert_eq!(spivcal_rig_set_number(rig, SPIVCAL_RIG_TARGET_RADIUS_MM, 0, 9.0), SPIVCAL_OK);
+    assert_eq!(spivcal_rig_set_number(rig, SPIVCAL_RIG_TARGET_RADIUS_MM, 1, 10.0), SPIVCAL_OK);
+    assert!(rig_text(rig).contains("radii_mm = [9.0, 10.0]"), "{}", rig_text(rig));
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+}
+
 #[test]
 fn memory_of_any_alignment_is_read_and_written() {
     let mut bytes = [0u8; 64];
