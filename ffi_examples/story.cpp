@@ -42,6 +42,7 @@ int story(const std::string &rig_file, const std::string &images, const std::str
 
     c.save(saved);
     const spivcal::Calibration again = context.load_calibration(saved);
+    if (again.flagged() != c.flagged()) return 1;
     const std::vector<double> u = {100.0, 511.5, 900.0}, v = {80.0, 383.5, 700.0};
     std::vector<double> x, y, u_back, v_back;
     if (!again.sheet_from_pixel(0, u, v, x, y) || !again.pixel_from_sheet(0, x, y, u_back, v_back)) return 1;

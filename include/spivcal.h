@@ -625,7 +625,8 @@
 #define SPIVCAL_FIT_SIGMA_SCALE 451
 
 /**
- * 0: good, 1: look at the flags, 2: do not use. No sigma.
+ * 0: good, 1: look at the flags, 2: do not use; also of a calibration that was loaded. Above 0 spivcal_calibration_run gives
+ * SPIVCAL_WARNING_FLAGGED. No sigma.
  */
 #define SPIVCAL_FIT_VERDICT 452
 
@@ -1422,6 +1423,7 @@ int32_t spivcal_job_destroy(uint64_t job);
  * Loads a calibration from the file calibration.json that the program or spivcal_calibration_save wrote.
  *
  * `path_utf8`: the file. `calibration`: receives the handle. SPIVCAL_ERROR_INVALID_INPUT where it cannot be read or holds no calibration.
+ * SPIVCAL_OK also where the calibration must be looked at before it is used: ask for SPIVCAL_FIT_VERDICT.
  */
 int32_t spivcal_calibration_load(uint64_t context,
                                  const char *path_utf8,
@@ -1431,6 +1433,7 @@ int32_t spivcal_calibration_load(uint64_t context,
  * Makes a calibration from the text of a calibration.json.
  *
  * `json_utf8`: zero-terminated. `calibration`: receives the handle. SPIVCAL_ERROR_INVALID_INPUT where it holds no calibration.
+ * Otherwise as spivcal_calibration_load.
  */
 int32_t spivcal_calibration_parse(uint64_t context,
                                   const char *json_utf8,

@@ -170,7 +170,8 @@ public:
 class Calibration : public detail::Owner<&spivcal_calibration_destroy> {
 public:
     explicit Calibration(std::uint64_t handle, bool flagged = false) noexcept : Owner(handle), flagged_(flagged) {}
-    /* Whether it must be looked at before it is used (SPIVCAL_TEXT_HEADLINE, SPIVCAL_TEXT_FLAG, SPIVCAL_TEXT_UNDETERMINED). */
+    /* Whether it must be looked at before it is used (SPIVCAL_TEXT_HEADLINE, SPIVCAL_TEXT_FLAG, SPIVCAL_TEXT_UNDETERMINED), also where
+       it was loaded. */
     bool flagged() const noexcept { return flagged_; }
 
     std::uint64_t count(std::int32_t key) const {
@@ -398,12 +399,10 @@ public:
         return make<Detection>([](std::uint64_t c, std::uint64_t *o) { return spivcal_detection_create(c, o); });
     }
     Calibration load_calibration(const std::string &path_utf8) const {
-        return make<Calibration>(
-            [&](std::uint64_t c, std::uint64_t *o) { return spivcal_calibration_load(c, path_utf8.c_str(), o); });
+        return judged([&](std::uint64_t c, std::uint64_t *o) { return spivcal_calibration_load(c, path_utf8.c_str(), o); });
     }
     Calibration parse_calibration(const std::string &json_utf8) const {
-        return make<Calibration>(
-            [&](std::uint64_t c, std::uint64_t *o) { return spivcal_calibration_parse(c, json_utf8.c_str(), o); });
+        return judged([&](std::uint64_t c, std::uint64_t *o) { return spivcal_calibration_parse(c, json_utf8.c_str(), o); });
     }
 
 private:
@@ -418,6 +417,12 @@ private:
         std::uint64_t h = 0;
         must(call(handle(), &h));
         return T(h);
+    }
+    /* Reading is no warning: whether the calibration is flagged stands in it. */
+    template <class Call> Calibration judged(Call call) const {
+        Calibration c = make<Calibration>(call);
+        const bool flagged = c.number(SPIVCAL_FIT_VERDICT).value > 0.0;
+        return Calibration(c.release(), flagged);
     }
 };
 

@@ -200,6 +200,18 @@ void setters() {
     CHECK(thrown);
 }
 
+// A flag is not lost on the way through a file.
+void flags_stay(std::string json) {
+    const spivcal::Context context(1);
+    const spivcal::Calibration c = context.parse_calibration(json);
+    CHECK(c.flagged() == (c.number(SPIVCAL_FIT_VERDICT).value > 0));
+    const std::string key = "\"flags\": [";
+    const std::size_t at = json.find(key) + key.size();
+    json.insert(at, json[at] == ']' ? "\"look\"" : "\"look\", ");
+    const spivcal::Calibration flagged = context.parse_calibration(json);
+    CHECK(flagged.flagged());
+}
+
 } // namespace
 
 int main(int argc, char **argv) {
@@ -207,6 +219,7 @@ int main(int argc, char **argv) {
     const std::string json = read(argv[1]);
     truth();
     setters();
+    flags_stay(json);
     shared_calibration(json);
     destroyed_meanwhile(json);
     hosts();

@@ -18,6 +18,7 @@ use std::sync::Arc;
 /// Loads a calibration from the file calibration.json that the program or spivcal_calibration_save wrote.
 ///
 /// `path_utf8`: the file. `calibration`: receives the handle. SPIVCAL_ERROR_INVALID_INPUT where it cannot be read or holds no calibration.
+/// SPIVCAL_OK also where the calibration must be looked at before it is used: ask for SPIVCAL_FIT_VERDICT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_calibration_load(
     context: u64,
@@ -35,6 +36,7 @@ pub unsafe extern "C" fn spivcal_calibration_load(
 /// Makes a calibration from the text of a calibration.json.
 ///
 /// `json_utf8`: zero-terminated. `calibration`: receives the handle. SPIVCAL_ERROR_INVALID_INPUT where it holds no calibration.
+/// Otherwise as spivcal_calibration_load.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_calibration_parse(
     context: u64,
@@ -50,6 +52,7 @@ pub unsafe extern "C" fn spivcal_calibration_parse(
 
 fn read(context: u64, json: &str, name: &str, out: Out<u64>) -> Outcome {
     let state = CalibrationState::new(Record::from_json(json, name)?, None)?;
+    // Programs compare this with SPIVCAL_OK; the verdict is in the record.
     keep(context, Arc::new(state), out).map(|_| SPIVCAL_OK)
 }
 

@@ -194,7 +194,8 @@ pub const SPIVCAL_FIT_OUTLIERS: i32 = 449;
 pub const SPIVCAL_FIT_CONVERGED: i32 = 450;
 /// Factor by which all sigmas were enlarged because residuals exceed the noise. No sigma.
 pub const SPIVCAL_FIT_SIGMA_SCALE: i32 = 451;
-/// 0: good, 1: look at the flags, 2: do not use. No sigma.
+/// 0: good, 1: look at the flags, 2: do not use; also of a calibration that was loaded. Above 0 spivcal_calibration_run gives
+/// SPIVCAL_WARNING_FLAGGED. No sigma.
 pub const SPIVCAL_FIT_VERDICT: i32 = 452;
 
 // Keys of spivcal_calibration_number with a radius of the target as index.

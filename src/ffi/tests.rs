@@ -274,6 +274,21 @@ fn lists_of_any_length_in_a_calibration_are_read_or_refused() {
     assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
 }
 
+/// What the header says of `spivcal_calibration_load`, and the C++ header relies on.
+#[test]
+fn a_flagged_calibration_says_so_after_it_was_loaded() {
+    let (owner, mut json, [mut x, mut y]) = (context(), full_calibration(), [7.0; 2]);
+    json["fit"]["undetermined"] = serde_json::json!([]);
+    for (flags, wanted) in [(serde_json::json!([]), 0.0), (serde_json::json!(["look at view 3"]), 1.0)] {
+        json["fit"]["flags"] = flags;
+        let (status, handle) = parsed(owner, &json);
+        assert_eq!(status, SPIVCAL_OK);
+        let asked = unsafe { spivcal_calibration_number(handle, SPIVCAL_FIT_VERDICT, 0, &mut x, &mut y) };
+        assert_eq!((asked, x), (SPIVCAL_OK, wanted));
+    }
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+}
+
 /// Two cameras with a sheet, in air and behind a window.
 const CALIBRATIONS: [&str; 2] = [
     include_str!("../../fuzz/corpus/calibration/scene.json"),
