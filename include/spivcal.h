@@ -1194,7 +1194,7 @@ int32_t spivcal_detection_array_copy(uint64_t detection,
  * Texts of a detection.
  *
  * `key`: SPIVCAL_TEXT_JSON (everything that was found, with contours, features of a pair and rejections) or
- * SPIVCAL_TEXT_REJECTION (why candidate `index` was turned down). `image_name_utf8`: named in the JSON, may be NULL.
+ * SPIVCAL_TEXT_REJECTION (why candidate `index` was turned down; 0 with the other key). `image_name_utf8`: named in the JSON, may be NULL.
  * `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy. SPIVCAL_ERROR_NOT_AVAILABLE before spivcal_detection_run.
  */
 int32_t spivcal_detection_text_copy(uint64_t detection,
@@ -1244,7 +1244,7 @@ int32_t spivcal_rig_load(uint64_t context,
 /**
  * Adds a camera; the first one is the rig frame, two are the most.
  *
- * `name_utf8`: letters, digits, '-', '_'; it names the camera in results. `camera`: receives its index, from 0.
+ * `name_utf8`: up to 64 letters, digits, '-', '_', but not "sheet" or "plane_z_mm"; it names the camera in results. `camera`: receives its index, from 0.
  */
 int32_t spivcal_rig_add_camera(uint64_t rig,
                                const char *name_utf8,

@@ -66,6 +66,9 @@ use reader::{Section, Source};
 use std::path::{Path, PathBuf};
 use toml::de::DeTable;
 
+pub(crate) use camera::name_fault as camera_name_fault;
+pub(crate) use target::MARKS;
+
 /// Everything a rig file says, checked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RigDescription {

@@ -390,8 +390,10 @@ static void jobs(uint64_t context) {
     CHECK(spivcal_job_cancel(job) == SPIVCAL_OK);
     CHECK(spivcal_job_wait(job, -1, &state) == SPIVCAL_OK);
     CHECK(state == SPIVCAL_JOB_CANCELLED || state == SPIVCAL_JOB_FAILED);
-    CHECK(spivcal_rig_set_image_file(rig, 1, 1, "") == SPIVCAL_OK && spivcal_job_start(rig, &job) == SPIVCAL_ERROR_INVALID_INPUT);
+    CHECK(spivcal_rig_set_image_file(rig, 1, 1, "") == SPIVCAL_ERROR_ARGUMENT);
     CHECK(spivcal_rig_set_image_file(rig, 1, 1, "x.png") == SPIVCAL_OK);
+    CHECK(spivcal_rig_set_text(rig, SPIVCAL_RIG_SOLVE_LOSS, 0, "some") == SPIVCAL_OK && spivcal_job_start(rig, &job) == SPIVCAL_ERROR_INVALID_INPUT);
+    CHECK(spivcal_rig_set_text(rig, SPIVCAL_RIG_SOLVE_LOSS, 0, "huber") == SPIVCAL_OK);
     CHECK(spivcal_job_destroy(job) == SPIVCAL_OK);
     /* Destroyed while they run, one by one and with their context. */
     for (i = 0; i < 4; i++) CHECK(spivcal_job_start(rig, &job) == SPIVCAL_OK);

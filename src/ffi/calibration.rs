@@ -66,10 +66,12 @@ pub unsafe extern "C" fn spivcal_calibration_save(calibration: u64, path_utf8: *
     on(calibration, |state| {
         // SAFETY: the contract of the header.
         let path = unsafe { text_of(path_utf8, "path_utf8") }?;
-        let path = Path::new(&path);
-        let Some(name) = path.file_name().and_then(|n| n.to_str()) else {
-            return Err(Fault::argument(format!("\"{}\" names no file", path.display())));
+        // "folder/" ends in no name, though it has a last one.
+        let name = Path::new(&path).file_name().and_then(|n| n.to_str()).filter(|n| path.ends_with(n));
+        let Some(name) = name else {
+            return Err(Fault::argument(format!("path_utf8: \"{path}\" names no file")));
         };
+        let path = Path::new(&path);
         let mut output = Output::default();
         output.add(name, state.record.to_json()?);
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -182,7 +184,7 @@ fn words(state: &CalibrationState, key: i32, index: u64) -> Result<String, Fault
         let found = usize::try_from(index).ok().and_then(|i| all.get(i)).cloned();
         found.ok_or_else(|| Fault::index(what, index, all.len()))
     };
-    Ok(match key {
+    let found = match key {
         SPIVCAL_TEXT_JSON => r.to_json()?,
         SPIVCAL_TEXT_REPORT => text(r),
         SPIVCAL_TEXT_RESIDUALS_CSV => match &state.residuals {
@@ -201,7 +203,11 @@ fn words(state: &CalibrationState, key: i32, index: u64) -> Result<String, Fault
         SPIVCAL_TEXT_TARGET_KIND => r.target.kind.clone(),
         SPIVCAL_TEXT_VIEW_WHY_UNUSED => one("view", &r.views.iter().map(|v| v.why_unused.clone()).collect::<Vec<_>>())?,
         _ => return Err(unknown_key("SPIVCAL_TEXT_", key)),
-    })
+    };
+    if !matches!(key, SPIVCAL_TEXT_UNDETERMINED..=SPIVCAL_TEXT_COVARIANCE_NAME | SPIVCAL_TEXT_VIEW_WHY_UNUSED) {
+        Fault::unless_zero(index)?;
+    }
+    Ok(found)
 }
 
 fn on(calibration: u64, call: impl FnOnce(&CalibrationState) -> Outcome) -> i32 {

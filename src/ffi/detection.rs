@@ -131,7 +131,7 @@ pub unsafe extern "C" fn spivcal_detection_array_copy(
 /// Texts of a detection.
 ///
 /// `key`: SPIVCAL_TEXT_JSON (everything that was found, with contours, features of a pair and rejections) or
-/// SPIVCAL_TEXT_REJECTION (why candidate `index` was turned down). `image_name_utf8`: named in the JSON, may be NULL.
+/// SPIVCAL_TEXT_REJECTION (why candidate `index` was turned down; 0 with the other key). `image_name_utf8`: named in the JSON, may be NULL.
 /// `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy. SPIVCAL_ERROR_NOT_AVAILABLE before spivcal_detection_run.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_detection_text_copy(
@@ -151,7 +151,10 @@ pub unsafe extern "C" fn spivcal_detection_text_copy(
             unsafe { text_of(image_name_utf8, "image_name_utf8") }?
         };
         let text = match key {
-            SPIVCAL_TEXT_JSON => detection_json(&name, found.size_px, &found.detection),
+            SPIVCAL_TEXT_JSON => {
+                Fault::unless_zero(index)?;
+                detection_json(&name, found.size_px, &found.detection)
+            }
             SPIVCAL_TEXT_REJECTION => {
                 let all = &found.detection.rejections;
                 let one = usize::try_from(index).ok().and_then(|i| all.get(i));

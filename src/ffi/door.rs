@@ -32,6 +32,12 @@ impl Fault {
         Self::new(SPIVCAL_ERROR_INDEX, format!("{what} {index} does not exist: there are {count}, counted from 0"))
     }
 
+    /// Refuses an index where a key counts nothing.
+    pub(super) fn unless_zero(index: u64) -> Result<(), Self> {
+        let text = || format!("index {index}: this key counts nothing, its index is 0");
+        if index == 0 { Ok(()) } else { Err(Self::new(SPIVCAL_ERROR_INDEX, text())) }
+    }
+
     /// A handle that came as a further argument.
     pub(super) fn handle(argument: &str, status: i32) -> Self {
         let what = if status == SPIVCAL_ERROR_HANDLE_TYPE { "names another type of object" } else { "names no object" };

@@ -30,7 +30,7 @@ fn window_of(camera: &Camera) -> Result<&Window, Fault> {
 
 /// `spivcal_calibration_number`.
 pub(super) fn number(record: &Record, key: i32, index: u64) -> Number {
-    match key {
+    let found = match key {
         SPIVCAL_CAMERA_F_PX..=SPIVCAL_CAMERA_PIXEL_PITCH_MM => of_camera(one(&record.cameras, index, "camera")?, key),
         SPIVCAL_CAMERA_WINDOW_NORMAL_X..=SPIVCAL_CAMERA_WINDOW_N_WATER => {
             of_window(window_of(one(&record.cameras, index, "camera")?)?, key)
@@ -49,7 +49,16 @@ pub(super) fn number(record: &Record, key: i32, index: u64) -> Number {
         SPIVCAL_FIT_RMS_PX..=SPIVCAL_FIT_VERDICT => of_fit(record, key),
         SPIVCAL_VIEW_IN_SHEET..=SPIVCAL_VIEW_RADIUS1_MM => of_view(one(&record.views, index, "view")?, key),
         _ => Err(unknown_key("the number keys", key)),
+    }?;
+    if !matches!(
+        key,
+        SPIVCAL_CAMERA_F_PX..=SPIVCAL_CAMERA_WINDOW_N_WATER
+            | SPIVCAL_TARGET_RADIUS_MM
+            | SPIVCAL_VIEW_IN_SHEET..=SPIVCAL_VIEW_RADIUS1_MM
+    ) {
+        Fault::unless_zero(index)?;
     }
+    Ok(found)
 }
 
 fn of_camera(c: &Camera, key: i32) -> Number {
@@ -175,7 +184,7 @@ pub(super) fn array(record: &Record, key: i32, index: u64) -> Result<Vec<f64>, F
     let columns = |of: &dyn Fn(usize, usize) -> f64| -> Vec<f64> {
         (0..3).flat_map(|k| (0..points.len()).map(move |i| (i, k))).map(|(i, k)| of(i, k)).collect()
     };
-    Ok(match key {
+    let found = match key {
         SPIVCAL_ARRAY_CAM_FROM_RIG => matrix(&camera()?.cam_from_rig),
         SPIVCAL_ARRAY_CAM_FROM_RIG_SIGMA => steps(&camera()?.sigma.cam_from_rig),
         SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD => window_of(camera()?)?.sigma.normal_rad.to_vec(),
@@ -200,7 +209,15 @@ pub(super) fn array(record: &Record, key: i32, index: u64) -> Result<Vec<f64>, F
             f64::from([l.column, l.row, i32::from(l.level)][k])
         }),
         _ => return Err(unknown_key("SPIVCAL_ARRAY_", key)),
-    })
+    };
+    if !matches!(
+        key,
+        SPIVCAL_ARRAY_CAM_FROM_RIG..=SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD
+            | SPIVCAL_ARRAY_RIG_FROM_TARGET..=SPIVCAL_ARRAY_VIEW_RMS_PX
+    ) {
+        Fault::unless_zero(index)?;
+    }
+    Ok(found)
 }
 
 /// 4 x 4 row-major, homogeneous.

@@ -9,7 +9,7 @@ use super::table::{self, Body, Kind, Object};
 use crate::error::Result as Loaded;
 use crate::image::GrayImage;
 use crate::pipeline::{load_image, read_text};
-use crate::rig_file::{RigDescription, image_path};
+use crate::rig_file::{RigDescription, camera_name_fault, image_path};
 use std::collections::BTreeMap;
 use std::ffi::c_char;
 use std::path::{Path, PathBuf};
@@ -140,12 +140,15 @@ pub unsafe extern "C" fn spivcal_rig_load(
 
 /// Adds a camera; the first one is the rig frame, two are the most.
 ///
-/// `name_utf8`: letters, digits, '-', '_'; it names the camera in results. `camera`: receives its index, from 0.
+/// `name_utf8`: up to 64 letters, digits, '-', '_', but not "sheet" or "plane_z_mm"; it names the camera in results. `camera`: receives its index, from 0.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_rig_add_camera(rig: u64, name_utf8: *const c_char, camera: *mut u64) -> i32 {
     on(rig, |state| {
         // SAFETY: the contract of the header.
         let (out, name) = unsafe { (Out::new(camera, "camera")?, text_of(name_utf8, "name_utf8")?) };
+        if let Some(fault) = camera_name_fault(&name) {
+            return Err(Fault::argument(fault));
+        }
         let names = state.document.camera_names();
         if names.len() >= 2 {
             return Err(Fault::argument("there are two cameras already"));
@@ -258,6 +261,9 @@ pub unsafe extern "C" fn spivcal_rig_set_image_file(rig: u64, view: u64, camera:
     on(rig, |state| {
         // SAFETY: the contract of the header.
         let path = unsafe { text_of(path_utf8, "path_utf8") }?;
+        if path.is_empty() {
+            return Err(Fault::argument("path_utf8 is empty; expected the file of an image"));
+        }
         state.document.set_image(view, camera, &path)?;
         state.images.remove(&(view, camera));
         Ok(SPIVCAL_OK)

@@ -5,7 +5,7 @@
 use super::abi::SPIVCAL_ERROR_INTERNAL;
 use super::door::Fault;
 use super::rig_keys::*;
-use crate::rig_file::RigDescription;
+use crate::rig_file::{MARKS, RigDescription};
 use toml::{Table, Value};
 
 /// Name of a description that was not read from a file, in messages.
@@ -88,6 +88,9 @@ impl Document {
     }
 
     fn place(&mut self, place: Place, index: u64) -> Result<&mut Table, Fault> {
+        if matches!(place, Place::Target | Place::Focus | Place::Solve) {
+            Fault::unless_zero(index)?;
+        }
         match place {
             Place::Camera => self.entry("camera", index),
             Place::Window => within(self.entry("camera", index)?, "window"),
@@ -180,6 +183,9 @@ impl Document {
                 "sigma = {sigma}: expected a finite length in mm, 0 where it is exact"
             )));
         }
+        if fact != SPIVCAL_SCALE_TRAVERSE && !(value > 0.0 && value.is_finite()) {
+            return Err(Fault::argument(format!("value = {value}: expected a finite length above 0, in mm")));
+        }
         let mut length = Table::new();
         if fact != SPIVCAL_SCALE_TRAVERSE {
             length.insert("value".into(), Value::Float(value));
@@ -209,6 +215,13 @@ impl Document {
 
     /// `spivcal_rig_add_mark`.
     pub(super) fn add_mark(&mut self, kind: String, column: i32, row: i32, level: i32) -> Result<(), Fault> {
+        if !MARKS.iter().any(|m| m.0 == kind) {
+            let text = format!("\"{kind}\" is no kind of mark: expected ring, large, square or triangle");
+            return Err(Fault::argument(text));
+        }
+        if !(0..=1).contains(&level) {
+            return Err(Fault::argument(format!("level = {level}: expected 0 (front) or 1 (back)")));
+        }
         let mut mark = Table::new();
         mark.insert("kind".into(), Value::String(kind));
         mark.insert("column".into(), Value::Integer(column.into()));

@@ -143,6 +143,70 @@ fn a_setter_that_fails_changes_nothing() {
 }
 
 #[test]
+fn arguments_that_have_no_meaning_are_refused_at_the_call() {
+    let owner = context();
+    let rig = parsed_rig(owner);
+    let mut n = 99;
+    let mut told = |wanted: i32, words: &str, call: &mut dyn FnMut(*mut u64) -> i32| {
+        assert_eq!(call(&mut n), wanted, "{words}");
+        assert!(error_text(rig).contains(words), "{words}: {}", error_text(rig));
+        assert_eq!((rig_text(rig).as_str(), n), (RIG, 99), "{words}");
+    };
+    let (argument, index) = (SPIVCAL_ERROR_ARGUMENT, SPIVCAL_ERROR_INDEX);
+    for (name, words) in [(c"bad name!", "letters, digits"), (c"", "letters, digits"), (c"sheet", "[[view]]")] {
+        told(argument, words, &mut |n| unsafe { spivcal_rig_add_camera(rig, name.as_ptr(), n) });
+    }
+    for value in [f64::NAN, f64::INFINITY, 0.0, -1.0] {
+        for fact in [SPIVCAL_SCALE_BASELINE, SPIVCAL_SCALE_SPACING, SPIVCAL_SCALE_RADIUS] {
+            told(argument, &format!("value = {value}"), &mut |_| spivcal_rig_set_scale(rig, fact, 0, 0, value, 0.0));
+        }
+    }
+    let nothing = "counts nothing";
+    told(index, nothing, &mut |_| unsafe {
+        spivcal_rig_set_text(rig, SPIVCAL_RIG_TARGET_KIND, 77, c"bubbles".as_ptr())
+    });
+    told(index, nothing, &mut |_| spivcal_rig_set_number(rig, SPIVCAL_RIG_TARGET_SPACING_MM, 1, 9.0));
+    told(argument, "ring, large", &mut |_| unsafe { spivcal_rig_add_mark(rig, c"nonsense".as_ptr(), 0, 0, 0) });
+    told(argument, "level = 77", &mut |_| unsafe { spivcal_rig_add_mark(rig, c"ring".as_ptr(), 0, 0, 77) });
+    told(argument, "path_utf8", &mut |_| unsafe { spivcal_rig_set_image_file(rig, 0, 0, c"".as_ptr()) });
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+}
+
+#[test]
+fn an_index_that_counts_nothing_must_be_0() {
+    let (owner, [mut x, mut y], mut n) = (context(), [0.0; 2], 0);
+    let handle = parsed(owner, &full_calibration()).1;
+    let none = std::ptr::null_mut();
+    for key in [SPIVCAL_BASELINE_MM, SPIVCAL_SHEET_DISTANCE_MM, SPIVCAL_TARGET_SPACING_MM, SPIVCAL_FIT_RMS_PX] {
+        let mut number = |index| unsafe { spivcal_calibration_number(handle, key, index, &mut x, &mut y) };
+        assert_eq!([0, 9999].map(&mut number), [SPIVCAL_OK, SPIVCAL_ERROR_INDEX], "{key}");
+        assert!(error_text(handle).contains("index 9999: this key counts nothing"));
+    }
+    for key in [SPIVCAL_ARRAY_RIG_FROM_SHEET, SPIVCAL_ARRAY_COVARIANCE, SPIVCAL_ARRAY_TARGET_POINT_LABEL] {
+        let array = |index| unsafe { spivcal_calibration_array_copy(handle, key, index, none, 0, &mut n) };
+        assert_eq!([0, 9999].map(array), [SPIVCAL_OK, SPIVCAL_ERROR_INDEX], "{key}");
+    }
+    for key in [SPIVCAL_TEXT_JSON, SPIVCAL_TEXT_REPORT, SPIVCAL_TEXT_HEADLINE, SPIVCAL_TEXT_TARGET_KIND] {
+        let text = |index| unsafe { spivcal_calibration_text_copy(handle, key, index, none.cast(), 0, &mut n) };
+        assert_eq!([0, 9999].map(text), [SPIVCAL_OK, SPIVCAL_ERROR_INDEX], "{key}");
+    }
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+}
+
+#[test]
+fn a_calibration_is_saved_under_the_name_of_a_file() {
+    let (owner, scratch) = (context(), tempfile::tempdir().unwrap());
+    let handle = parsed(owner, &full_calibration()).1;
+    for end in ["new/", "new/.", "new/.."] {
+        let path = CString::new(format!("{}/{end}", scratch.path().display())).unwrap();
+        assert_eq!(unsafe { spivcal_calibration_save(handle, path.as_ptr()) }, SPIVCAL_ERROR_ARGUMENT, "{end}");
+        assert!(error_text(handle).contains("names no file"), "{}", error_text(handle));
+    }
+    assert_eq!(std::fs::read_dir(scratch.path()).unwrap().count(), 0);
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+}
+
+#[test]
 fn memory_of_any_alignment_is_read_and_written() {
     let mut bytes = [0u8; 64];
     for shift in 0..8 {

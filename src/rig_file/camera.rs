@@ -120,16 +120,22 @@ fn design(item: &Item<'_>, camera: &CameraDescription) -> Result<Design> {
 
 fn name(item: &Item<'_>) -> Result<String> {
     let name = item.text("a name")?;
+    match name_fault(name) {
+        Some(fault) => Err(item.refuse(fault)),
+        None => Ok(name.to_string()),
+    }
+}
+
+/// Why a word cannot be the name of a camera.
+pub(crate) fn name_fault(name: &str) -> Option<String> {
     if VIEW_KEYS.contains(&name) {
-        return Err(item.refuse(format!("\"{name}\" is a key of [[view]] and cannot be the name of a camera")));
+        return Some(format!("\"{name}\" is a key of [[view]] and cannot be the name of a camera"));
     }
     let allowed = |c: char| c.is_alphanumeric() || c == '-' || c == '_';
-    if name.is_empty() || name.len() > 64 || !name.chars().all(allowed) {
-        return Err(item.refuse(format!(
-            "\"{name}\" cannot be a name: expected 1 to 64 letters, digits, \"-\" or \"_\" (output files are called after it)"
-        )));
-    }
-    Ok(name.to_string())
+    let fits = !name.is_empty() && name.len() <= 64 && name.chars().all(allowed);
+    (!fits).then(|| {
+        format!("\"{name}\" cannot be a name: expected 1 to 64 letters, digits, \"-\" or \"_\" (output files are called after it)")
+    })
 }
 
 fn known(item: &Item<'_>) -> Result<Vec<(Parameter, Knowledge)>> {

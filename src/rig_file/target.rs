@@ -19,7 +19,8 @@ const KINDS: [(&str, Kind); 4] = [
     ("dot-grid", Kind::DotGrid),
     ("two-level-plate", Kind::TwoLevelPlate),
 ];
-const MARKS: [(&str, MarkKind); 4] = [
+/// Kinds of marks by their words.
+pub(crate) const MARKS: [(&str, MarkKind); 4] = [
     ("ring", MarkKind::Ring),
     ("large", MarkKind::Large),
     ("square", MarkKind::Square),
