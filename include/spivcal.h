@@ -16,7 +16,8 @@
      After an error spivcal_error_text(handle) says why, with numbers and what to do next; handle is the FIRST argument of the call
      that failed. On an error no output is written, except the number of elements needed where a buffer is too small.
      Every function may give SPIVCAL_ERROR_HANDLE, _HANDLE_TYPE, _POISONED, _PANIC and _INTERNAL; with a pointer _NULL, with a text _UTF8,
-     with a number, key or text _ARGUMENT, with an index _INDEX, with a buffer _BUFFER_TOO_SMALL, and where something is made _MEMORY.
+     with a number, key or text _ARGUMENT, with an index _INDEX, with a buffer _BUFFER_TOO_SMALL, and where something is made or
+     threads are needed _MEMORY.
      Others are named by their function.
 
    POINTERS  The caller owns all memory; nothing that the library gives has to be freed. Inputs are copied before a call returns.
@@ -127,7 +128,7 @@
 #define SPIVCAL_ERROR_UTF8 -7
 
 /**
- * There is not enough memory.
+ * There is not enough memory, or the system starts no further thread.
  */
 #define SPIVCAL_ERROR_MEMORY -8
 
@@ -1313,9 +1314,13 @@ int32_t spivcal_rig_set_scale(uint64_t rig,
 /**
  * Gives the image that a camera saw in a view. It takes the place of a file that the description names.
  *
- * `view`, `camera`: from 0. `image`: handle; the rig keeps the image, the handle may be destroyed.
+ * `view`, `camera`: from 0. `image`: handle; the rig keeps the image, the handle may be destroyed. Results and error texts call it
+ * "view0_camera1", with its numbers.
  */
-int32_t spivcal_rig_set_image(uint64_t rig, uint64_t view, uint64_t camera, uint64_t image);
+int32_t spivcal_rig_set_image(uint64_t rig,
+                              uint64_t view,
+                              uint64_t camera,
+                              uint64_t image);
 
 /**
  * Names the file of the image that a camera saw in a view; it is read when a calibration asks for it.

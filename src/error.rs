@@ -111,6 +111,14 @@ pub enum Invalid {
         /// Height at the calibration.
         expected_height: usize,
     },
+    /// The system starts no further thread.
+    #[error("not all of {threads} threads can be started ({message}); ask for fewer, or end what holds so many")]
+    Threads {
+        /// Threads that were asked for.
+        threads: usize,
+        /// What the system says.
+        message: String,
+    },
     /// Two statements of the caller exclude each other.
     #[error("{0}")]
     Contradiction(String),

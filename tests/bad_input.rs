@@ -118,7 +118,7 @@ fn without_first_disc(image: &GrayImage) -> GrayImage {
 fn missing_image() {
     let job = Job::new();
     std::fs::remove_file(job.path("v03_right.png")).unwrap();
-    job.refused(2, &["v03_right.png", "no such file", "--images"]);
+    job.refused(2, &["v03_right.png", "no such file", "folder of the images"]);
 }
 
 #[test]

@@ -32,7 +32,7 @@ pub const SPIVCAL_ERROR_INDEX: i32 = -5;
 pub const SPIVCAL_ERROR_BUFFER_TOO_SMALL: i32 = -6;
 /// A text is not UTF-8.
 pub const SPIVCAL_ERROR_UTF8: i32 = -7;
-/// There is not enough memory.
+/// There is not enough memory, or the system starts no further thread.
 pub const SPIVCAL_ERROR_MEMORY: i32 = -8;
 /// The object has no such part, for example a calibration without a sheet.
 pub const SPIVCAL_ERROR_NOT_AVAILABLE: i32 = -9;
@@ -109,7 +109,7 @@ fn words(status: i32) -> &'static str {
         SPIVCAL_ERROR_INDEX => "an index is out of range",
         SPIVCAL_ERROR_BUFFER_TOO_SMALL => "the buffer is too small",
         SPIVCAL_ERROR_UTF8 => "a text is not UTF-8",
-        SPIVCAL_ERROR_MEMORY => "not enough memory",
+        SPIVCAL_ERROR_MEMORY => "not enough memory, or no further thread",
         SPIVCAL_ERROR_NOT_AVAILABLE => "the object has no such part",
         SPIVCAL_ERROR_RUNNING => "the job has not ended yet",
         SPIVCAL_ERROR_CANCELLED => "the work was stopped",

@@ -98,7 +98,7 @@ pub unsafe extern "C" fn spivcal_calibration_count(calibration: u64, key: i32, c
             SPIVCAL_COUNT_COVARIANCE => r.covariance.names.len(),
             SPIVCAL_COUNT_TARGET_RADII => r.target.radii_mm.len(),
             SPIVCAL_COUNT_TARGET_POINTS => r.target.points.len(),
-            _ => return Err(unknown_key("SPIVCAL_COUNT_", key)),
+            _ => return Err(unknown_key("SPIVCAL_COUNT_*", key)),
         };
         out.set(number as u64);
         Ok(SPIVCAL_OK)
@@ -202,7 +202,7 @@ fn words(state: &CalibrationState, key: i32, index: u64) -> Result<String, Fault
         SPIVCAL_TEXT_COVARIANCE_NAME => one("row", &r.covariance.names)?,
         SPIVCAL_TEXT_TARGET_KIND => r.target.kind.clone(),
         SPIVCAL_TEXT_VIEW_WHY_UNUSED => one("view", &r.views.iter().map(|v| v.why_unused.clone()).collect::<Vec<_>>())?,
-        _ => return Err(unknown_key("SPIVCAL_TEXT_", key)),
+        _ => return Err(unknown_key("SPIVCAL_TEXT_*", key)),
     };
     if !matches!(key, SPIVCAL_TEXT_UNDETERMINED..=SPIVCAL_TEXT_COVARIANCE_NAME | SPIVCAL_TEXT_VIEW_WHY_UNUSED) {
         Fault::unless_zero(index)?;

@@ -68,7 +68,7 @@ pub extern "C" fn spivcal_detection_set_number(detection: u64, key: i32, value: 
             SPIVCAL_DETECT_MIN_COVERAGE => o.min_coverage = value,
             SPIVCAL_DETECT_MIN_CONTRAST_TO_NOISE if !positive => return refused("a positive number"),
             SPIVCAL_DETECT_MIN_CONTRAST_TO_NOISE => o.min_contrast_to_noise = value,
-            _ => return Err(unknown_key("SPIVCAL_DETECT_", key)),
+            _ => return Err(unknown_key("SPIVCAL_DETECT_*", key)),
         }
         Ok(SPIVCAL_OK)
     })
@@ -101,7 +101,7 @@ pub unsafe extern "C" fn spivcal_detection_count(detection: u64, key: i32, count
         out.set(match key {
             SPIVCAL_COUNT_DISCS => found.detection.discs.len() as u64,
             SPIVCAL_COUNT_REJECTIONS => found.detection.rejections.len() as u64,
-            _ => return Err(unknown_key("SPIVCAL_COUNT_", key)),
+            _ => return Err(unknown_key("SPIVCAL_COUNT_*", key)),
         });
         Ok(SPIVCAL_OK)
     })
@@ -160,7 +160,7 @@ pub unsafe extern "C" fn spivcal_detection_text_copy(
                 let one = usize::try_from(index).ok().and_then(|i| all.get(i));
                 reason_words(one.ok_or_else(|| Fault::index("rejection", index, all.len()))?.reason)
             }
-            _ => return Err(unknown_key("SPIVCAL_TEXT_", key)),
+            _ => return Err(unknown_key("SPIVCAL_TEXT_*", key)),
         };
         // SAFETY: the contract of the header.
         unsafe { give_text(&text, buffer, capacity, needed) }
@@ -200,12 +200,12 @@ fn array(found: &Detection, key: i32, disc: u64) -> Result<Vec<f64>, Fault> {
         SPIVCAL_CONTOUR_SIGMA_PX => Ok(one()?.edge.sigma_px.clone()),
         SPIVCAL_REJECTION_U_PX => Ok(found.rejections.iter().map(|r| r.center_px.u_px).collect()),
         SPIVCAL_REJECTION_V_PX => Ok(found.rejections.iter().map(|r| r.center_px.v_px).collect()),
-        _ => Err(unknown_key("SPIVCAL_DISC_, SPIVCAL_CONTOUR_ or SPIVCAL_REJECTION_", key)),
+        _ => Err(unknown_key("SPIVCAL_DISC_*, SPIVCAL_CONTOUR_* or SPIVCAL_REJECTION_*", key)),
     }
 }
 
 pub(super) fn unknown_key(family: &str, key: i32) -> Fault {
-    Fault::argument(format!("key {key} is none of {family}* that belong to this function"))
+    Fault::argument(format!("key {key} is none of {family} that belong to this function"))
 }
 
 /// The image behind a handle that is a further argument.

@@ -2,7 +2,7 @@
 
 use super::abi::*;
 use super::table::{self, Body, Kind, Object};
-use crate::error::{Error, Unusable};
+use crate::error::{Error, Invalid, Unusable};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::Ordering;
@@ -48,6 +48,7 @@ impl Fault {
 impl From<Error> for Fault {
     fn from(error: Error) -> Self {
         let status = match &error {
+            Error::Invalid(Invalid::Threads { .. }) => SPIVCAL_ERROR_MEMORY,
             Error::Invalid(_) => SPIVCAL_ERROR_INVALID_INPUT,
             Error::Insufficient(_) => SPIVCAL_ERROR_INSUFFICIENT,
             Error::Unusable(Unusable::Cancelled) => SPIVCAL_ERROR_CANCELLED,

@@ -8,6 +8,7 @@ use super::memory::{Out, Plain};
 use super::results::{CalibrationState, calibration_of, keep};
 use super::rig::{Task, rig_state};
 use super::table::{self, Body, Kind, Object};
+use crate::error::{Error, Invalid};
 use crate::pipeline::{CalibrateOptions, Progress, SheetOptions, calibrate, find_sheet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -117,7 +118,7 @@ impl Job {
         let thread = std::thread::Builder::new()
             .name("spivcal-job".into())
             .spawn(move || own.work(&work))
-            .map_err(|e| Fault::new(SPIVCAL_ERROR_INTERNAL, format!("a thread cannot be started: {e}")))?;
+            .map_err(|e| Error::from(Invalid::Threads { threads: 1, message: e.to_string() }))?;
         Ok(Self { shared, thread: Mutex::new(Some(thread)) })
     }
 

@@ -82,7 +82,7 @@ fn of_camera(c: &Camera, key: i32) -> Number {
         SPIVCAL_CAMERA_HEIGHT_PX => (c.image_size_px[1] as f64, NO_SIGMA),
         SPIVCAL_CAMERA_OBSERVATIONS => (c.observations as f64, NO_SIGMA),
         SPIVCAL_CAMERA_PIXEL_PITCH_MM => (c.pixel_pitch_mm.ok_or_else(|| missing("pixel pitch"))?, NO_SIGMA),
-        _ => return Err(unknown_key("SPIVCAL_CAMERA_", key)),
+        _ => return Err(unknown_key("SPIVCAL_CAMERA_*", key)),
     })
 }
 
@@ -97,7 +97,7 @@ fn of_window(w: &Window, key: i32) -> Number {
         SPIVCAL_CAMERA_WINDOW_N_AIR => (w.n_air, s.n_air),
         SPIVCAL_CAMERA_WINDOW_N_GLASS => (w.n_glass, s.n_glass),
         SPIVCAL_CAMERA_WINDOW_N_WATER => (w.n_water, s.n_water),
-        _ => return Err(unknown_key("SPIVCAL_CAMERA_WINDOW_", key)),
+        _ => return Err(unknown_key("SPIVCAL_CAMERA_WINDOW_*", key)),
     })
 }
 
@@ -117,7 +117,7 @@ fn of_sheet(sheet: &Sheet, key: i32) -> Number {
         }
         SPIVCAL_SHEET_ANGLE_TO_BASELINE_DEG => (sheet.angle_to_baseline_deg, s.angle_to_baseline_deg),
         SPIVCAL_SHEET_DISPARITY_RMS_PX => (sheet.disparity_rms_px.ok_or_else(|| missing("disparity"))?, NO_SIGMA),
-        _ => return Err(unknown_key("SPIVCAL_SHEET_", key)),
+        _ => return Err(unknown_key("SPIVCAL_SHEET_*", key)),
     })
 }
 
@@ -132,7 +132,7 @@ fn of_target(record: &Record, key: i32, index: u64) -> Number {
         SPIVCAL_TARGET_RADIUS_MM => {
             (*one(&t.radii_mm, index, "radius")?, one(&t.sigma.radii_mm, index, "radius").copied().unwrap_or(NO_SIGMA))
         }
-        _ => return Err(unknown_key("SPIVCAL_TARGET_", key)),
+        _ => return Err(unknown_key("SPIVCAL_TARGET_*", key)),
     })
 }
 
@@ -155,7 +155,7 @@ fn of_fit(record: &Record, key: i32) -> Number {
             Level::Care => 1.0,
             Level::Bad => 2.0,
         },
-        _ => return Err(unknown_key("SPIVCAL_FIT_", key)),
+        _ => return Err(unknown_key("SPIVCAL_FIT_*", key)),
     };
     Ok((value, NO_SIGMA))
 }
@@ -172,7 +172,7 @@ fn of_view(view: &View, key: i32) -> Number {
             let sigma = one(&t.sigma.radii_mm, i, "radius").copied().unwrap_or(NO_SIGMA);
             Ok((*one(&t.radii_mm, i, "radius")?, sigma))
         }
-        _ => Err(unknown_key("SPIVCAL_VIEW_", key)),
+        _ => Err(unknown_key("SPIVCAL_VIEW_*", key)),
     }
 }
 
@@ -208,7 +208,7 @@ pub(super) fn array(record: &Record, key: i32, index: u64) -> Result<Vec<f64>, F
             let l = points[i].label;
             f64::from([l.column, l.row, i32::from(l.level)][k])
         }),
-        _ => return Err(unknown_key("SPIVCAL_ARRAY_", key)),
+        _ => return Err(unknown_key("SPIVCAL_ARRAY_*", key)),
     };
     if !matches!(
         key,

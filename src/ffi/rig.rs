@@ -47,13 +47,21 @@ impl Task {
 
 impl RigState {
     pub(super) fn task(&self) -> Result<Task, Fault> {
-        Ok(Task {
-            job: self.document.description()?,
-            file: self.file.clone(),
-            images_dir: self.images_dir.clone(),
-            images: self.images.clone(),
-        })
+        let mut job = self.document.description()?;
+        // What was seen in an image from memory is not said of the file that it took the place of.
+        for &(view, camera) in self.images.keys() {
+            let images = job.views.get_mut(view as usize).map(|v| &mut v.images);
+            if let Some(name) = images.and_then(|i| i.get_mut(camera as usize)) {
+                *name = Some(from_memory(view, camera));
+            }
+        }
+        Ok(Task { job, file: self.file.clone(), images_dir: self.images_dir.clone(), images: self.images.clone() })
     }
+}
+
+/// What results and messages call an image that is no file.
+fn from_memory(view: u64, camera: u64) -> String {
+    format!("view{view}_camera{camera}")
 }
 
 pub(super) fn rig_state(object: &Object) -> Result<MutexGuard<'_, RigState>, Fault> {
@@ -240,13 +248,14 @@ pub extern "C" fn spivcal_rig_set_scale(
 
 /// Gives the image that a camera saw in a view. It takes the place of a file that the description names.
 ///
-/// `view`, `camera`: from 0. `image`: handle; the rig keeps the image, the handle may be destroyed.
+/// `view`, `camera`: from 0. `image`: handle; the rig keeps the image, the handle may be destroyed. Results and error texts call it
+/// "view0_camera1", with its numbers.
 #[unsafe(no_mangle)]
 pub extern "C" fn spivcal_rig_set_image(rig: u64, view: u64, camera: u64, image: u64) -> i32 {
     on(rig, |state| {
         let image = image_of(image)?;
         if !state.document.has_image(view, camera) {
-            state.document.set_image(view, camera, &format!("view{view}_camera{camera}"))?;
+            state.document.set_image(view, camera, &from_memory(view, camera))?;
         }
         state.images.insert((view, camera), image);
         Ok(SPIVCAL_OK)

@@ -104,7 +104,7 @@ impl Document {
     /// `spivcal_rig_set_number`.
     pub(super) fn set_number(&mut self, key: i32, index: u64, value: f64) -> Result<(), Fault> {
         let Some((_, place, name, form)) = NUMBERS.into_iter().find(|n| n.0 == key) else {
-            return Err(super::detection::unknown_key("SPIVCAL_RIG_", key));
+            return Err(super::detection::unknown_key("SPIVCAL_RIG_*", key));
         };
         let refused = |expected: &str| Err(Fault::argument(format!("{name} = {value}: expected {expected}")));
         if !value.is_finite() {
@@ -140,7 +140,7 @@ impl Document {
     /// `spivcal_rig_set_text`.
     pub(super) fn set_word(&mut self, key: i32, index: u64, word: String) -> Result<(), Fault> {
         let Some((_, place, name)) = WORDS.into_iter().find(|w| w.0 == key) else {
-            return Err(super::detection::unknown_key("SPIVCAL_RIG_", key));
+            return Err(super::detection::unknown_key("SPIVCAL_RIG_*", key));
         };
         let value = if key == SPIVCAL_RIG_SOLVE_ESTIMATE {
             Value::Array(word.split_whitespace().map(Value::from).collect())
@@ -154,7 +154,7 @@ impl Document {
     /// `spivcal_rig_set_known`.
     pub(super) fn set_known(&mut self, camera: u64, parameter: i32, value: f64, sigma: f64) -> Result<(), Fault> {
         let Some((_, place, name)) = PARAMETERS.into_iter().find(|p| p.0 == parameter) else {
-            return Err(super::detection::unknown_key("SPIVCAL_PARAMETER_", parameter));
+            return Err(super::detection::unknown_key("SPIVCAL_PARAMETER_*", parameter));
         };
         if !(value.is_finite() && sigma.is_finite() && sigma >= 0.0) {
             return Err(Fault::argument(format!(
@@ -204,7 +204,7 @@ impl Document {
             }
             SPIVCAL_SCALE_TRAVERSE if sigma > 0.0 => ("plane_z_mm", Value::Table(length)),
             SPIVCAL_SCALE_TRAVERSE => ("plane_z_mm", Value::Boolean(true)),
-            _ => return Err(super::detection::unknown_key("SPIVCAL_SCALE_", fact)),
+            _ => return Err(super::detection::unknown_key("SPIVCAL_SCALE_*", fact)),
         };
         // There is one fact: a new one takes the place of the old.
         let scale = self.table("scale")?;

@@ -190,6 +190,8 @@ fn an_index_that_counts_nothing_must_be_0() {
         let text = |index| unsafe { spivcal_calibration_text_copy(handle, key, index, none.cast(), 0, &mut n) };
         assert_eq!([0, 9999].map(text), [SPIVCAL_OK, SPIVCAL_ERROR_INDEX], "{key}");
     }
+    assert_eq!(unsafe { spivcal_calibration_number(handle, 330, 0, &mut x, &mut y) }, SPIVCAL_ERROR_ARGUMENT);
+    assert_eq!(error_text(handle), "key 330 is none of the number keys that belong to this function");
     assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
 }
 
@@ -203,6 +205,20 @@ fn a_calibration_is_saved_under_the_name_of_a_file() {
         assert!(error_text(handle).contains("names no file"), "{}", error_text(handle));
     }
     assert_eq!(std::fs::read_dir(scratch.path()).unwrap().count(), 0);
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+}
+
+#[test]
+fn an_image_from_memory_is_not_called_by_the_name_of_a_file() {
+    let owner = context();
+    let (rig, mut image, mut calibration) = (parsed_rig(owner), 0, 0);
+    unsafe {
+        assert_eq!(spivcal_image_create_u8(owner, [7u8; 4096].as_ptr(), 64, 64, 64, &mut image), SPIVCAL_OK);
+        assert_eq!(spivcal_rig_set_image(rig, 0, 0, image), SPIVCAL_OK);
+        assert_eq!(spivcal_calibration_run(rig, &mut calibration), SPIVCAL_ERROR_INSUFFICIENT);
+    }
+    let told = error_text(rig);
+    assert!(told.contains("view0_camera0") && !told.contains("file.png"), "{told}");
     assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
 }
 

@@ -6,6 +6,9 @@ use image::{DynamicImage, ImageError, ImageFormat};
 use std::io::Cursor;
 use std::path::Path;
 
+/// No compression of a TIFF makes a byte of the file stand for more: those of deflate for 1032, those of LZW for 1366.
+const MOST_PACKED: u64 = 2048;
+
 const FORMATS: &str = "PNG, TIFF, BMP, PGM or JPEG";
 
 /// Reads an image file as grey levels: PNG, TIFF (8, 16 bit, 32-bit float; uncompressed, LZW, deflate, PackBits), BMP,
@@ -43,7 +46,7 @@ fn fault(path: &Path, message: impl Into<String>) -> Error {
 fn cannot_read(path: &Path, error: &std::io::Error) -> String {
     match error.kind() {
         std::io::ErrorKind::NotFound => {
-            "there is no such file; check the name (capital and small letters differ) and the folder given by --images"
+            "there is no such file; check the name (capital and small letters differ) and the folder of the images"
                 .to_string()
         }
         std::io::ErrorKind::PermissionDenied => "no permission to read the file".to_string(),
@@ -93,15 +96,37 @@ fn finite(path: &Path, samples: Vec<f32>) -> Result<Vec<f32>> {
     }
 }
 
+/// Bytes of a decoded image, where the file can hold them and there is memory for them.
+fn room(path: &Path, needed: u64, file: usize) -> Result<usize> {
+    if needed > MOST_PACKED * file as u64 {
+        return Err(fault(path, truncated(&format!("{file} bytes cannot hold the {needed} bytes of its pixels"))));
+    }
+    let room = usize::try_from(needed).ok().filter(|n| Vec::<u8>::new().try_reserve_exact(*n).is_ok());
+    room.ok_or_else(|| {
+        fault(path, format!("the image is too large to be read: {needed} bytes are more than there is memory"))
+    })
+}
+
 /// Grey TIFF of 32 or 64 bit floating-point samples, which the general decoder does not know; `None` for any other TIFF.
 fn float_tiff(path: &Path, bytes: &[u8]) -> Result<Option<GrayImage>> {
-    use tiff::decoder::{Decoder, DecodingResult};
-    let explain = |e: tiff::TiffError| fault(path, truncated(&e.to_string()));
+    use tiff::decoder::{Decoder, DecodingResult, Limits};
+    let explain = |e: tiff::TiffError| match e {
+        tiff::TiffError::LimitsExceeded => fault(path, format!("the image is too large to be read ({e})")),
+        e => fault(path, truncated(&e.to_string())),
+    };
     let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(explain)?;
-    if !matches!(decoder.colortype(), Ok(tiff::ColorType::Gray(32 | 64))) {
-        return Ok(None);
-    }
+    let Ok(tiff::ColorType::Gray(bits @ (32 | 64))) = decoder.colortype() else { return Ok(None) };
     let (width, height) = decoder.dimensions().map_err(explain)?;
+    let needed = room(
+        path,
+        u64::from(width).saturating_mul(u64::from(height)).saturating_mul(u64::from(bits / 8)),
+        bytes.len(),
+    )?;
+    let usual = Limits::default();
+    let mut limits = Limits::default();
+    limits.decoding_buffer_size = needed.max(usual.decoding_buffer_size);
+    limits.intermediate_buffer_size = needed.max(usual.intermediate_buffer_size);
+    decoder = decoder.with_limits(limits);
     let samples = match decoder.read_image().map_err(explain)? {
         DecodingResult::F32(p) => p,
         DecodingResult::F64(p) => p.into_iter().map(|x| x as f32).collect(),
@@ -249,6 +274,41 @@ mod tests {
         float[5] = f32::NAN;
         let path = s.file("f.tif", &tiff_of::<colortype::Gray32Float>(&float, Compression::Uncompressed));
         assert!(message(&path).contains("sample 5 is NaN"));
+    }
+
+    #[test]
+    fn floats_of_any_size_are_read_as_far_as_there_is_memory() {
+        let s = Scratch::new();
+        let mut out = Cursor::new(Vec::new());
+        let packed = tiff::encoder::Compression::Packbits;
+        let mut encoder = tiff::encoder::TiffEncoder::new(&mut out).unwrap().with_compression(packed);
+        // 275 MB, more than the decoder takes of itself.
+        let samples = vec![0.0; 8300 * 8300];
+        encoder.write_image::<tiff::encoder::colortype::Gray32Float>(8300, 8300, &samples).unwrap();
+        let read = load_image(&s.file("a.tif", out.get_ref())).unwrap();
+        assert_eq!((read.width(), read.height()), (8300, 8300));
+        // A size that the file cannot hold: as much is not asked of the system. Tag, type (3: 16 bit, 4: 32 bit), value.
+        let size = 900_000u32;
+        let tags: [(u16, u16, u32); 10] = [
+            (256, 4, size),
+            (257, 4, size),
+            (258, 3, 32),
+            (259, 3, 1),
+            (262, 3, 1),
+            (273, 4, 8),
+            (277, 3, 1),
+            (278, 4, size),
+            (279, 4, 4),
+            (339, 3, 3),
+        ];
+        let mut bytes = b"II*\0\x0c\0\0\0pixl\x0a\0".to_vec();
+        for (tag, kind, value) in tags {
+            bytes.extend([tag.to_le_bytes(), kind.to_le_bytes(), [1, 0], [0, 0]].concat());
+            bytes.extend(value.to_le_bytes());
+        }
+        bytes.extend([0; 4]);
+        let text = message(&s.file("a.tif", &bytes));
+        assert!(text.contains("cut short or damaged") && text.contains("cannot hold"), "{text}");
     }
 
     #[test]

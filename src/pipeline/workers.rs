@@ -1,6 +1,6 @@
 //! Threads of one piece of work: started for it, ended before it returns.
 
-use crate::error::{Error, Result};
+use crate::error::{Invalid, Result};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
@@ -17,14 +17,21 @@ impl Workers {
     /// `threads` threads; 0 takes as many as the machine has.
     ///
     /// # Errors
-    /// [`Error::Bug`] where the system gives no threads.
+    /// [`Invalid::Threads`] where the system gives no threads.
     pub fn new(threads: usize) -> Result<Self> {
+        Self::started(threads, |worker| std::thread::Builder::new().name("spivcal".into()).spawn(|| worker.run()))
+    }
+
+    fn started(
+        threads: usize,
+        mut start: impl FnMut(rayon::ThreadBuilder) -> std::io::Result<JoinHandle<()>>,
+    ) -> Result<Self> {
         let handles = Arc::new(Mutex::new(Vec::new()));
         let kept = Arc::clone(&handles);
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .spawn_handler(move |worker| {
-                let handle = std::thread::Builder::new().name("spivcal".into()).spawn(|| worker.run())?;
+                let handle = start(worker)?;
                 kept.lock().unwrap_or_else(PoisonError::into_inner).push(handle);
                 Ok(())
             })
@@ -35,7 +42,9 @@ impl Workers {
             Err(e) => {
                 // Those that were started before the system refused end here.
                 drop(workers(None));
-                Err(Error::Bug(format!("{threads} threads cannot be started: {e}")))
+                let all = || std::thread::available_parallelism().map_or(1, usize::from);
+                let threads = if threads == 0 { all() } else { threads };
+                Err(Invalid::Threads { threads, message: e.to_string() }.into())
             }
         }
     }
@@ -80,6 +89,22 @@ mod tests {
             drop(workers);
             assert!(threads.upgrade().is_none(), "the pool's own closure still lives");
         }
+    }
+
+    #[test]
+    fn threads_that_the_system_refuses_are_no_defect() {
+        let mut left = 1;
+        let workers = Workers::started(3, |worker| {
+            if left == 0 {
+                return Err(std::io::Error::other("no more"));
+            }
+            left -= 1;
+            std::thread::Builder::new().spawn(|| worker.run())
+        });
+        let Err(error) = workers else { panic!("there is one thread of three") };
+        assert_eq!(error.exit_code(), 2);
+        let told = error.to_string();
+        assert!(told.contains("3 threads") && told.contains("no more") && told.contains("ask for fewer"), "{told}");
     }
 
     #[test]
