@@ -10,15 +10,14 @@
 
    HANDLES  Objects are named by numbers, not by pointers. 0 names none. A handle that was destroyed, is of another type, or never was
      one gives an error code, never a crash. Handles stay below 2^52. Every object belongs to the context it was made in and ends with
-     it. An object that is destroyed while another thread uses it ends when that call returns.
+     it. An object that is destroyed while another thread uses it ends when that call returns; a context waits for such calls.
 
    STATUS  Every function but spivcal_abi_version returns one: 0 done, negative: error, positive: done with a warning.
      After an error spivcal_error_text(handle) says why, with numbers and what to do next; handle is the FIRST argument of the call
      that failed. On an error no output is written, except the number of elements needed where a buffer is too small.
      Every function may give SPIVCAL_ERROR_HANDLE, _HANDLE_TYPE, _POISONED, _PANIC and _INTERNAL; with a pointer _NULL, with a text _UTF8,
      with a number, key or text _ARGUMENT, with an index _INDEX, with a buffer _BUFFER_TOO_SMALL, and where something is made or
-     threads are needed _MEMORY.
-     Others are named by their function.
+     threads are needed _MEMORY. Others are named by their function.
 
    POINTERS  The caller owns all memory; nothing that the library gives has to be freed. Inputs are copied before a call returns.
      Pointers may have any alignment. A pointer must not be NULL unless its function says so. Arrays and buffers must have the stated
@@ -35,7 +34,7 @@
    THREADS
      function                                   may run beside                         blocks
      create, load, parse, destroy, status       anything                               for its own files
-     ..._destroy of a context or a job          anything; running jobs are stopped     until their threads have ended
+     ..._destroy of a context or a job          anything; running jobs are stopped     until their threads and calls have ended
      calls on two different objects             each other                             -
      reading one image, calibration or job      each other                             -
      setters and reads of one rig or detection  each other: they wait for each other   shortly
@@ -1083,7 +1082,8 @@ int32_t spivcal_context_create(int32_t threads,
 /**
  * Destroys a context and everything that was made in it; jobs that still run are stopped and waited for.
  *
- * All those handles are stale afterwards. Calls that are under way in other threads end first or fail with SPIVCAL_ERROR_HANDLE.
+ * All those handles are stale afterwards. It waits for the calls that are under way in other threads: calibrations stop as jobs do and
+ * fail with SPIVCAL_ERROR_HANDLE, the others end.
  * Destroy every context before the library is unloaded.
  */
 int32_t spivcal_context_destroy(uint64_t context);

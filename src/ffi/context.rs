@@ -41,7 +41,8 @@ pub unsafe extern "C" fn spivcal_context_create(threads: i32, context: *mut u64)
 
 /// Destroys a context and everything that was made in it; jobs that still run are stopped and waited for.
 ///
-/// All those handles are stale afterwards. Calls that are under way in other threads end first or fail with SPIVCAL_ERROR_HANDLE.
+/// All those handles are stale afterwards. It waits for the calls that are under way in other threads: calibrations stop as jobs do and
+/// fail with SPIVCAL_ERROR_HANDLE, the others end.
 /// Destroy every context before the library is unloaded.
 #[unsafe(no_mangle)]
 pub extern "C" fn spivcal_context_destroy(context: u64) -> i32 {

@@ -219,10 +219,9 @@ pub(super) fn image_of(handle: u64) -> Result<std::sync::Arc<crate::image::GrayI
 
 /// The context of an object.
 pub(super) fn context_of(object: &Object) -> Result<Context, Fault> {
-    let gone = |_| Fault::new(SPIVCAL_ERROR_HANDLE, "the context of this object was destroyed");
-    match &table::find_kind(object.context, Kind::Context).map_err(gone)?.body {
+    match &table::find_kind(object.context, Kind::Context).map_err(|_| table::gone())?.body {
         Body::Context(context) => Ok(context.clone()),
-        _ => Err(gone(0)),
+        _ => Err(table::gone()),
     }
 }
 

@@ -1,12 +1,12 @@
 //! What every call goes through: lookup, poisoning, panics, the error text of the object.
 
 use super::abi::*;
-use super::table::{self, Body, Kind, Object};
+use super::table::{self, Body, Kind, Life, Object};
 use crate::error::{Error, Invalid, Unusable};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLockReadGuard};
 
 /// A call that did not do what it was asked for: status and words.
 #[derive(Debug, Clone, PartialEq)]
@@ -91,18 +91,27 @@ fn object_of(handle: u64, kind: Kind) -> Result<Arc<Object>, i32> {
     Err(SPIVCAL_ERROR_HANDLE_TYPE)
 }
 
+/// Holds off the end of a context while a call is under way in it. There is no call within a call: the library calls nothing of the host.
+fn under_way(life: &Life) -> RwLockReadGuard<'_, ()> {
+    life.under_way.read().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// Runs a call on an object of type `kind`.
 pub(super) fn enter(handle: u64, kind: Kind, call: impl FnOnce(&Object) -> Outcome) -> i32 {
     let object = match object_of(handle, kind) {
         Ok(object) => object,
         Err(status) => return status,
     };
-    let status = run(&object, call);
+    let life = Arc::clone(&object.life);
+    let under_way = under_way(&life);
+    let status = if life.ends.load(Ordering::Acquire) { SPIVCAL_ERROR_HANDLE } else { run(&object, call) };
     // The last user of an object that was destroyed meanwhile ends it here.
-    if catch_unwind(AssertUnwindSafe(|| drop(object))).is_err() { SPIVCAL_ERROR_PANIC } else { status }
+    let ended = catch_unwind(AssertUnwindSafe(|| drop(object)));
+    drop(under_way);
+    if ended.is_err() { SPIVCAL_ERROR_PANIC } else { status }
 }
 
-pub(super) fn run(object: &Arc<Object>, call: impl FnOnce(&Object) -> Outcome) -> i32 {
+fn run(object: &Arc<Object>, call: impl FnOnce(&Object) -> Outcome) -> i32 {
     if object.poisoned.load(Ordering::Acquire) {
         return SPIVCAL_ERROR_POISONED;
     }
@@ -132,11 +141,16 @@ pub(super) fn enter_without_object(call: impl FnOnce() -> Outcome) -> i32 {
     }
 }
 
-/// Destroys an object; with a context everything that was made in it.
+/// Destroys an object; with a context everything that was made in it, when the calls that are under way there have returned.
 pub(super) fn destroy(handle: u64, kind: Kind) -> i32 {
     enter_without_object(|| {
-        let removed = object_of(handle, kind).and_then(|_| table::remove(handle, kind));
-        let removed = removed.map_err(|status| Fault::new(status, ""))?;
+        let refused = |status| Fault::new(status, "");
+        let life = Arc::clone(&object_of(handle, kind).map_err(refused)?.life);
+        let all = kind == Kind::Context;
+        let under_way = (!all).then(|| under_way(&life));
+        let removed = table::remove(handle, kind).map_err(refused)?;
+        // What still works in the context is stopped where it can be.
+        life.ends.fetch_or(all, Ordering::AcqRel);
         for object in &removed {
             // Another thread may still hold the job while it waits for it; its own thread must not outlive this call.
             if let Body::Job(job) = &object.body {
@@ -144,6 +158,10 @@ pub(super) fn destroy(handle: u64, kind: Kind) -> i32 {
             }
         }
         drop(removed);
+        drop(under_way);
+        if all {
+            drop(life.under_way.write().unwrap_or_else(PoisonError::into_inner));
+        }
         Ok(SPIVCAL_OK)
     })
 }

@@ -163,7 +163,9 @@ pub unsafe extern "C" fn spivcal_calibration_run_sheet(rig: u64, cameras: u64, c
 unsafe fn at_once(rig: &Object, known: Option<u64>, calibration: *mut u64) -> Outcome {
     // SAFETY: the contract of this function.
     let out = unsafe { Out::new(calibration, "calibration") }?;
-    let state = Work::of(rig, known)?.run(&mut |_| true)?;
+    let ends = || rig.life.ends.load(Ordering::Acquire);
+    let state = Work::of(rig, known)?.run(&mut |_| !ends());
+    let state = state.map_err(|fault| if ends() { table::gone() } else { fault })?;
     keep(rig.context, Arc::new(state), out)
 }
 

@@ -72,10 +72,21 @@ impl Body {
     }
 }
 
+/// Whether a context lives, for all that was made in it.
+#[derive(Default)]
+pub(super) struct Life {
+    /// Its destruction has begun.
+    pub(super) ends: AtomicBool,
+    /// Held shared by every call that is under way in it.
+    pub(super) under_way: RwLock<()>,
+}
+
 /// An object behind a handle.
 pub(super) struct Object {
     /// Handle of the context it was made in; 0 for a context.
     pub(super) context: u64,
+    /// That of its context.
+    pub(super) life: Arc<Life>,
     pub(super) body: Body,
     /// Text of the last call that failed.
     pub(super) error: Mutex<String>,
@@ -114,16 +125,23 @@ impl Slot {
     }
 }
 
+/// What is said of an object whose context was destroyed meanwhile.
+pub(super) fn gone() -> Fault {
+    Fault::new(SPIVCAL_ERROR_HANDLE, "the context was destroyed")
+}
+
 /// Puts an object into the table and gives its handle.
 pub(super) fn insert(context: u64, body: Body) -> Result<u64, Fault> {
     let kind = body.kind();
-    let object = Object { context, body, error: Mutex::default(), poisoned: AtomicBool::new(false) };
     let mut table = TABLE.write().unwrap_or_else(PoisonError::into_inner);
     // Another thread may have destroyed the context since the call began; nothing may be left behind in it.
-    let alive = table.slots.get(index_of(context)).is_some_and(|s| s.holds(context) && s.object.is_some());
-    if kind != Kind::Context && !alive {
-        return Err(Fault::new(SPIVCAL_ERROR_HANDLE, "the context was destroyed"));
-    }
+    let owner = table.slots.get(index_of(context)).filter(|s| s.holds(context)).and_then(|s| s.object.as_ref());
+    let life = match owner {
+        _ if kind == Kind::Context => Arc::default(),
+        Some(owner) => Arc::clone(&owner.life),
+        None => return Err(gone()),
+    };
+    let object = Object { context, life, body, error: Mutex::default(), poisoned: AtomicBool::new(false) };
     let index = match table.free.pop() {
         Some(index) => index,
         None if table.slots.len() as u64 > INDEX_MASK || table.slots.try_reserve(1).is_err() => {

@@ -1,6 +1,6 @@
 //! The door from inside: panics, poisoning, memory of any alignment. What a C host can do wrong is in `cpp_tests/interface`.
 
-use super::door::{Fault, destroy, enter, run};
+use super::door::{Fault, enter};
 use super::memory::{Filled, give, give_text, rows_of, text_of};
 use super::table::{self, Kind};
 use super::*;
@@ -9,6 +9,9 @@ use crate::lanes::Column;
 use crate::record::Record;
 use nalgebra::{Vector2, Vector3};
 use std::ffi::{CStr, CString, c_char};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Barrier};
+use std::time::Duration;
 
 fn context() -> u64 {
     let mut handle = 0;
@@ -61,17 +64,41 @@ fn a_panic_while_something_is_made_leaves_the_context_and_all_in_it() {
 
 #[test]
 fn an_object_in_use_ends_when_its_last_call_returns() {
-    let handle = context();
-    let object = table::find_kind(handle, Kind::Context).unwrap();
-    let weak = std::sync::Arc::downgrade(&object);
-    let status = run(&object, |_| {
-        assert_eq!(destroy(handle, Kind::Context), SPIVCAL_OK);
+    let owner = context();
+    let rig = rig(owner);
+    let weak = Arc::downgrade(&table::find(rig).unwrap());
+    let status = enter(rig, Kind::Rig, |_| {
+        assert_eq!(spivcal_rig_destroy(rig), SPIVCAL_OK);
         assert!(weak.upgrade().is_some());
         Ok(SPIVCAL_OK)
     });
     assert_eq!(status, SPIVCAL_OK);
-    drop(object);
     assert!(weak.upgrade().is_none());
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+}
+
+#[test]
+fn a_context_ends_after_the_calls_that_are_under_way_in_it() {
+    let owner = context();
+    let (destroyed, kept) = (rig(owner), rig(owner));
+    let (begun, done) = (Barrier::new(3), AtomicUsize::new(0));
+    let slow = |handle| {
+        enter(handle, Kind::Rig, |_| {
+            begun.wait();
+            std::thread::sleep(Duration::from_millis(300));
+            done.fetch_add(1, Ordering::SeqCst);
+            Ok(SPIVCAL_OK)
+        })
+    };
+    std::thread::scope(|s| {
+        let calls = [destroyed, kept].map(|handle| s.spawn(move || slow(handle)));
+        begun.wait();
+        assert_eq!(spivcal_rig_destroy(destroyed), SPIVCAL_OK);
+        assert_eq!(done.load(Ordering::SeqCst), 0, "a rig does not wait for its calls");
+        assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+        assert_eq!(done.load(Ordering::SeqCst), 2);
+        calls.into_iter().for_each(|c| assert_eq!(c.join().unwrap(), SPIVCAL_OK));
+    });
 }
 
 #[test]
