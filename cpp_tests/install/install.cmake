@@ -39,6 +39,23 @@ run(${CMAKE_COMMAND} -S ${consumer} -B ${WORK}/consumer -G ${GENERATOR} -DCMAKE_
 run(${CMAKE_COMMAND} --build ${WORK}/consumer)
 run(${WORK}/consumer/consumer)
 message(STATUS "CMake package: ${out}")
+# As a part of a project.
+run(${CMAKE_COMMAND} -S ${consumer} -B ${WORK}/part -G ${GENERATOR} -DPART=${ROOT} -DSPIVCAL_LIBRARY=${LIBRARY}
+  -DCMAKE_C_COMPILER=${CC} -DCMAKE_CXX_COMPILER=${CXX})
+run(${CMAKE_COMMAND} --build ${WORK}/part)
+run(${WORK}/part/consumer)
+message(STATUS "add_subdirectory: ${out}")
+# Folders that are stated absolutely, staged as packages are.
+run(${CMAKE_COMMAND} -S ${ROOT} -B ${WORK}/absolute -G ${GENERATOR} -DSPIVCAL_LIBRARY=${LIBRARY} -DCMAKE_C_COMPILER=${CC}
+  -DCMAKE_INSTALL_PREFIX=/usr -DCMAKE_INSTALL_LIBDIR=/usr/lib/abi)
+run(${CMAKE_COMMAND} --build ${WORK}/absolute)
+run(${CMAKE_COMMAND} -E env DESTDIR=${WORK}/stage ${CMAKE_COMMAND} --install ${WORK}/absolute)
+file(READ_SYMLINK "${WORK}/stage/usr/lib/abi/libspivcal.so" link)
+file(STRINGS "${WORK}/stage/usr/lib/abi/pkgconfig/spivcal.pc" dirs REGEX "^(prefix|libdir|includedir)=")
+set(wanted "prefix=/usr;libdir=/usr/lib/abi;includedir=\${prefix}/include")
+if(NOT link STREQUAL "libspivcal.so.1" OR NOT dirs STREQUAL wanted)
+  message(FATAL_ERROR "absolute folders: ${link}, ${dirs}")
+endif()
 # A version that does not fit is refused.
 execute_process(COMMAND ${CMAKE_COMMAND} -S ${consumer} -B ${WORK}/refused -G ${GENERATOR} -DCMAKE_PREFIX_PATH=${WORK}/moved
   -DWANTED=99.0 -DCMAKE_CXX_COMPILER=${CXX} RESULT_VARIABLE failed OUTPUT_QUIET ERROR_QUIET)
