@@ -43,7 +43,9 @@
      spivcal_job_wait                           anything                               until the job ends or the time is over
      The library keeps no global state but the table of handles. Threads that it starts for a call have ended when the call returns;
      the thread of a job has ended when the job is destroyed. Results do not depend on the number of threads, to the bit. It never
-     prints, ends the process, or changes locale, signals, folder or floating-point mode. Numbers in files always use '.'.
+     prints, ends the process, or changes locale, signals, folder or floating-point mode. Floating-point exceptions must be masked in the
+     threads that call it, as C leaves them (not Delphi, nor feenableexcept): it computes with NaN and infinity. Numbers in files
+     always use '.'.
 
    KEYS  Values are chosen by integer keys; a new value gets a new number, old numbers keep their meaning.
      SPIVCAL_DETECT_*     spivcal_detection_set_number
@@ -354,133 +356,133 @@
 #define SPIVCAL_COUNT_TARGET_POINTS 218
 
 /**
- * Image distance over pixel pitch, px.
+ * Index: camera. Image distance over pixel pitch, px.
  */
 #define SPIVCAL_CAMERA_F_PX 301
 
 /**
- * Pixel pitch in u over pixel pitch in v.
+ * Index: camera. Pixel pitch in u over pixel pitch in v, without unit.
  */
 #define SPIVCAL_CAMERA_ASPECT 302
 
 /**
- * Where the lens axis meets the sensor, u, px.
+ * Index: camera. Where the lens axis meets the sensor, u, px.
  */
 #define SPIVCAL_CAMERA_CX_PX 303
 
 /**
- * Where the lens axis meets the sensor, v, px.
+ * Index: camera. Where the lens axis meets the sensor, v, px.
  */
 #define SPIVCAL_CAMERA_CY_PX 304
 
 /**
- * Tilt of the sensor about its u axis, rad.
+ * Index: camera. Tilt of the sensor about its u axis, rad.
  */
 #define SPIVCAL_CAMERA_ALPHA_RAD 305
 
 /**
- * Tilt of the sensor about its v axis, rad.
+ * Index: camera. Tilt of the sensor about its v axis, rad.
  */
 #define SPIVCAL_CAMERA_BETA_RAD 306
 
 /**
- * Radial distortion, r^2 term, on the untilted plane at unit distance.
+ * Index: camera. Radial distortion, r^2 term, on the untilted plane at unit distance, without unit.
  */
 #define SPIVCAL_CAMERA_K1 307
 
 /**
- * Radial distortion, r^4 term.
+ * Index: camera. Radial distortion, r^4 term, without unit.
  */
 #define SPIVCAL_CAMERA_K2 308
 
 /**
- * Radial distortion, r^6 term.
+ * Index: camera. Radial distortion, r^6 term, without unit.
  */
 #define SPIVCAL_CAMERA_K3 309
 
 /**
- * Exit over entrance pupil; 1 where it is not modelled.
+ * Index: camera. Exit over entrance pupil, without unit; 1 where it is not modelled.
  */
 #define SPIVCAL_CAMERA_PUPIL_RATIO 310
 
 /**
- * Focal length of the untilted pinhole with the same image without distortion, px.
+ * Index: camera. Focal length of the untilted pinhole with the same image without distortion, px.
  */
 #define SPIVCAL_CAMERA_EFFECTIVE_F_PX 311
 
 /**
- * Principal point of that pinhole, u, px.
+ * Index: camera. Principal point of that pinhole, u, px.
  */
 #define SPIVCAL_CAMERA_EFFECTIVE_CX_PX 312
 
 /**
- * Principal point of that pinhole, v, px.
+ * Index: camera. Principal point of that pinhole, v, px.
  */
 #define SPIVCAL_CAMERA_EFFECTIVE_CY_PX 313
 
 /**
- * Root mean square residual of this camera, px. No sigma.
+ * Index: camera. Root mean square residual of this camera, px. No sigma.
  */
 #define SPIVCAL_CAMERA_RMS_PX 321
 
 /**
- * Width of its images, px. No sigma.
+ * Index: camera. Width of its images, px. No sigma.
  */
 #define SPIVCAL_CAMERA_WIDTH_PX 322
 
 /**
- * Height of its images, px. No sigma.
+ * Index: camera. Height of its images, px. No sigma.
  */
 #define SPIVCAL_CAMERA_HEIGHT_PX 323
 
 /**
- * Scalar observations of this camera. No sigma.
+ * Index: camera. Scalar observations of this camera. No sigma.
  */
 #define SPIVCAL_CAMERA_OBSERVATIONS 324
 
 /**
- * Pixel pitch as the rig description gives it, mm. No sigma.
+ * Index: camera. Pixel pitch as the rig description gives it, mm. No sigma.
  */
 #define SPIVCAL_CAMERA_PIXEL_PITCH_MM 325
 
 /**
- * Unit normal of its flat window in the camera frame, away from the camera, x. SPIVCAL_ERROR_NOT_AVAILABLE, as for all keys of the
- * window, where it looks through none. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
+ * Index: camera. Unit normal of its flat window in the camera frame, away from the camera, x. SPIVCAL_ERROR_NOT_AVAILABLE, as for all
+ * keys of the window, where it looks through none. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
  */
 #define SPIVCAL_CAMERA_WINDOW_NORMAL_X 331
 
 /**
- * The same, y. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
+ * Index: camera. The same, y. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
  */
 #define SPIVCAL_CAMERA_WINDOW_NORMAL_Y 332
 
 /**
- * The same, z. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
+ * Index: camera. The same, z. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
  */
 #define SPIVCAL_CAMERA_WINDOW_NORMAL_Z 333
 
 /**
- * From the projection centre to the glass along the normal, mm.
+ * Index: camera. From the projection centre to the glass along the normal, mm.
  */
 #define SPIVCAL_CAMERA_WINDOW_DISTANCE_MM 334
 
 /**
- * Thickness of the glass, mm.
+ * Index: camera. Thickness of the glass, mm.
  */
 #define SPIVCAL_CAMERA_WINDOW_THICKNESS_MM 335
 
 /**
- * Refractive index before the glass.
+ * Index: camera. Refractive index before the glass.
  */
 #define SPIVCAL_CAMERA_WINDOW_N_AIR 336
 
 /**
- * Refractive index of the glass.
+ * Index: camera. Refractive index of the glass.
  */
 #define SPIVCAL_CAMERA_WINDOW_N_GLASS 337
 
 /**
- * Refractive index behind the glass.
+ * Index: camera. Refractive index behind the glass.
  */
 #define SPIVCAL_CAMERA_WINDOW_N_WATER 338
 
@@ -631,32 +633,32 @@
 #define SPIVCAL_FIT_VERDICT 452
 
 /**
- * Radius of a disc of the target, mm.
+ * Index: radius, below SPIVCAL_COUNT_TARGET_RADII: of two discs 0 or 1, of a grid or plate 0. Radius of a disc of the target, mm.
  */
 #define SPIVCAL_TARGET_RADIUS_MM 461
 
 /**
- * 1 where the view was recorded in the laser sheet, else 0. No sigma.
+ * Index: view. 1 where the view was recorded in the laser sheet, else 0. No sigma.
  */
 #define SPIVCAL_VIEW_IN_SHEET 471
 
 /**
- * 1 where the view took part, else 0. No sigma.
+ * Index: view. 1 where the view took part, else 0. No sigma.
  */
 #define SPIVCAL_VIEW_USED 472
 
 /**
- * Distance of the two bubbles of this view, mm (bubbles only).
+ * Index: view. Distance of the two bubbles of this view, mm (bubbles only).
  */
 #define SPIVCAL_VIEW_SPACING_MM 473
 
 /**
- * Radius of the first bubble of this view, mm (bubbles only).
+ * Index: view. Radius of the first bubble of this view, mm (bubbles only).
  */
 #define SPIVCAL_VIEW_RADIUS0_MM 474
 
 /**
- * Radius of the second bubble of this view, mm (bubbles only).
+ * Index: view. Radius of the second bubble of this view, mm (bubbles only).
  */
 #define SPIVCAL_VIEW_RADIUS1_MM 475
 
@@ -696,7 +698,7 @@
 #define SPIVCAL_ARRAY_RIG_FROM_TARGET_SIGMA 522
 
 /**
- * Index: view. Root mean square residual per camera, px, NaN where a camera does not see it.
+ * Index: view. Root mean square residual of each camera, px, NaN where a camera does not see it: SPIVCAL_COUNT_CAMERAS doubles.
  */
 #define SPIVCAL_ARRAY_VIEW_RMS_PX 523
 

@@ -350,6 +350,22 @@ fn constants_are_documented_and_no_number_means_two_things() {
     assert!(count > 100, "{count} constants");
 }
 
+#[test]
+fn keys_with_an_index_say_what_it_counts() {
+    let header = header();
+    let mut seen = 0;
+    for (name, value) in constants(&header) {
+        let counted = ["SPIVCAL_CAMERA_", "SPIVCAL_VIEW_"].iter().any(|f| name.starts_with(f));
+        if !(counted || name == "SPIVCAL_TARGET_RADIUS_MM") {
+            continue;
+        }
+        let before = header.split_once(&format!("#define {name} {value}")).unwrap().0;
+        assert!(before.rsplit_once("/**").unwrap().1.contains("Index: "), "{name}");
+        seen += 1;
+    }
+    assert_eq!(seen, 32);
+}
+
 fn constants(header: &str) -> std::collections::BTreeMap<&str, &str> {
     header.lines().filter_map(|l| l.strip_prefix("#define ")?.split_once(' ')).map(|(n, v)| (n, v.trim())).collect()
 }

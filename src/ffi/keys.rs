@@ -82,58 +82,58 @@ pub const SPIVCAL_COUNT_TARGET_POINTS: i32 = 218;
 
 // Keys of spivcal_calibration_number with a camera as index.
 
-/// Image distance over pixel pitch, px.
+/// Index: camera. Image distance over pixel pitch, px.
 pub const SPIVCAL_CAMERA_F_PX: i32 = 301;
-/// Pixel pitch in u over pixel pitch in v.
+/// Index: camera. Pixel pitch in u over pixel pitch in v, without unit.
 pub const SPIVCAL_CAMERA_ASPECT: i32 = 302;
-/// Where the lens axis meets the sensor, u, px.
+/// Index: camera. Where the lens axis meets the sensor, u, px.
 pub const SPIVCAL_CAMERA_CX_PX: i32 = 303;
-/// Where the lens axis meets the sensor, v, px.
+/// Index: camera. Where the lens axis meets the sensor, v, px.
 pub const SPIVCAL_CAMERA_CY_PX: i32 = 304;
-/// Tilt of the sensor about its u axis, rad.
+/// Index: camera. Tilt of the sensor about its u axis, rad.
 pub const SPIVCAL_CAMERA_ALPHA_RAD: i32 = 305;
-/// Tilt of the sensor about its v axis, rad.
+/// Index: camera. Tilt of the sensor about its v axis, rad.
 pub const SPIVCAL_CAMERA_BETA_RAD: i32 = 306;
-/// Radial distortion, r^2 term, on the untilted plane at unit distance.
+/// Index: camera. Radial distortion, r^2 term, on the untilted plane at unit distance, without unit.
 pub const SPIVCAL_CAMERA_K1: i32 = 307;
-/// Radial distortion, r^4 term.
+/// Index: camera. Radial distortion, r^4 term, without unit.
 pub const SPIVCAL_CAMERA_K2: i32 = 308;
-/// Radial distortion, r^6 term.
+/// Index: camera. Radial distortion, r^6 term, without unit.
 pub const SPIVCAL_CAMERA_K3: i32 = 309;
-/// Exit over entrance pupil; 1 where it is not modelled.
+/// Index: camera. Exit over entrance pupil, without unit; 1 where it is not modelled.
 pub const SPIVCAL_CAMERA_PUPIL_RATIO: i32 = 310;
-/// Focal length of the untilted pinhole with the same image without distortion, px.
+/// Index: camera. Focal length of the untilted pinhole with the same image without distortion, px.
 pub const SPIVCAL_CAMERA_EFFECTIVE_F_PX: i32 = 311;
-/// Principal point of that pinhole, u, px.
+/// Index: camera. Principal point of that pinhole, u, px.
 pub const SPIVCAL_CAMERA_EFFECTIVE_CX_PX: i32 = 312;
-/// Principal point of that pinhole, v, px.
+/// Index: camera. Principal point of that pinhole, v, px.
 pub const SPIVCAL_CAMERA_EFFECTIVE_CY_PX: i32 = 313;
-/// Root mean square residual of this camera, px. No sigma.
+/// Index: camera. Root mean square residual of this camera, px. No sigma.
 pub const SPIVCAL_CAMERA_RMS_PX: i32 = 321;
-/// Width of its images, px. No sigma.
+/// Index: camera. Width of its images, px. No sigma.
 pub const SPIVCAL_CAMERA_WIDTH_PX: i32 = 322;
-/// Height of its images, px. No sigma.
+/// Index: camera. Height of its images, px. No sigma.
 pub const SPIVCAL_CAMERA_HEIGHT_PX: i32 = 323;
-/// Scalar observations of this camera. No sigma.
+/// Index: camera. Scalar observations of this camera. No sigma.
 pub const SPIVCAL_CAMERA_OBSERVATIONS: i32 = 324;
-/// Pixel pitch as the rig description gives it, mm. No sigma.
+/// Index: camera. Pixel pitch as the rig description gives it, mm. No sigma.
 pub const SPIVCAL_CAMERA_PIXEL_PITCH_MM: i32 = 325;
-/// Unit normal of its flat window in the camera frame, away from the camera, x. SPIVCAL_ERROR_NOT_AVAILABLE, as for all keys of the
-/// window, where it looks through none. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
+/// Index: camera. Unit normal of its flat window in the camera frame, away from the camera, x. SPIVCAL_ERROR_NOT_AVAILABLE, as for all
+/// keys of the window, where it looks through none. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
 pub const SPIVCAL_CAMERA_WINDOW_NORMAL_X: i32 = 331;
-/// The same, y. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
+/// Index: camera. The same, y. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
 pub const SPIVCAL_CAMERA_WINDOW_NORMAL_Y: i32 = 332;
-/// The same, z. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
+/// Index: camera. The same, z. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
 pub const SPIVCAL_CAMERA_WINDOW_NORMAL_Z: i32 = 333;
-/// From the projection centre to the glass along the normal, mm.
+/// Index: camera. From the projection centre to the glass along the normal, mm.
 pub const SPIVCAL_CAMERA_WINDOW_DISTANCE_MM: i32 = 334;
-/// Thickness of the glass, mm.
+/// Index: camera. Thickness of the glass, mm.
 pub const SPIVCAL_CAMERA_WINDOW_THICKNESS_MM: i32 = 335;
-/// Refractive index before the glass.
+/// Index: camera. Refractive index before the glass.
 pub const SPIVCAL_CAMERA_WINDOW_N_AIR: i32 = 336;
-/// Refractive index of the glass.
+/// Index: camera. Refractive index of the glass.
 pub const SPIVCAL_CAMERA_WINDOW_N_GLASS: i32 = 337;
-/// Refractive index behind the glass.
+/// Index: camera. Refractive index behind the glass.
 pub const SPIVCAL_CAMERA_WINDOW_N_WATER: i32 = 338;
 
 // Keys of spivcal_calibration_number without index.
@@ -200,20 +200,20 @@ pub const SPIVCAL_FIT_VERDICT: i32 = 452;
 
 // Keys of spivcal_calibration_number with a radius of the target as index.
 
-/// Radius of a disc of the target, mm.
+/// Index: radius, below SPIVCAL_COUNT_TARGET_RADII: of two discs 0 or 1, of a grid or plate 0. Radius of a disc of the target, mm.
 pub const SPIVCAL_TARGET_RADIUS_MM: i32 = 461;
 
 // Keys of spivcal_calibration_number with a view as index.
 
-/// 1 where the view was recorded in the laser sheet, else 0. No sigma.
+/// Index: view. 1 where the view was recorded in the laser sheet, else 0. No sigma.
 pub const SPIVCAL_VIEW_IN_SHEET: i32 = 471;
-/// 1 where the view took part, else 0. No sigma.
+/// Index: view. 1 where the view took part, else 0. No sigma.
 pub const SPIVCAL_VIEW_USED: i32 = 472;
-/// Distance of the two bubbles of this view, mm (bubbles only).
+/// Index: view. Distance of the two bubbles of this view, mm (bubbles only).
 pub const SPIVCAL_VIEW_SPACING_MM: i32 = 473;
-/// Radius of the first bubble of this view, mm (bubbles only).
+/// Index: view. Radius of the first bubble of this view, mm (bubbles only).
 pub const SPIVCAL_VIEW_RADIUS0_MM: i32 = 474;
-/// Radius of the second bubble of this view, mm (bubbles only).
+/// Index: view. Radius of the second bubble of this view, mm (bubbles only).
 pub const SPIVCAL_VIEW_RADIUS1_MM: i32 = 475;
 
 // Keys of spivcal_calibration_array_copy.
@@ -232,7 +232,7 @@ pub const SPIVCAL_ARRAY_SHEET_NORMAL_SIGMA_RAD: i32 = 512;
 pub const SPIVCAL_ARRAY_RIG_FROM_TARGET: i32 = 521;
 /// Index: view. As SPIVCAL_ARRAY_CAM_FROM_RIG_SIGMA: 6 doubles.
 pub const SPIVCAL_ARRAY_RIG_FROM_TARGET_SIGMA: i32 = 522;
-/// Index: view. Root mean square residual per camera, px, NaN where a camera does not see it.
+/// Index: view. Root mean square residual of each camera, px, NaN where a camera does not see it: SPIVCAL_COUNT_CAMERAS doubles.
 pub const SPIVCAL_ARRAY_VIEW_RMS_PX: i32 = 523;
 /// Covariance of all estimated numbers, n x n row-major, n = SPIVCAL_COUNT_COVARIANCE; units: those at the end of the two names;
 /// poses: steps as of SPIVCAL_ARRAY_CAM_FROM_RIG_SIGMA, which turn the translation too. NaN in the rows and columns of numbers that nothing determines.
