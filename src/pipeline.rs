@@ -17,7 +17,7 @@ mod workers;
 pub use calibrate::{CalibrateOptions, CalibrationOutput, calibrate};
 pub use files::{Output, read_text};
 pub use images::SeenImage;
-pub use load::load_image;
+pub use load::{has_further_pages, load_image};
 pub use model::{AXIS_POINT_SIGMA, LOSS_SIGMAS, POINT_SIGMA};
 pub use png::png_bytes;
 pub use sheet_alone::{SheetOptions, SheetOutput, TRANSFER_LIMIT_PX, find_sheet};

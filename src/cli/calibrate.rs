@@ -2,30 +2,26 @@
 
 use super::Done;
 use super::arguments::Calibrate;
-use super::files::{Output, read_text};
+use super::files::{NamedImages, Output, read_text, tell_further_pages};
 use super::progress::Bar;
 use super::threads;
 use crate::error::Result;
-use crate::pipeline::{CalibrateOptions, Progress, SeenImage, calibrate, load_image};
+use crate::pipeline::{CalibrateOptions, Progress, SeenImage, calibrate};
 use crate::record::{Record, ResidualTable};
 use crate::report::{Level, OverlayInput, OverlayShapes, overlay_png, residuals_csv, text, verdict, write_html};
-use crate::rig_file::{RigDescription, image_path};
+use crate::rig_file::RigDescription;
 use rayon::prelude::*;
 use serde_json::json;
 use std::fmt::Write;
 use std::num::NonZeroUsize;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub(super) fn run(command: &Calibrate, threads: Option<NonZeroUsize>, progress: &Bar) -> Result<Done> {
     let rig_text = read_text(&command.rig, "a rig file (TOML)")?;
     let job = RigDescription::parse(&rig_text, &command.rig.display().to_string())?;
-    let load = |view: usize, camera: usize| {
-        // The library asks only for images that the rig file names.
-        let name = job.views[view].images[camera].as_deref().unwrap_or_default();
-        load_image(&image_path(&command.rig, command.images.as_deref(), name))
-    };
+    let images = NamedImages { job: &job, rig: &command.rig, folder: command.images.as_deref() };
     let options = CalibrateOptions { threads: threads.map_or(0, NonZeroUsize::get), ..CalibrateOptions::default() };
-    let found = calibrate(&job, &load, &options, &mut |p| {
+    let found = calibrate(&job, &|view, camera| images.load(view, camera), &options, &mut |p| {
         tell(progress, &p);
         true
     })?;
@@ -36,7 +32,7 @@ pub(super) fn run(command: &Calibrate, threads: Option<NonZeroUsize>, progress: 
         images: &found.images,
         overlays: &found.overlays,
     };
-    results.write(&command.output, &[&command.rig], threads)
+    results.write(&command.output, &[&command.rig], &images.paths(), threads)
 }
 
 pub(super) fn tell(bar: &Bar, progress: &Progress<'_>) {
@@ -63,8 +59,14 @@ pub(super) struct Results<'a> {
 }
 
 impl Results<'_> {
-    /// Writes everything, but over none of the `inputs`, and says so.
-    pub(super) fn write(&self, to: &Path, inputs: &[&Path], threads: Option<NonZeroUsize>) -> Result<Done> {
+    /// Writes everything, but over none of the `inputs` and `images` that were read, and says so.
+    pub(super) fn write(
+        &self,
+        to: &Path,
+        inputs: &[&Path],
+        images: &[PathBuf],
+        threads: Option<NonZeroUsize>,
+    ) -> Result<Done> {
         let output = self.files(threads)?;
         let folder = to.display();
         let json = summary(self.record, &folder.to_string(), &output.names());
@@ -78,7 +80,9 @@ impl Results<'_> {
                 old.join(", ")
             );
         }
-        output.commit_beside(to, inputs)?;
+        let read: Vec<&Path> = inputs.iter().copied().chain(images.iter().map(AsRef::as_ref)).collect();
+        output.commit_beside(to, &read)?;
+        tell_further_pages(images);
         Ok(Done { text: words, json, flags: flags(self.record) })
     }
 

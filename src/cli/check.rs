@@ -3,7 +3,7 @@
 use super::Done;
 use super::arguments::Check;
 use super::dewarp::load_sized;
-use super::files::{Output, fault, read_text};
+use super::files::{Output, fault, read_text, tell_further_pages};
 use super::progress::Bar;
 use super::threads;
 use crate::diagnosis::mapping_of_record;
@@ -95,6 +95,7 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         "cameras_refined": value["cameras_refined"], "converged": found.check.converged, "history": value["history"], "flags": found.check.flags,
     });
     out.commit_beside(&command.output, &[&command.calibration])?;
+    tell_further_pages(files.iter().flatten());
     Ok(Done { text: words, json, flags: found.check.flags })
 }
 

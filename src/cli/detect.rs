@@ -2,7 +2,7 @@
 
 use super::Done;
 use super::arguments::Detect;
-use super::files::{Output, fault};
+use super::files::{Output, fault, tell_further_pages};
 use super::progress::Bar;
 use super::threads;
 use crate::detect::{DetectMemory, DetectOptions, Detection, find_discs_with};
@@ -53,7 +53,8 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
         );
         f.files.into_iter().for_each(|(name, bytes)| out.add(name, bytes));
     }
-    out.commit(&command.output)?;
+    out.commit_beside(&command.output, &command.images.iter().map(AsRef::as_ref).collect::<Vec<&Path>>())?;
+    tell_further_pages(&command.images);
     let json = json!({ "output": command.output.display().to_string(), "images": images });
     Ok(Done { text, json, flags })
 }

@@ -3,7 +3,7 @@
 use super::Done;
 use super::arguments::Dewarp;
 use super::dewarped::Dewarped;
-use super::files::{Output, fault, read_text};
+use super::files::{Output, fault, read_text, tell_further_pages};
 use super::progress::Bar;
 use super::threads;
 use crate::dewarp::{self, SheetGrid, SheetMap, dewarp};
@@ -82,6 +82,7 @@ pub(super) fn run(command: &Dewarp, threads: Option<NonZeroUsize>, progress: &Ba
     out.add("dewarp.json", format!("{json:#}\n"));
     let inputs: Vec<&Path> = command.images.iter().map(AsRef::as_ref).chain([command.calibration.as_ref()]).collect();
     out.commit_beside(&command.output, &inputs)?;
+    tell_further_pages(&command.images);
     let _ = writeln!(words, "Written to {}, with masks (255: seen) and dewarp.json", command.output.display());
     Ok(Done { text: words, json, flags })
 }

@@ -3,12 +3,12 @@
 use super::Done;
 use super::arguments::Sheet;
 use super::calibrate::{Results, tell};
-use super::files::read_text;
+use super::files::{NamedImages, read_text};
 use super::progress::Bar;
 use crate::error::Result;
-use crate::pipeline::{SheetOptions, find_sheet, load_image};
+use crate::pipeline::{SheetOptions, find_sheet};
 use crate::record::Record;
-use crate::rig_file::{RigDescription, image_path};
+use crate::rig_file::RigDescription;
 use std::num::NonZeroUsize;
 
 pub(super) fn run(command: &Sheet, threads: Option<NonZeroUsize>, progress: &Bar) -> Result<Done> {
@@ -16,17 +16,13 @@ pub(super) fn run(command: &Sheet, threads: Option<NonZeroUsize>, progress: &Bar
     let job = RigDescription::parse(&rig_text, &command.rig.display().to_string())?;
     let text = read_text(&command.calibration, "a calibration.json")?;
     let calibration = Record::from_json(&text, &command.calibration.display().to_string())?;
-    let load = |view: usize, camera: usize| {
-        // The library asks only for images that the rig file names.
-        let name = job.views[view].images[camera].as_deref().unwrap_or_default();
-        load_image(&image_path(&command.rig, command.images.as_deref(), name))
-    };
+    let images = NamedImages { job: &job, rig: &command.rig, folder: command.images.as_deref() };
     let options = SheetOptions { threads: threads.map_or(0, NonZeroUsize::get) };
-    let found = find_sheet(&job, &load, &calibration, &options, &mut |p| {
+    let found = find_sheet(&job, &|view, camera| images.load(view, camera), &calibration, &options, &mut |p| {
         tell(progress, &p);
         true
     })?;
     progress.say("writing the report".to_string());
     let results = Results { record: &found.record, residuals: None, images: &found.images, overlays: &found.overlays };
-    results.write(&command.output, &[&command.rig, &command.calibration], threads)
+    results.write(&command.output, &[&command.rig, &command.calibration], &images.paths(), threads)
 }

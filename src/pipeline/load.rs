@@ -39,6 +39,12 @@ pub fn load_image(path: &Path) -> Result<GrayImage> {
     grey(path, decoded)
 }
 
+/// Whether a file is a TIFF of several pages, of which [`load_image`] reads the first.
+pub fn has_further_pages(path: &Path) -> bool {
+    let decoder = std::fs::File::open(path).ok().map(std::io::BufReader::new).map(tiff::decoder::Decoder::new);
+    decoder.is_some_and(|d| d.is_ok_and(|d| d.more_images()))
+}
+
 fn fault(path: &Path, message: impl Into<String>) -> Error {
     Invalid::File { path: path.display().to_string(), message: message.into() }.into()
 }
@@ -309,6 +315,22 @@ mod tests {
         bytes.extend([0; 4]);
         let text = message(&s.file("a.tif", &bytes));
         assert!(text.contains("cut short or damaged") && text.contains("cannot hold"), "{text}");
+    }
+
+    #[test]
+    fn further_pages_are_seen() {
+        let s = Scratch::new();
+        for pages in 1..=2 {
+            let mut out = Cursor::new(Vec::new());
+            let mut encoder = tiff::encoder::TiffEncoder::new(&mut out).unwrap();
+            for _ in 0..pages {
+                encoder.write_image::<tiff::encoder::colortype::Gray8>(48, 32, &levels8()).unwrap();
+            }
+            let path = s.file("a.tif", &out.into_inner());
+            assert_eq!(load_image(&path).unwrap().pixels(), &Pixels::U8(levels8()));
+            assert_eq!(has_further_pages(&path), pages == 2);
+        }
+        assert!(!has_further_pages(&s.file("a.png", &encoded(&luma8(), ImageFormat::Png))));
     }
 
     #[test]
