@@ -10,7 +10,7 @@ use crate::error::{Insufficient, Invalid, Result};
 use crate::image::GrayImage;
 use crate::pipeline::load_image;
 use crate::report::{
-    contours_csv, detection_json, detection_shapes, discs_csv, features_csv, overlay_png, reason_kind,
+    DETECTION_FORMAT, contours_csv, detection_json, detection_shapes, discs_csv, features_csv, overlay_png, reason_kind,
 };
 use rayon::prelude::*;
 use serde_json::json;
@@ -28,6 +28,7 @@ struct Found {
 
 pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Bar) -> Result<Done> {
     let stems = stems(&command.images)?;
+    stems.iter().try_for_each(|stem| spare_other_json(&command.output.join(format!("{stem}.json"))))?;
     let options = DetectOptions { polarity: command.polarity.into(), ..DetectOptions::default() };
     progress.stage("finding discs", command.images.len());
     let memory = DetectMemory::default();
@@ -76,6 +77,19 @@ fn stems(images: &[PathBuf]) -> Result<Vec<String>> {
         stems.push(stem);
     }
     Ok(stems)
+}
+
+/// Refuses to write over JSON that no detection wrote, such as a calibration.
+fn spare_other_json(place: &Path) -> Result<()> {
+    let Ok(old) = std::fs::read(place) else { return Ok(()) };
+    let format = serde_json::from_slice::<serde_json::Value>(&old).ok().map(|v| v["format"] == DETECTION_FORMAT);
+    match format {
+        Some(true) => Ok(()),
+        _ => Err(fault(
+            place,
+            "this file, which is no earlier result of detect, would be overwritten; name another folder with -o",
+        )),
+    }
 }
 
 fn describe(path: &Path, stem: &str, image: &GrayImage, detection: &Detection) -> Result<Found> {

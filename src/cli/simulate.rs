@@ -2,12 +2,13 @@
 
 use super::Done;
 use super::arguments::Simulate;
-use super::files::{Output, read_text};
+use super::files::{Output, fault, read_text};
 use super::progress::Bar;
 use crate::error::Result;
 use crate::pipeline::png_bytes;
-use crate::simulate::{Scene, preset_text, simulate};
+use crate::simulate::{PRESETS, Scene, preset_text, simulate};
 use serde_json::json;
+use std::path::Path;
 
 pub(super) fn run(command: &Simulate, progress: &Bar) -> Result<Done> {
     let (scene, preset) = match (&command.scene, &command.preset) {
@@ -20,6 +21,9 @@ pub(super) fn run(command: &Simulate, progress: &Bar) -> Result<Done> {
             (Scene::preset(name)?, preset_text(name))
         }
     };
+    if preset.is_some() {
+        spare_scene(&command.output.join("scene.toml"))?;
+    }
     progress.stage("rendering views", scene.views());
     let simulation = simulate(&scene)?;
     let mut out = Output::default();
@@ -32,7 +36,7 @@ pub(super) fn run(command: &Simulate, progress: &Bar) -> Result<Done> {
         out.add("scene.toml", text);
     }
     let json = json!({ "output": command.output.display().to_string(), "files": out.names() });
-    out.commit(&command.output)?;
+    out.commit_beside(&command.output, &command.scene.iter().map(AsRef::as_ref).collect::<Vec<&Path>>())?;
     let rig = command.output.join("rig.toml");
     let text = format!(
         "{} images of {} views in {}\nnext: spivcal calibrate {} -o OUT\n",
@@ -42,4 +46,15 @@ pub(super) fn run(command: &Simulate, progress: &Bar) -> Result<Done> {
         rig.display()
     );
     Ok(Done { text, json, flags: Vec::new() })
+}
+
+/// Refuses to write a preset's scene over one that somebody wrote or changed.
+fn spare_scene(place: &Path) -> Result<()> {
+    match std::fs::read(place) {
+        Ok(old) if PRESETS.iter().all(|(_, text)| text.as_bytes() != old) => Err(fault(
+            place,
+            "this scene, which is no preset, would be overwritten by that of the preset; name another folder with -o",
+        )),
+        _ => Ok(()),
+    }
 }

@@ -11,6 +11,9 @@ use nalgebra::SMatrix;
 use serde_json::{Map, Value, json};
 use std::fmt::Write;
 
+/// Value of the key `format` of a detection.
+pub const DETECTION_FORMAT: &str = "spivcal-detection";
+
 /// A feature of a pair of discs: name (see [`crate::bitangent::NAMES`]), place and standard deviations, px.
 struct Feature {
     name: &'static str,
@@ -66,7 +69,7 @@ pub fn features_csv(detection: &Detection) -> Option<String> {
 /// Everything that was found in an image, as JSON; `image` is its name.
 pub fn detection_json(image: &str, size_px: [usize; 2], detection: &Detection) -> String {
     let value = json!({
-        "format": "spivcal-detection", "version": 1,
+        "format": DETECTION_FORMAT, "version": 1,
         "image": image, "image_size_px": size_px,
         "discs": detection.discs.iter().map(disc_json).collect::<Vec<_>>(),
         "features": features(detection).map(|(f, _)| f.iter().map(feature_json).collect::<Vec<_>>()),
