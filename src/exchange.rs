@@ -200,6 +200,18 @@ impl Cameras {
         let sheet = record.sheet.as_ref().ok_or_else(|| {
             Invalid::Contradiction(
                 "this calibration has no laser sheet, so there is no plane z = 0 to write; record a view in the sheet \
+    /// A name for the files of each camera: letters and digits, and no two alike on any file system.
+    fn file_names(&self) -> Vec<String> {
+        let mut out: Vec<String> = Vec::new();
+        for c in &self.cameras {
+            let plain: String = c.name.chars().map(|x| if x.is_alphanumeric() { x } else { '_' }).collect();
+            let taken = |name: &String| out.iter().any(|other| other.to_lowercase() == name.to_lowercase());
+            let numbered = (2..).map(|n| format!("{plain}_{n}"));
+            let free = std::iter::once(plain.clone()).chain(numbered).find(|name| !taken(name));
+            out.extend(free);
+        }
+        out
+    }
                  (sheet = true) or run `spivcal sheet` first"
                     .into(),
             )

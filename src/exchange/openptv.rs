@@ -105,7 +105,7 @@ fn files(name: &str, i: &Interior, pose: &Motion<Cam, Sheet>) -> [(String, Vec<u
 /// Two files per camera.
 pub(super) fn export(rig: &Cameras) -> Result<Conversion<Vec<(String, Vec<u8>)>>> {
     let (mut result, mut losses, mut notes) = (Vec::new(), Vec::new(), rig.notes.clone());
-    for c in &rig.cameras {
+    for (c, file_name) in rig.cameras.iter().zip(rig.file_names()) {
         let pitch_mm = c.pixel_pitch_mm.ok_or_else(|| {
             Invalid::Contradiction(format!(
                 "OpenPTV measures on the sensor in mm, but the pixel pitch of camera \"{}\" is unknown; add pixel_pitch_mm \
@@ -115,7 +115,6 @@ pub(super) fn export(rig: &Cameras) -> Result<Conversion<Vec<(String, Vec<u8>)>>
         })?;
         let sensor = Sensor { size_px: c.image_size_px, pitch_mm };
         let (interior, pose, loss) = nearest(c, sensor)?;
-        let file_name: String = c.name.chars().map(|x| if x.is_alphanumeric() { x } else { '_' }).collect();
         result.extend(files(&file_name, &interior, &pose));
         losses.push(loss);
         notes.push(format!(

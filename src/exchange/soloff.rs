@@ -57,9 +57,8 @@ pub(super) fn export(rig: &Cameras, degrees: SoloffDegrees) -> Result<Conversion
         rig.cameras.iter().map(|c| SheetMap::new(c.camera, c.cam_from_world, c.image_size_px)).collect();
     let volume = volume(&rig.cameras, &maps)?;
     let (mut result, mut losses, mut notes) = (Vec::new(), Vec::new(), rig.notes.clone());
-    for (c, map) in rig.cameras.iter().zip(&maps) {
+    for ((c, map), name) in rig.cameras.iter().zip(&maps).zip(rig.file_names()) {
         let fit = Soloff::fit(map, volume, degrees)?;
-        let name: String = c.name.chars().map(|x| if x.is_alphanumeric() { x } else { '_' }).collect();
         result.push((format!("soloff_{name}.txt"), text(c, &fit).into_bytes()));
         losses.push(Loss { rms_px: fit.rms_px, max_px: fit.largest_px });
     }

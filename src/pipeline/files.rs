@@ -58,6 +58,11 @@ impl Output {
     /// # Errors
     /// [`Invalid::File`] where a file cannot be written; what was there before is unchanged then.
     pub fn commit(self, folder: &Path) -> Result<()> {
+        for (i, (name, _)) in self.files.iter().enumerate() {
+            if self.files[..i].iter().any(|(other, _)| other == name) {
+                return Err(fault(&folder.join(name), "two results would be written to this one file"));
+            }
+        }
         let mut staged = Staged::new(folder)?;
         for (name, bytes) in &self.files {
             staged.write(name, bytes)?;
@@ -109,16 +114,65 @@ impl Staged {
             }
         }
     }
+    /// All or none: where one result cannot take its place, the others give theirs back.
     fn publish(mut self) -> Result<()> {
+        let mut done: Vec<(PathBuf, Option<PathBuf>)> = vec![];
         // In their order. What has its place is forgotten: its temporary name may be another thread's by now.
         self.files.reverse();
         while let Some((temporary, place)) = self.files.last() {
-            fs::rename(temporary, place).map_err(|e| fault(place, format!("cannot be written: {e}")))?;
+            match spare(place).and_then(|old| renamed(temporary, place, old)) {
+                Ok(old) => done.push((place.clone(), old)),
+                Err(e) => {
+                    done.iter().for_each(|(place, old)| restore(place, old.as_deref()));
+                    return Err(fault(place, format!("cannot be written: {e}")));
+                }
+            }
             self.files.pop();
         }
         self.published = true;
+        for old in done.into_iter().filter_map(|(_, old)| old) {
+            let _ = fs::remove_file(old);
+        }
         Ok(())
     }
+}
+
+/// A second name for the file at `place`, if any, until all results are under their names.
+fn spare(place: &Path) -> std::io::Result<Option<PathBuf>> {
+    use std::io::ErrorKind::{AlreadyExists, NotFound};
+    let name = place.file_name().unwrap_or_default().to_string_lossy();
+    let mut number = 0u32;
+    while place.exists() {
+        let old = place.with_file_name(format!(".{name}.{}.{number}.old", std::process::id()));
+        // Some file systems give a file one name only.
+        let copied = || std::io::copy(&mut fs::File::open(place)?, &mut fs::File::create_new(&old)?).map(drop);
+        let linked = fs::hard_link(place, &old);
+        match linked.or_else(|e| if matches!(e.kind(), AlreadyExists | NotFound) { Err(e) } else { copied() }) {
+            Err(e) if e.kind() == AlreadyExists => number += 1,
+            Err(e) if e.kind() == NotFound => break,
+            kept => return kept.map(|()| Some(old)),
+        }
+    }
+    Ok(None)
+}
+
+/// Puts a file in its place and hands back what was there before; drops that where it cannot.
+fn renamed(temporary: &Path, place: &Path, old: Option<PathBuf>) -> std::io::Result<Option<PathBuf>> {
+    if let Err(e) = fs::rename(temporary, place) {
+        if let Some(old) = old {
+            let _ = fs::remove_file(old);
+        }
+        return Err(e);
+    }
+    Ok(old)
+}
+
+/// What was at `place` before it was published.
+fn restore(place: &Path, old: Option<&Path>) {
+    let _ = match old {
+        Some(old) => fs::rename(old, place),
+        None => fs::remove_file(place),
+    };
 }
 
 impl Drop for Staged {
@@ -218,6 +272,32 @@ mod tests {
         assert!(message.contains("y.txt"), "{message}");
         assert_eq!(listing(folder), ["x.txt", "y.txt"]);
         assert_eq!(fs::read_to_string(folder.join("x.txt")).unwrap(), "old");
+    }
+
+    #[test]
+    fn a_failure_half_way_brings_the_old_files_back() {
+        let scratch = tempfile::tempdir().unwrap();
+        let folder = scratch.path();
+        fs::write(folder.join("x.txt"), "old").unwrap();
+        let mut staged = Staged::new(folder).unwrap();
+        for name in ["x.txt", "y.txt", "z.txt"] {
+            staged.write(name, b"new").unwrap();
+        }
+        fs::create_dir(folder.join("z.txt")).unwrap();
+        assert!(staged.publish().unwrap_err().to_string().contains("z.txt"));
+        assert_eq!(listing(folder), ["x.txt", "z.txt"]);
+        assert_eq!(fs::read_to_string(folder.join("x.txt")).unwrap(), "old");
+    }
+
+    #[test]
+    fn two_results_of_one_name_are_refused() {
+        let scratch = tempfile::tempdir().unwrap();
+        let mut out = Output::default();
+        out.add("x.txt", "1");
+        out.add("x.txt", "2");
+        let message = out.commit(&scratch.path().join("new")).unwrap_err().to_string();
+        assert!(message.contains("x.txt") && message.contains("two results"), "{message}");
+        assert_eq!(listing(scratch.path()), Vec::<String>::new());
     }
 
     #[test]
