@@ -127,16 +127,16 @@ impl<T> Conversion<T> {
 /// # Errors
 /// [`Invalid::Contradiction`] where the format needs what the record does not have, or cannot hold the cameras at all.
 pub fn export(record: &Record, format: ExportFormat) -> Result<Conversion<Vec<(String, Vec<u8>)>>> {
-    let mut rig = Cameras::of(record)?;
-    if !matches!(format, ExportFormat::Soloff | ExportFormat::Csv) {
+    let without_windows = || -> Result<Cameras> {
+        let mut rig = Cameras::of(record)?;
         rig.lose_windows()?;
     }
     match format {
-        ExportFormat::OpenCv => opencv::export(&rig, storage::Syntax::Yaml),
-        ExportFormat::OpenCvXml => opencv::export(&rig, storage::Syntax::Xml),
-        ExportFormat::OpenPtv => openptv::export(&rig),
-        ExportFormat::Matlab => matlab::export(&rig),
-        ExportFormat::Soloff => soloff::export(&rig, SoloffDegrees::default()),
+        ExportFormat::OpenCv => opencv::export(&without_windows()?, storage::Syntax::Yaml),
+        ExportFormat::OpenCvXml => opencv::export(&without_windows()?, storage::Syntax::Xml),
+        ExportFormat::OpenPtv => openptv::export(&without_windows()?),
+        ExportFormat::Matlab => matlab::export(&without_windows()?),
+        ExportFormat::Soloff => soloff::export(&Cameras::of(record)?, SoloffDegrees::default()),
         ExportFormat::Csv => Ok(csv::export(record)),
     }
 }

@@ -77,6 +77,78 @@ fn a_calibration_goes_out_and_comes_back() {
     convert(&[&json, "--from", "davis", "--image-size", "12by3"], 2);
 }
 
+/// Camera names that differ in punctuation only get files of their own.
+#[test]
+fn files_of_cameras_with_alike_names_are_told_apart() {
+    let scratch = tempfile::tempdir().unwrap();
+    let path = |name: &str| scratch.path().join(name).to_str().unwrap().to_string();
+    let text = std::fs::read_to_string(example("printed").join("truth.json")).unwrap();
+    let mut record = Record::from_json(&text, "truth").unwrap();
+    let names = ["cam-1", "cam_1"];
+    for (c, name) in record.cameras.iter_mut().zip(names) {
+        c.name = name.into();
+        c.pixel_pitch_mm = Some(0.00625);
+    }
+    record.views.clear();
+    std::fs::write(path("c.json"), record.to_json().unwrap()).unwrap();
+    for (format, files) in
+        [("soloff", vec!["soloff_cam_1.txt", "soloff_cam_1_2.txt"]), ("openptv", vec!["cam_1.ori", "cam_1_2.ori"])]
+    {
+        let said = spivcal(&["convert", &path("c.json"), "--to", format, "-o", &path(format)]);
+        assert!(said.status.code().unwrap() < 2, "{}", String::from_utf8_lossy(&said.stderr));
+        for file in files {
+            assert!(scratch.path().join(format).join(file).exists(), "{file}");
+        }
+    }
+    // Tables need no plane.
+    record.sheet = None;
+    std::fs::write(path("c.json"), record.to_json().unwrap()).unwrap();
+    convert(&[&path("c.json"), "--to", "csv", "-o", &path("tables")], 0);
+    assert!(scratch.path().join("tables/cameras.csv").exists());
+}
+
+/// The two files of OpenCV's stereo sample are one calibration, without a laser sheet.
+#[test]
+fn the_files_of_the_stereo_sample_are_read() {
+    let scratch = tempfile::tempdir().unwrap();
+    let path = |name: &str| scratch.path().join(name).to_str().unwrap().to_string();
+    let matrix = |key: &str, rows: usize, data: &[f64]| {
+        let numbers: Vec<String> = data.iter().map(|x| format!("{x:?}")).collect();
+        let columns = data.len() / rows;
+        format!(
+            "{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ {} ]\n",
+            numbers.join(", ")
+        )
+    };
+    let lens = [800.0, 0.0, 320.0, 0.0, 800.0, 240.0, 0.0, 0.0, 1.0];
+    let bent = [-0.2, 0.05, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let intrinsics = [matrix("M1", 3, &lens), matrix("D1", 1, &bent), matrix("M2", 3, &lens), matrix("D2", 1, &bent)];
+    let extrinsics = [
+        matrix("R", 3, &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]),
+        matrix("T", 3, &[-60.0, 0.0, 0.0]),
+        matrix("R1", 3, &lens),
+    ];
+    std::fs::write(path("intrinsics.yml"), format!("%YAML:1.0\n---\n{}", intrinsics.concat())).unwrap();
+    std::fs::write(path("extrinsics.yml"), format!("%YAML:1.0\n---\n{}", extrinsics.concat())).unwrap();
+    let both = [path("intrinsics.yml"), path("extrinsics.yml")];
+    let given = ["--from", "opencv", &both[0], &both[1], "-o", &path("back")].map(String::from);
+    let given: Vec<&str> = given.iter().map(String::as_str).collect();
+    let said = convert(&given, 2);
+    assert!(said.contains("image size") && said.contains("--image-size") && !said.contains(":0:"), "{said}");
+    let out = spivcal(&[&["convert"], &given[..], &["--image-size", "640x480"]].concat());
+    let said = String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.code().unwrap() < 2 && said.contains("spivcal sheet"), "{said}");
+    let r = record(&scratch.path().join("back/calibration.json"));
+    assert!(r.sheet.is_none() && (r.rig.unwrap().baseline_mm - 60.0).abs() < 1.0);
+    let said = String::from_utf8_lossy(&spivcal(&["show", &path("back/calibration.json")]).stdout).into_owned();
+    assert!(!said.contains("laser sheet lies"), "{said}");
+    let said = convert(&["--from", "opencv", &both[0], "--image-size", "640x480", "-o", &path("none")], 2);
+    assert!(said.contains("matrix R") && said.contains("give both files") && !said.contains(":0:"), "{said}");
+    std::fs::write(path("extrinsics.yml"), format!("%YAML:1.0\n---\n{}", matrix("R", 3, &lens))).unwrap();
+    let said = convert(&[&given[..], &["--image-size", "640x480"]].concat(), 2);
+    assert!(said.contains("extrinsics.yml:3: R is not a rotation"), "{said}");
+}
+
 /// The sheet frame moved and turned in its plane: the same light and cameras, numbers along the new axes.
 #[test]
 fn the_sheet_frame_is_placed_and_placed_back() {
