@@ -7,7 +7,7 @@
 //!
 //! | format | written | read | conventions |
 //! |---|---|---|---|
-//! | `opencv` | YAML, XML | YAML, XML | `M1 D1 M2 D2 R T` as OpenCV's stereo sample writes them, 14 coefficients with the tilt; pixel (0, 0) is the centre of the first pixel; camera frames rolled as OpenCV's tilt wants it; `R_sheet T_sheet`: first camera from sheet |
+//! | `opencv` | YAML, XML | YAML, XML | `M1 D1 M2 D2 R T` as OpenCV's stereo sample writes them (two files are read as one), 14 coefficients with the tilt; pixel (0, 0) is the centre of the first pixel; camera frames rolled as OpenCV's tilt wants it; `R_sheet T_sheet`: first camera from sheet, which is unknown without them |
 //! | `openptv` | `.ori`, `.addpar` | the same | mm on the sensor, y up, z towards the viewer; the centre of the first pixel is (0.5, 0.5); distortion about the image centre; no glass |
 //! | `davis` | - | `Calibration.xml` (pinhole), `MarkPositionTable.xml` | focal length in mm over the sensor's pixel size, `R = Rz Ry Rx`, distortion k1 k2 p1 p2 on normalised coordinates |
 //! | `uvmat` | - | XML (`GeometryCalib`) | image y up from the lower edge, pixel centres at half numbers, one radial coefficient |
@@ -130,7 +130,8 @@ pub fn export(record: &Record, format: ExportFormat) -> Result<Conversion<Vec<(S
     let without_windows = || -> Result<Cameras> {
         let mut rig = Cameras::of(record)?;
         rig.lose_windows()?;
-    }
+        Ok(rig)
+    };
     match format {
         ExportFormat::OpenCv => opencv::export(&without_windows()?, storage::Syntax::Yaml),
         ExportFormat::OpenCvXml => opencv::export(&without_windows()?, storage::Syntax::Xml),
@@ -151,11 +152,12 @@ pub fn export_soloff(record: &Record, degrees: SoloffDegrees) -> Result<Conversi
 
 /// Reads a calibration of another package.
 ///
-/// The record has cameras and the sheet (the plane z = 0 of the format's world), but no views and no standard deviations.
+/// The record has cameras and the sheet (the plane z = 0 of the format's world; none where a format holds none), but no views and no
+/// standard deviations.
 ///
 /// # Errors
-/// [`Invalid::Syntax`] with file and line or key where the text is not of the format; [`Invalid::Contradiction`] where an
-/// option is missing or the content has no meaning here.
+/// [`Invalid::Syntax`] or [`Invalid::File`] where the text is not of the format, or what it says cannot be a calibration;
+/// [`Invalid::Contradiction`] where an option is missing or the content has no meaning here.
 pub fn import(files: &[NamedText], format: ImportFormat, options: &ImportOptions) -> Result<Conversion<Record>> {
     if files.is_empty() {
         return Err(Invalid::Contradiction("no file to read".into()).into());
@@ -185,6 +187,8 @@ struct WorldCamera {
 /// Cameras read from a file, and what was assumed.
 struct Found {
     cameras: Vec<WorldCamera>,
+    /// Whether the plane z = 0 of the world is the laser sheet; else it was only fitted about.
+    has_sheet: bool,
     notes: Vec<String>,
     program: &'static str,
 }
@@ -196,10 +200,6 @@ struct Cameras {
 }
 
 impl Cameras {
-    fn of(record: &Record) -> Result<Self> {
-        let sheet = record.sheet.as_ref().ok_or_else(|| {
-            Invalid::Contradiction(
-                "this calibration has no laser sheet, so there is no plane z = 0 to write; record a view in the sheet \
     /// A name for the files of each camera: letters and digits, and no two alike on any file system.
     fn file_names(&self) -> Vec<String> {
         let mut out: Vec<String> = Vec::new();
@@ -212,6 +212,10 @@ impl Cameras {
         }
         out
     }
+    fn of(record: &Record) -> Result<Self> {
+        let sheet = record.sheet.as_ref().ok_or_else(|| {
+            Invalid::Contradiction(
+                "this calibration has no laser sheet, so there is no plane z = 0 to write; record a view in the sheet \
                  (sheet = true) or run `spivcal sheet` first"
                     .into(),
             )

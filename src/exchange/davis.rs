@@ -51,7 +51,7 @@ fn pinholes(xml: &Xml<'_>, options: &ImportOptions) -> Result<Found> {
     }
     let notes =
         vec!["z = 0 of the file's world (the plate, or the sheet after DaVis's self-calibration) is the sheet".into()];
-    Ok(Found { cameras, notes, program: "davis" })
+    Ok(Found { cameras, has_sheet: true, notes, program: "davis" })
 }
 
 fn pinhole<'a>(xml: &Xml<'a>, mapper: Node<'_, 'a>, name: String, options: &ImportOptions) -> Result<WorldCamera> {
@@ -87,7 +87,14 @@ fn pinhole<'a>(xml: &Xml<'a>, mapper: Node<'_, 'a>, name: String, options: &Impo
     let r = Rotation3::from_euler_angles(xml.number(turn, "Rx")?, xml.number(turn, "Ry")?, xml.number(turn, "Rz")?);
     let pose: Motion<Cam, Sheet> = Motion::new(r.into_inner(), t);
     let image_size_px = match mapper.descendants().find(|n| n.has_tag_name("OriginalImageSize")) {
-        Some(n) => [xml.number(n, "Width")? as usize, xml.number(n, "Height")? as usize],
+        Some(n) => {
+            let size = [xml.number(n, "Width")?, xml.number(n, "Height")?];
+            if size.iter().any(|x| !(*x >= 1.0)) {
+                let message = format!("images of {} x {} px: expected numbers above 0", size[0], size[1]);
+                return Err(xml.fault(n, message));
+            }
+            size.map(|x| x as usize)
+        }
         None => image_size(options)?,
     };
     let (camera, cam_from_world, loss) = model.to_scheimpflug(&pose, image_size_px)?;
@@ -133,5 +140,5 @@ fn marks(xml: &Xml<'_>, options: &ImportOptions) -> Result<Found> {
             points: None,
         });
     }
-    Ok(Found { cameras, notes, program: "davis marks" })
+    Ok(Found { cameras, has_sheet: true, notes, program: "davis marks" })
 }

@@ -1,18 +1,19 @@
 //! Cameras read from another package as a record of this one.
 
-use super::{Conversion, Found, Loss, NamedText};
-use crate::error::{Invalid, Result};
+use super::{Conversion, Found, Loss, NamedText, WorldCamera};
+use crate::error::{Error, Invalid, Result};
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::{
-    self, Covariance, FORMAT, Fit, PlacedCamera, Pose, Provenance, Record, RigSigma, Target, TargetSigma, VERSION,
+    self, Covariance, FORMAT, Fit, PlacedCamera, Provenance, Record, RigSigma, Target, TargetSigma, VERSION,
 };
 use crate::rigid::Motion;
 use crate::sheet::SheetEstimate;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Matrix6, Vector3};
 
 /// The record of the cameras found; the first becomes the rig frame, the plane z = 0 the sheet.
 pub(super) fn record(found: Found, files: &[NamedText]) -> Result<Conversion<Record>> {
-    let Found { cameras, mut notes, program } = found;
+    let Found { cameras, has_sheet, mut notes, program } = found;
+    refuse_alike(&cameras, files)?;
     let first = cameras.first().ok_or_else(|| Invalid::Contradiction("the file holds no camera".into()))?;
     let mut rig_from_world: Motion<Rig, Sheet> =
         Motion::new(first.cam_from_world.rotation, first.cam_from_world.translation_mm);
@@ -33,18 +34,18 @@ pub(super) fn record(found: Found, files: &[NamedText]) -> Result<Conversion<Rec
         .map(|(i, c)| if i == 0 { Motion::identity() } else { c.cam_from_world * world_from_rig })
         .collect();
     let center = cam_from_rig.get(1).map(|m| m.inverse().translation_mm);
-    let normal = -rig_from_world.rotation.column(2).into_owned();
-    let estimate = SheetEstimate::of_plane(normal, normal.dot(&rig_from_world.translation_mm), center);
-    let mut sheet = estimate.to_record(program, Vec::new());
-    // The frame is the file's, not the default one of a plane.
-    sheet.rig_from_sheet = Pose::from(&rig_from_world);
+    let unknown = Matrix6::repeat(f64::NAN);
+    let sheet = has_sheet.then(|| {
+        // The frame is the file's, not the default one of a plane.
+        SheetEstimate::from_plane(&rig_from_world, &Vector3::zeros(), &unknown, center).to_record(program, Vec::new())
+    });
     let losses: Vec<Loss> = cameras.iter().map(|c| c.loss).collect();
     let result = Record {
         format: FORMAT.into(),
         version: VERSION,
         rig: cam_from_rig.get(1).map(rig),
         cameras: cameras.iter().zip(&cam_from_rig).map(|(c, pose)| camera(c, pose)).collect(),
-        sheet: Some(sheet),
+        sheet,
         target: no_target(),
         scale: None,
         views: Vec::new(),
@@ -52,16 +53,44 @@ pub(super) fn record(found: Found, files: &[NamedText]) -> Result<Conversion<Rec
         mapping_uncertainty: None,
         provenance: Provenance {
             program: format!("spivcal {}", env!("CARGO_PKG_VERSION")),
-            rig_file: files.iter().map(|f| f.name.as_str()).collect::<Vec<_>>().join(", "),
+            rig_file: names(files),
             ..Provenance::default()
         },
         covariance: Covariance::default(),
     };
+    if let Some(what) = result.impossible() {
+        return Err(refusal(
+            files,
+            format!("this is no possible calibration ({what}); correct the file, or write it anew"),
+        ));
+    }
     notes.push("the file holds no standard deviations: all of them are unknown (null)".into());
     Ok(Conversion { result, losses, notes })
 }
 
-fn camera(c: &super::WorldCamera, pose: &Motion<Cam, Rig>) -> record::Camera {
+fn refusal(files: &[NamedText], message: String) -> Error {
+    Invalid::File { path: names(files), message }.into()
+}
+
+fn names(files: &[NamedText]) -> String {
+    files.iter().map(|f| f.name.as_str()).collect::<Vec<_>>().join(", ")
+}
+
+/// Cameras must be told apart by their names.
+fn refuse_alike(cameras: &[WorldCamera], files: &[NamedText]) -> Result<()> {
+    for (i, c) in cameras.iter().enumerate() {
+        if cameras[..i].iter().any(|other| other.name == c.name) {
+            let message = format!(
+                "two cameras are called \"{}\"; give each a name of its own (in the file, or in the names of the files)",
+                c.name
+            );
+            return Err(refusal(files, message));
+        }
+    }
+    Ok(())
+}
+
+fn camera(c: &WorldCamera, pose: &Motion<Cam, Rig>) -> record::Camera {
     let placed = PlacedCamera { camera: c.camera, cam_from_rig: *pose };
     record::Camera { rms_px: c.loss.rms_px, ..placed.to_record(&c.name, c.image_size_px, c.pixel_pitch_mm) }
 }

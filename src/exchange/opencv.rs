@@ -8,7 +8,7 @@ use super::distorted::{OpenCvCamera, fit_scheimpflug};
 use super::storage::{self, Matrix, Node, Storage, Syntax};
 use super::{Cameras, Conversion, Found, ImportOptions, Loss, NamedText, WorldCamera};
 use crate::camera::{Camera, Intrinsics, OpenCvTilted};
-use crate::error::{Invalid, Result};
+use crate::error::{Error, Invalid, Result};
 use crate::frames::{Cam, Sheet};
 use crate::rigid::{Motion, orthonormalised};
 use nalgebra::{Matrix3, Vector3};
@@ -82,102 +82,140 @@ pub(super) fn export(rig: &Cameras, syntax: Syntax) -> Result<Conversion<Vec<(St
     Ok(Conversion { result: vec![(name.into(), storage::write(&nodes, syntax).into_bytes())], losses, notes })
 }
 
-fn missing(file: &NamedText, what: &str) -> crate::Error {
-    Invalid::Syntax { file: file.name.clone(), line: 0, message: format!("there is no {what}") }.into()
+/// One or two files, read as one.
+struct Source<'a> {
+    files: &'a [NamedText],
+    storage: Storage,
 }
 
-fn matrix3(file: &NamedText, s: &Storage, key: &str) -> Result<Matrix3<f64>> {
-    let m = s.matrices.get(key).ok_or_else(|| missing(file, &format!("matrix {key}")))?;
-    if (m.rows, m.columns) != (3, 3) {
-        let message = format!("{key} is {} x {}: expected 3 x 3", m.rows, m.columns);
-        return Err(Invalid::Syntax { file: file.name.clone(), line: 0, message }.into());
-    }
-    Ok(Matrix3::from_row_slice(&m.data))
-}
-
-/// A pose of two matrices; a 3-vector in the place of the rotation is a rotation vector.
-fn pose(file: &NamedText, s: &Storage, rotation: &str, translation: &str) -> Result<Option<Motion<Cam, Sheet>>> {
-    let Some(r) = s.matrices.get(rotation) else { return Ok(None) };
-    let turn = match r.data.len() {
-        3 => crate::rigid::rotation_exp(&Vector3::from_row_slice(&r.data)),
-        _ => matrix3(file, s, rotation)?,
-    };
-    let gap = (turn * turn.transpose() - Matrix3::identity()).abs().max();
-    if !(gap < 1e-5) || turn.determinant() < 0.0 {
-        let message = format!("{rotation} is not a rotation: R R^T differs from 1 by {gap:.1e}");
-        return Err(Invalid::Syntax { file: file.name.clone(), line: 0, message }.into());
-    }
-    let t = s.matrices.get(translation).filter(|t| t.data.len() == 3);
-    let t = t.ok_or_else(|| missing(file, &format!("vector {translation} of 3 numbers")))?;
-    Ok(Some(Motion::new(orthonormalised(&turn), Vector3::from_row_slice(&t.data))))
-}
-
-fn model(file: &NamedText, s: &Storage, camera_matrix: &str, coefficients: &str) -> Result<OpenCvCamera> {
-    let k = matrix3(file, s, camera_matrix)?;
-    if k.m12.abs() > 1e-9 * k.m11.abs() {
-        let message = format!("{camera_matrix} has a skew of {}: the camera of this library has none", k.m12);
-        return Err(Invalid::Syntax { file: file.name.clone(), line: 0, message }.into());
-    }
-    let mut d = [0.0; 14];
-    if let Some(found) = s.matrices.get(coefficients) {
-        if ![4, 5, 8, 12, 14].contains(&found.data.len()) {
-            let message =
-                format!("{coefficients} has {} coefficients: OpenCV knows 4, 5, 8, 12 or 14", found.data.len());
-            return Err(Invalid::Syntax { file: file.name.clone(), line: 0, message }.into());
+impl<'a> Source<'a> {
+    fn read(files: &'a [NamedText]) -> Result<Self> {
+        let mut storage = Storage::default();
+        for file in files {
+            let more = storage::read(file)?;
+            if let Some((key, _)) =
+                more.matrices.iter().find(|(k, m)| storage.matrices.get(*k).is_some_and(|o| o != *m))
+            {
+                let what = format!(
+                    "{key} is in both files, with different numbers; give the one or two files of one calibration (cameras of \
+                     two files need the motion between them)"
+                );
+                return Err(storage::refusal(file, key, what));
+            }
+            storage.matrices.extend(more.matrices);
+            storage.numbers.extend(more.numbers);
+            storage.words.extend(more.words);
         }
-        d[..found.data.len()].copy_from_slice(&found.data);
+        Ok(Self { files, storage })
     }
-    Ok(OpenCvCamera { fx_px: k.m11, fy_px: k.m22, cx_px: k.m13, cy_px: k.m23, d })
+    fn matrix(&self, key: &str) -> Option<&Matrix> {
+        self.storage.matrices.get(key)
+    }
+    fn missing(&self, what: &str) -> Error {
+        let path = self.files.iter().map(|f| f.name.as_str()).collect::<Vec<_>>().join(", ");
+        Invalid::File { path, message: format!("there is no {what}") }.into()
+    }
+    /// What is wrong with a matrix that was found.
+    fn refusal(&self, key: &str, message: String) -> Error {
+        let holds = |f: &&NamedText| storage::line_of(f, key).is_some();
+        self.files.iter().find(holds).map_or_else(
+            || Invalid::Contradiction(message.clone()).into(),
+            |file| storage::refusal(file, key, message.clone()),
+        )
+    }
+    fn matrix3(&self, key: &str) -> Result<Matrix3<f64>> {
+        let m = self.matrix(key).ok_or_else(|| self.missing(&format!("matrix {key}")))?;
+        if (m.rows, m.columns) != (3, 3) {
+            return Err(self.refusal(key, format!("{key} is {} x {}: expected 3 x 3", m.rows, m.columns)));
+        }
+        Ok(Matrix3::from_row_slice(&m.data))
+    }
+    /// A pose of two matrices; a 3-vector in the place of the rotation is a rotation vector.
+    fn pose(&self, rotation: &str, translation: &str) -> Result<Option<Motion<Cam, Sheet>>> {
+        let Some(r) = self.matrix(rotation) else { return Ok(None) };
+        let turn = match r.data.len() {
+            3 => crate::rigid::rotation_exp(&Vector3::from_row_slice(&r.data)),
+            _ => self.matrix3(rotation)?,
+        };
+        let gap = (turn * turn.transpose() - Matrix3::identity()).abs().max();
+        if !(gap < 1e-5) || turn.determinant() < 0.0 {
+            let message = format!("{rotation} is not a rotation: R R^T differs from 1 by {gap:.1e}");
+            return Err(self.refusal(rotation, message));
+        }
+        let t = self.matrix(translation).filter(|t| t.data.len() == 3);
+        let t = t.ok_or_else(|| self.missing(&format!("vector {translation} of 3 numbers")))?;
+        Ok(Some(Motion::new(orthonormalised(&turn), Vector3::from_row_slice(&t.data))))
+    }
+    fn model(&self, camera_matrix: &str, coefficients: &str) -> Result<OpenCvCamera> {
+        let k = self.matrix3(camera_matrix)?;
+        if k.m12.abs() > 1e-9 * k.m11.abs() {
+            let message = format!("{camera_matrix} has a skew of {}: the camera of this library has none", k.m12);
+            return Err(self.refusal(camera_matrix, message));
+        }
+        let mut d = [0.0; 14];
+        if let Some(found) = self.matrix(coefficients) {
+            if ![4, 5, 8, 12, 14].contains(&found.data.len()) {
+                let message =
+                    format!("{coefficients} has {} coefficients: OpenCV knows 4, 5, 8, 12 or 14", found.data.len());
+                return Err(self.refusal(coefficients, message));
+            }
+            d[..found.data.len()].copy_from_slice(&found.data);
+        }
+        Ok(OpenCvCamera { fx_px: k.m11, fy_px: k.m22, cx_px: k.m13, cy_px: k.m23, d })
+    }
+    fn size(&self, n: &str, options: &ImportOptions) -> Result<[usize; 2]> {
+        let numbers = &self.storage.numbers;
+        let of = |key: &str| {
+            numbers.get(&format!("{key}{n}")).or(numbers.get(key)).copied().filter(|x| *x >= 1.0).map(|x| x as usize)
+        };
+        match (of("image_width"), of("image_height"), options.image_size_px) {
+            (Some(w), Some(h), _) => Ok([w, h]),
+            (_, _, Some(given)) => Ok(given),
+            _ => Err(self.missing("image size (image_width, image_height); give it with --image-size WxH")),
+        }
+    }
 }
 
-fn size(file: &NamedText, s: &Storage, n: &str, options: &ImportOptions) -> Result<[usize; 2]> {
-    let of = |key: &str| {
-        s.numbers.get(&format!("{key}{n}")).or(s.numbers.get(key)).copied().filter(|x| *x >= 1.0).map(|x| x as usize)
-    };
-    match (of("image_width"), of("image_height"), options.image_size_px) {
-        (Some(w), Some(h), _) => Ok([w, h]),
-        (_, _, Some(given)) => Ok(given),
-        _ => Err(missing(file, "image size (image_width, image_height); give it with --image-size WxH")),
-    }
-}
-
-/// The cameras of one file.
+/// The cameras of one file, or of the two that OpenCV's stereo sample writes (intrinsics and extrinsics).
 pub(super) fn import(files: &[NamedText], options: &ImportOptions) -> Result<Found> {
-    let [file] = files else {
-        return Err(Invalid::Contradiction("OpenCV keeps all cameras in one file; give one".into()).into());
-    };
-    let s = storage::read(file)?;
-    let keys: Vec<[&str; 3]> = if s.matrices.contains_key("M1") {
-        [["M1", "D1", "1"], ["M2", "D2", "2"]].into_iter().filter(|k| s.matrices.contains_key(k[0])).collect()
-    } else if s.matrices.contains_key("camera_matrix") {
+    if files.len() > 2 {
+        let what = "OpenCV keeps all cameras in one file, or in two (intrinsics and extrinsics); give one or two";
+        return Err(Invalid::Contradiction(what.into()).into());
+    }
+    let s = Source::read(files)?;
+    let keys: Vec<[&str; 3]> = if s.matrix("M1").is_some() {
+        [["M1", "D1", "1"], ["M2", "D2", "2"]].into_iter().filter(|k| s.matrix(k[0]).is_some()).collect()
+    } else if s.matrix("camera_matrix").is_some() {
         vec![["camera_matrix", "distortion_coefficients", ""]]
     } else {
-        return Err(missing(file, "camera: expected the matrices M1, D1 (and M2, D2, R, T), or camera_matrix"));
+        return Err(s.missing("camera: expected the matrices M1, D1 (and M2, D2, R, T), or camera_matrix"));
     };
     let mut notes = Vec::new();
-    let sheet = pose(file, &s, "R_sheet", "T_sheet")?.unwrap_or_else(|| {
+    let known = s.pose("R_sheet", "T_sheet")?;
+    let has_sheet = known.is_some();
+    // Without a sheet, what OpenCV's polynomial needs fitted is fitted about a plane that faces the first camera.
+    let facing = || Motion::new(Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0)), Vector3::new(0.0, 0.0, 1000.0));
+    let plane = known.unwrap_or_else(facing);
+    if !has_sheet {
         notes.push(
-            "the file has no R_sheet, T_sheet: the sheet is set at 1000 mm in front of the first camera, facing it; find \
-             it with `spivcal sheet`"
-                .into(),
+            "R_sheet, T_sheet are missing, so the calibration has no laser sheet; find it with `spivcal sheet`".into(),
         );
-        Motion::new(Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0)), Vector3::new(0.0, 0.0, 1000.0))
-    });
+    }
     let mut cameras = Vec::new();
     for (i, [matrix, coefficients, n]) in keys.into_iter().enumerate() {
-        let opencv_from_sheet = if i == 0 {
-            sheet
+        let opencv_from_plane = if i == 0 {
+            plane
         } else {
-            let motion =
-                pose(file, &s, "R", "T")?.ok_or_else(|| missing(file, "matrix R (second camera from first)"))?;
-            Motion::<Cam, Cam>::new(motion.rotation, motion.translation_mm) * sheet
+            let what = "matrix R (second camera from first); where the motion is in a file of its own (extrinsics), give both files";
+            let motion = s.pose("R", "T")?.ok_or_else(|| s.missing(what))?;
+            Motion::<Cam, Cam>::new(motion.rotation, motion.translation_mm) * plane
         };
-        let image_size_px = size(file, &s, n, options)?;
+        let image_size_px = s.size(n, options)?;
         let (camera, cam_from_world, loss) =
-            model(file, &s, matrix, coefficients)?.to_scheimpflug(&opencv_from_sheet, image_size_px)?;
-        let name = s.words.get(&format!("name{n}")).cloned().unwrap_or_else(|| format!("camera{}", i + 1));
+            s.model(matrix, coefficients)?.to_scheimpflug(&opencv_from_plane, image_size_px)?;
+        let name = s.storage.words.get(&format!("name{n}")).cloned().unwrap_or_else(|| format!("camera{}", i + 1));
         let pixel_pitch_mm = options.pixel_pitch_mm;
         cameras.push(WorldCamera { name, image_size_px, pixel_pitch_mm, camera, cam_from_world, loss, points: None });
     }
-    Ok(Found { cameras, notes, program: "opencv" })
+    Ok(Found { cameras, has_sheet, notes, program: "opencv" })
 }

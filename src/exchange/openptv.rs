@@ -139,7 +139,7 @@ fn numbers(file: &NamedText, expected: usize, what: &str) -> Result<Vec<f64>> {
     }
     if out.len() < expected {
         let message = format!("{} numbers: expected {expected} ({what})", out.len());
-        return Err(Invalid::Syntax { file: file.name.clone(), line: 0, message }.into());
+        return Err(Invalid::File { path: file.name.clone(), message }.into());
     }
     Ok(out)
 }
@@ -200,5 +200,5 @@ pub(super) fn import(given: &[NamedText], options: &ImportOptions) -> Result<Fou
         "read without glass: if ptv.par has refractive indices other than 1, these cameras see something else"
             .to_string(),
     ];
-    Ok(Found { cameras, notes, program: "openptv" })
+    Ok(Found { cameras, has_sheet: true, notes, program: "openptv" })
 }

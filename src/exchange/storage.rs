@@ -96,6 +96,20 @@ pub(super) fn read(file: &NamedText) -> Result<Storage> {
     }
 }
 
+/// Line of a name in the text, from 1.
+pub(super) fn line_of(file: &NamedText, key: &str) -> Option<usize> {
+    let starts = |line: &str| {
+        let rest = line.trim_start().trim_start_matches('<').strip_prefix(key);
+        rest.is_some_and(|rest| rest.starts_with([':', ' ', '>']))
+    };
+    file.text.lines().position(starts).map(|line| line + 1)
+}
+
+/// What is wrong with what stands under a name.
+pub(super) fn refusal(file: &NamedText, key: &str, message: String) -> crate::Error {
+    fault(file, line_of(file, key).unwrap_or(1), message)
+}
+
 fn fault(file: &NamedText, line: usize, message: String) -> crate::Error {
     Invalid::Syntax { file: file.name.clone(), line, message }.into()
 }
@@ -134,9 +148,9 @@ fn read_yaml(file: &NamedText) -> Result<Storage> {
         _ => file.text.clone(),
     };
     let documents = YamlLoader::load_from_str(&text)
-        .map_err(|e| fault(file, e.marker().line(), format!("this is not YAML: {}", e.info())))?;
+        .map_err(|e| fault(file, e.marker().line().max(1), format!("this is not YAML: {}", e.info())))?;
     let Some(Yaml::Hash(nodes)) = documents.first() else {
-        return Err(fault(file, 0, "expected an OpenCV file storage: names with matrices".into()));
+        return Err(fault(file, 1, "expected an OpenCV file storage: names with matrices".into()));
     };
     let mut out = Storage::default();
     for (key, value) in nodes {
@@ -144,7 +158,7 @@ fn read_yaml(file: &NamedText) -> Result<Storage> {
         if let Some(data) = value["data"].as_vec() {
             let numbers = data.iter().map(|y| yaml_number(y).unwrap_or(f64::NAN)).collect();
             let found = matrix(yaml_number(&value["rows"]), yaml_number(&value["cols"]), numbers);
-            out.matrices.insert(key.into(), found.map_err(|m| fault(file, 0, format!("{key}: {m}")))?);
+            out.matrices.insert(key.into(), found.map_err(|m| refusal(file, key, format!("{key}: {m}")))?);
         } else if let Some(x) = yaml_number(value) {
             out.numbers.insert(key.into(), x);
         } else if let Some(word) = value.as_str() {

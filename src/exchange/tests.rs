@@ -30,7 +30,7 @@ fn world_camera(name: &str, intrinsics: Intrinsics, angle_deg: f64) -> WorldCame
 
 fn record_of(left: Intrinsics, right: Intrinsics) -> Record {
     let cameras = vec![world_camera("left", left, -45.0), world_camera("right, far", right, 45.0)];
-    imported::record(Found { cameras, notes: vec![], program: "test" }, &[]).unwrap().result
+    imported::record(Found { cameras, has_sheet: true, notes: vec![], program: "test" }, &[]).unwrap().result
 }
 
 fn texts(files: &[(String, Vec<u8>)]) -> Vec<NamedText> {
@@ -362,10 +362,12 @@ fn behind_windows() -> Record {
         c
     });
     let [aside, left] = cameras;
-    let mut record =
-        imported::record(Found { cameras: vec![left.clone(), aside.clone()], notes: vec![], program: "test" }, &[])
-            .unwrap()
-            .result;
+    let mut record = imported::record(
+        Found { cameras: vec![left.clone(), aside.clone()], has_sheet: true, notes: vec![], program: "test" },
+        &[],
+    )
+    .unwrap()
+    .result;
     for (c, from) in record.cameras.iter_mut().zip([left, aside]) {
         let w = from.camera.window().unwrap();
         let [distance_mm, thickness_mm, n_air, n_glass, n_water] = w.layers();
@@ -421,4 +423,46 @@ fn a_window_is_refitted_with_the_loss_stated_or_carried_within_the_map() {
         tables[0].text.contains("aside,window.distance,250,,mm")
             && tables[0].text.contains("left,window.n_glass,1.49,,1")
     );
+}
+
+/// What is read must be a calibration that can be read again; the message names the file.
+#[test]
+fn impossible_calibrations_are_refused_on_import() {
+    let file = |name: &str, text: &str| NamedText { name: name.into(), text: text.into() };
+    let refused = |files: &[NamedText], format, words: &[&str]| {
+        let message = import(files, format, &OPTIONS).unwrap_err().to_string();
+        assert!(words.iter().all(|w| message.contains(w)) && !message.contains(":0:"), "{message}");
+    };
+    let ori = "0 0 100\n0 0 0\n\n1 0 0\n0 1 0\n0 0 1\n\n0 0\n10\n\n0 0 50\n";
+    refused(
+        &[file("a/cam.ori", ori), file("b/cam.ori", ori)],
+        ImportFormat::OpenPtv,
+        &["a/cam.ori, b/cam.ori: ", "two cameras are called \"cam\""],
+    );
+    let uvmat = |t: &str| {
+        format!(
+            "<A><GeometryCalib><CoordUnit>mm</CoordUnit><fx_fy>1000 1000</fx_fy><Cx_Cy>500 400</Cx_Cy><Tx_Ty_Tz>{t}</Tx_Ty_Tz>\
+             <R>1 0 0</R><R>0 -1 0</R><R>0 0 -1</R></GeometryCalib></A>"
+        )
+    };
+    let ours = uvmat("0 0 400");
+    assert!(import(&[file("a.xml", &ours)], ImportFormat::Uvmat, &OPTIONS).is_ok());
+    refused(&[file("a/c.xml", &ours), file("b/c.xml", &ours)], ImportFormat::Uvmat, &["b/c.xml", "called \"c\""]);
+    refused(
+        &[file("a.xml", &uvmat("0 0 0"))],
+        ImportFormat::Uvmat,
+        &["a.xml: ", "sheet.distance_mm", "correct the file"],
+    );
+    let plain = DAVIS.replace("K1", "0").replace("P1", "0");
+    let mapper = &plain[plain.find("<CoordinateMapper").unwrap()..plain.find("</Calibration>").unwrap()];
+    let twice = plain.replace("</Calibration>", &format!("{mapper}</Calibration>"));
+    refused(&[file("C.xml", &twice)], ImportFormat::DaVis, &["C.xml: ", "two cameras are called \"camera1\""]);
+    for width in ["-5", "0"] {
+        let text = plain.replace("Width=\"1024\"", &format!("Width=\"{width}\""));
+        refused(&[file("C.xml", &text)], ImportFormat::DaVis, &["C.xml:3: ", "expected numbers above 0"]);
+    }
+    let record = record_of(lens(6.34, 0.0), lens(-6.34, 0.0));
+    let mut text = texts(&export(&record, ExportFormat::OpenCv).unwrap().result).remove(0);
+    text.text = text.text.replace("right, far", "left");
+    refused(&[text], ImportFormat::OpenCv, &["opencv.yml: ", "two cameras are called \"left\""]);
 }

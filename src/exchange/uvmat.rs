@@ -35,7 +35,7 @@ pub(super) fn import(files: &[NamedText], options: &ImportOptions) -> Result<Fou
         }
         cameras.push(camera);
     }
-    Ok(Found { cameras, notes, program: "uvmat" })
+    Ok(Found { cameras, has_sheet: true, notes, program: "uvmat" })
 }
 
 /// Numbers of an element, or of several elements of that name (rows of a matrix).

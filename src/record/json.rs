@@ -36,10 +36,12 @@ impl Record {
     /// # Errors
     /// [`Error::Bug`] with the path of the first impossible value: a record that the library made must pass.
     pub fn check(&self) -> Result<()> {
-        match check::first_fault(self) {
-            None => Ok(()),
-            Some(fault) => Err(Error::Bug(format!("calibration record, {}: {}", fault.path, fault.message))),
-        }
+        self.impossible().map_or(Ok(()), |what| Err(Error::Bug(format!("calibration record, {what}"))))
+    }
+
+    /// Path and words of the first value that [`Record::check`] refuses.
+    pub(crate) fn impossible(&self) -> Option<String> {
+        check::first_fault(self).map(|fault| format!("{}: {}", fault.path, fault.message))
     }
 
     /// The record in the text of a `calibration.json`; `file` is only named in messages.
