@@ -13,6 +13,7 @@
 //! * **Sigma and how it is known.** [`Parameter::known`] says whether a number was free, fixed or held by a prior, and
 //!   [`Parameter::prior_share`] how much of what is known comes from the prior (1: the images say nothing).
 
+mod agreement;
 mod check;
 mod diagnosis;
 mod geometry;

@@ -16,9 +16,9 @@ pub(super) struct Fault {
     pub(super) message: String,
 }
 
-type Check = std::result::Result<(), Fault>;
+pub(super) type Check = std::result::Result<(), Fault>;
 
-fn fault(path: impl Into<String>, message: impl Into<String>) -> Check {
+pub(super) fn fault(path: impl Into<String>, message: impl Into<String>) -> Check {
     Err(Fault { path: path.into(), message: message.into() })
 }
 
@@ -57,6 +57,7 @@ fn check_record(r: &Record) -> Check {
     if let Some(mapping) = &r.mapping_uncertainty {
         check_mapping(mapping)?;
     }
+    super::agreement::check(r)?;
     check_covariance(&r.covariance)
 }
 

@@ -142,7 +142,7 @@ fn angles_deg(rotation: &Matrix3<f64>) -> [f64; 3] {
     [(-r[(1, 2)]).atan2(r[(2, 2)]), r[(0, 2)].asin(), (-r[(0, 1)]).atan2(r[(0, 0)])].map(f64::to_degrees)
 }
 
-fn sheet() -> Sheet {
+fn sheet(second_centre: &Vector3<f64>) -> Sheet {
     let pose = rig_from_sheet();
     let n = -pose.rotation.column(2).into_owned();
     let d = n.dot(&pose.translation_mm);
@@ -154,7 +154,7 @@ fn sheet() -> Sheet {
         abc_per_mm: list(abc),
         angles_deg: angles_deg(&pose.rotation),
         angles_convention: ANGLES_CONVENTION.into(),
-        angle_to_baseline_deg: 0.6204,
+        angle_to_baseline_deg: n.dot(&second_centre.normalize()).abs().asin().to_degrees(),
         sigma: sheet_sigma(1.0),
         rig_from_sheet: Pose::from(&pose),
         method: "joint".into(),
@@ -292,10 +292,10 @@ pub fn record() -> Record {
         cameras: vec![camera(&left, 7310, 0.0241), camera(&right, 7336, 0.0293)],
         rig: Some(Rig {
             baseline_mm: centre.norm(),
-            axes_angle_deg: 90.0,
+            axes_angle_deg: right.cam_from_rig.rotation.m33.acos().to_degrees(),
             sigma: RigSigma { baseline_mm: 0.57, axes_angle_deg: 0.021 },
         }),
-        sheet: Some(sheet()),
+        sheet: Some(sheet(&centre)),
         target: Target {
             kind: "two-discs".into(),
             radii_mm: vec![12.504_31, 9.998_12],
