@@ -18,11 +18,11 @@ mod show;
 mod simulate;
 mod threads;
 
-use crate::Error;
+use crate::error::{Error, Invalid};
 use arguments::{Arguments, Command};
 use clap::Parser;
 use std::ffi::OsString;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
 
@@ -54,11 +54,13 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     });
     match result {
         Ok(done) => report(&arguments, &done),
-        Err(e) => {
-            print_to(&mut std::io::stderr(), &format!("error: {e}\n"));
-            ExitCode::from(e.exit_code())
-        }
+        Err(e) => fail(&e),
     }
+}
+
+fn fail(error: &Error) -> ExitCode {
+    let _ = print_to(&mut std::io::stderr(), &format!("error: {error}\n"));
+    ExitCode::from(error.exit_code())
 }
 
 fn dispatch(arguments: &Arguments) -> crate::Result<Done> {
@@ -77,19 +79,27 @@ fn dispatch(arguments: &Arguments) -> crate::Result<Done> {
 }
 
 fn report(arguments: &Arguments, done: &Done) -> ExitCode {
-    if arguments.json {
-        print_to(&mut std::io::stdout(), &format!("{:#}\n", done.json));
+    let told = if arguments.json {
+        print_to(&mut std::io::stdout(), &format!("{:#}\n", done.json))
     } else if !arguments.quiet || arguments.command.answers_on_stdout() {
-        print_to(&mut std::io::stdout(), &done.text);
+        print_to(&mut std::io::stdout(), &done.text)
+    } else {
+        Ok(())
+    };
+    if let Err(e) = told {
+        let what = Invalid::File { path: "standard output".into(), message: format!("cannot be written: {e}") };
+        return fail(&what.into());
     }
     for flag in &done.flags {
-        print_to(&mut std::io::stderr(), &format!("warning: {flag}\n"));
+        let _ = print_to(&mut std::io::stderr(), &format!("warning: {flag}\n"));
     }
     ExitCode::from(u8::from(!done.flags.is_empty()))
 }
 
 /// Writes to a stream; a reader that has gone away (`| head`) is no error.
-fn print_to(stream: &mut dyn Write, text: &str) {
-    let _ = stream.write_all(text.as_bytes());
-    let _ = stream.flush();
+fn print_to(stream: &mut dyn Write, text: &str) -> std::io::Result<()> {
+    match stream.write_all(text.as_bytes()).and_then(|()| stream.flush()) {
+        Err(e) if e.kind() == ErrorKind::BrokenPipe => Ok(()),
+        other => other,
+    }
 }

@@ -121,6 +121,46 @@ fn missing_image() {
     job.refused(2, &["v03_right.png", "no such file", "folder of the images"]);
 }
 
+/// Commands that have no --images do not speak of it.
+#[test]
+fn missing_image_on_the_command_line() {
+    let job = Job::new();
+    let image = job.path("none.png");
+    let found = spivcal(&["detect", image.to_str().unwrap(), "-o", job.out().to_str().unwrap()]);
+    refused(&found, 2, &["none.png", "no such file"]);
+    assert!(!String::from_utf8_lossy(&found.stderr).contains("--images"));
+}
+
+/// An answer that nobody could get is no success.
+#[cfg(target_os = "linux")]
+#[test]
+fn an_answer_that_cannot_be_written() {
+    let truth = example("printed").join("truth.json");
+    for more in [&[][..], &["--json"]] {
+        let mut program = std::process::Command::new(env!("CARGO_BIN_EXE_spivcal"));
+        program.args(["show", truth.to_str().unwrap()]).args(more);
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let output = program.stdout(full).output().unwrap();
+        refused(&output, 2, &["standard output", "cannot be written"]);
+    }
+}
+
+#[test]
+fn only_the_first_page_is_read_and_said_so() {
+    let job = Job::new();
+    let image = load_image(&job.path("v01_left.png")).unwrap();
+    let mut file = std::fs::File::create(job.path("pages.tif")).unwrap();
+    let mut encoder = tiff::encoder::TiffEncoder::new(&mut file).unwrap();
+    for _ in 0..2 {
+        let size = [image.width() as u32, image.height() as u32];
+        encoder.write_image::<tiff::encoder::colortype::Gray8>(size[0], size[1], samples(&image)).unwrap();
+    }
+    let path = job.path("pages.tif");
+    let found = spivcal(&["detect", path.to_str().unwrap(), "-o", job.out().to_str().unwrap()]);
+    let said = String::from_utf8_lossy(&found.stderr);
+    assert!(found.status.code() == Some(0) && said.contains("pages.tif: it has several pages"), "{said}");
+}
+
 #[test]
 fn missing_rig_file() {
     let job = Job::new();
