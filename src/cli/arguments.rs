@@ -154,7 +154,7 @@ pub(super) struct Dewarp {
     /// Folder for the results, made where it is missing
     #[arg(short, long, value_name = "DIR")]
     pub(super) output: PathBuf,
-    /// Camera of all these images [default: the one whose name is in the file's name]
+    /// Camera of all these images [default: the one whose name is a word of the file's name]
     #[arg(long, value_name = "NAME")]
     pub(super) camera: Option<String>,
     /// Interpolation between pixels

@@ -128,11 +128,31 @@ pub(super) fn load_sized(path: &Path, record: &Record, camera: usize) -> Result<
     Ok(image)
 }
 
-/// Cameras whose names are in the name of a file.
+/// Cameras whose names are whole words in the name of a file; punctuation and capitals do not matter.
 pub(super) fn named_in(path: &Path, names: &[&str]) -> Vec<usize> {
-    let plain = |s: &str| s.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_lowercase();
-    let file = plain(&stem(path));
-    (0..names.len()).filter(|c| file.contains(&plain(names[*c]))).collect()
+    let file = stem(path);
+    (0..names.len()).filter(|c| has_words(&file, names[*c])).collect()
+}
+
+fn has_words(text: &str, wanted: &str) -> bool {
+    let small = |c: char| c.to_lowercase().next().unwrap_or(c);
+    let wanted: Vec<char> = wanted.chars().filter(|c| c.is_alphanumeric()).map(small).collect();
+    let (mut letters, mut begins, mut last) = (vec![], vec![], ' ');
+    for c in text.chars() {
+        if c.is_alphanumeric() {
+            begins.push(!last.is_alphanumeric() || begins_word(last, c));
+            letters.push(small(c));
+        }
+        last = c;
+    }
+    begins.push(true);
+    let mut parts = letters.windows(wanted.len().max(1)).enumerate();
+    parts.any(|(at, part)| part == wanted && begins[at] && begins[at + wanted.len()])
+}
+
+/// Whether a word begins between two letters or digits: `v01left`, `imageLeft`.
+fn begins_word(last: char, next: char) -> bool {
+    last.is_numeric() != next.is_numeric() || (last.is_lowercase() && next.is_uppercase())
 }
 
 /// The camera of an image: the one that is named, or the one whose name is in the file's name.
@@ -153,5 +173,24 @@ fn camera_of(path: &Path, named: Option<&str>, record: &Record) -> Result<usize>
                 names.join("\", \"")
             ),
         )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_is_named_by_whole_words() {
+        let named = |file: &str| named_in(Path::new(file), &["left", "right"]);
+        for file in ["a/v01_left.png", "left01.tif", "001left.png", "ImgLeft.tif", "LEFT-3.tif"] {
+            assert_eq!(named(file), [0], "{file}");
+        }
+        for file in ["p01_upright_A.png", "leftover.png", "a/right/01.png", "x.png"] {
+            assert_eq!(named(file), [0; 0], "{file}");
+        }
+        assert_eq!(named("left_right.png"), [0, 1]);
+        let named = |file: &str| named_in(Path::new(file), &["cam-1", "cam-10"]);
+        assert_eq!((named("cam_1_03.tif"), named("cam10_03.tif"), named("Cam1.tif")), (vec![0], vec![1], vec![0]));
     }
 }
