@@ -353,7 +353,12 @@ fn the_program_reads_writes_and_refuses() {
     refused(&row, &right, &[], 2, "at least two rows and two columns");
     refused(&left, &right.replace("x_px,y_px,dx_px,dy_px", "x_mm,y_mm,dx_mm,dy_mm"), &[], 2, "export both alike");
     refused(&left.replace("\n8,6,", "\n8,six,"), &right, &[], 2, "\"six\" is not a number");
-    refused(&left, &right, &["--unit", "mm"], 2, "check the unit");
+    refused(&left, &right, &["--unit", "mm"], 2, "its header says px, but --unit says mm");
+    let mm = |field: &str| field.replace("x_px,y_px,dx_px,dy_px", "x_mm,y_mm,dx_mm,dy_mm");
+    refused(&mm(&left), &mm(&right), &["--unit", "px"], 2, "its header says mm, but --unit says px");
+    let sigmas = |name: &str| left.replacen("dy_px", &format!("dy_px,{name}"), 1);
+    refused(&sigmas("sigma_dx_px"), &right, &[], 2, "without sigma_dy_px");
+    refused(&sigmas("sigma_dx_mm,sigma_dy_mm"), &right, &[], 2, "expected sigma_dx_px, sigma_dy_px");
     refused(&left, &right, &["--unit", "dewarped"], 2, "--dewarped dewarp.json");
     refused(&left, &right, &["--sigma", "-1"], 2, "a positive number");
     refused("", &right, &[], 2, "empty");

@@ -10,7 +10,7 @@ use super::threads;
 use crate::dewarp::SheetMap;
 use crate::error::{Invalid, Result};
 use crate::reconstruct::{
-    FieldTable, FieldUnit, Options, PlanarField, VectorField, parse_field, perturbed_maps, reconstruct,
+    FieldFormat, FieldTable, FieldUnit, Options, PlanarField, VectorField, parse_field, perturbed_maps, reconstruct,
 };
 use crate::record::Record;
 use crate::report::{VectorPicture, vectors_svg};
@@ -128,8 +128,29 @@ fn picture<'a>(found: &'a VectorField, flagged: &'a [bool], first: &'a str, titl
     }
 }
 
-/// Unit of both fields: that of the option, else that of the files.
+/// Unit of both fields, which no option and no header may contradict.
 fn unit(command: &Reconstruct, tables: &[FieldTable; 2]) -> Result<FieldUnit> {
+    let unit = stated_unit(command, tables)?;
+    let mm = |u: FieldUnit| u == FieldUnit::Millimetres;
+    // OpenPIV's header is the same for fields in mm.
+    let named = |t: &&FieldTable| t.format != FieldFormat::OpenPiv && t.unit.is_some_and(|u| mm(u) != mm(unit));
+    if let Some(table) = tables.iter().find(named) {
+        let [there, said] = if mm(unit) { ["px", "mm"] } else { ["mm", "px"] };
+        let what =
+            format!("its header says {there}, but --unit says {said}; leave --unit out, or name the field in {said}");
+        return Err(fault(Path::new(&table.file), what));
+    }
+    match &command.dewarped {
+        Some(path) if unit != FieldUnit::DewarpedPixels => {
+            let what = "--dewarped is for fields in pixels of dewarped images, and these are not; leave it out, or say --unit dewarped";
+            Err(fault(path, what))
+        }
+        _ => Ok(unit),
+    }
+}
+
+/// Unit of the option, else that of the files.
+fn stated_unit(command: &Reconstruct, tables: &[FieldTable; 2]) -> Result<FieldUnit> {
     if let Some(word) = command.unit {
         return Ok(word.into());
     }

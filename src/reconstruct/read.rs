@@ -183,12 +183,35 @@ fn header(
     for (columns, unit) in known {
         if let Some(at) = four(columns) {
             // Named after the displacement, with its unit.
-            let sigma = [2, 3].map(|k| find(&format!("sigma_{}", columns[k])));
-            let sigma = if let [Some(x), Some(y)] = sigma { Some([x, y]) } else { None };
+            let sigma = sigma_columns(names, [columns[2], columns[3]]).map_err(|what| fault(file, line, what))?;
             return Ok((FieldFormat::Csv, unit, Columns { at, sigma, wanted: bad }));
         }
     }
     Err(fault(file, line, format!("columns \"{}\": {expected}", names.join(", "))))
+}
+
+/// Columns of the standard deviations of two displacements; none is left unread.
+fn sigma_columns(names: &[String], displacements: [&str; 2]) -> std::result::Result<Option<[usize; 2]>, String> {
+    let wanted = displacements.map(|d| format!("sigma_{d}"));
+    let known = |name: &&String| {
+        let rest = name.strip_prefix("sigma_").map(|r| r.trim_end_matches("_px").trim_end_matches("_mm"));
+        matches!(rest, Some("dx" | "dy" | "u" | "v"))
+    };
+    if let Some(other) = names.iter().filter(known).find(|n| !wanted.contains(n)) {
+        let message = format!(
+            "column {other}: the displacements are {}, so it would not be used; expected",
+            displacements.join(", ")
+        );
+        return Err(format!("{message} {}", wanted.join(", ")));
+    }
+    match wanted.each_ref().map(|w| names.iter().position(|n| n == w)) {
+        [Some(x), Some(y)] => Ok(Some([x, y])),
+        [None, None] => Ok(None),
+        [found, _] => {
+            let (there, missing) = if found.is_some() { (0, 1) } else { (1, 0) };
+            Err(format!("column {} without {}: give both, or neither", wanted[there], wanted[missing]))
+        }
+    }
 }
 
 impl FieldTable {
@@ -299,6 +322,18 @@ mod tests {
             assert_eq!(f.unit, Some(FieldUnit::Millimetres));
         }
         assert_eq!(parse_field("x,y,u,v\n1,2,3,4\n", "a").unwrap().unit, None);
+    }
+
+    #[test]
+    fn no_sigma_is_left_unread() {
+        let with = |columns: &str| message(&format!("x_px,y_px,dx_px,dy_px,{columns}\n1,2,3,4,0.1,0.1\n"));
+        assert!(with("sigma_dx_px,w").contains("f.txt:1: column sigma_dx_px without sigma_dy_px"));
+        assert!(with("a,sigma_dy_px").contains("column sigma_dy_px without sigma_dx_px"));
+        let told = with("sigma_dx_mm,sigma_dy_mm");
+        assert!(told.contains("column sigma_dx_mm") && told.contains("expected sigma_dx_px, sigma_dy_px"), "{told}");
+        let read = |head: &str| parse_field(&format!("{head}\n1,2,3,4,0.1,0.2\n"), "a").unwrap().sigma;
+        assert_eq!(read("x,y,u,v,sigma_v,sigma_u"), Some([vec![0.2], vec![0.1]]));
+        assert_eq!(read("x,y,dx,dy,sigma_w,correlation"), None);
     }
 
     #[test]
