@@ -73,7 +73,7 @@ fn the_page_is_well_formed_complete_and_loads_nothing() {
         "Tilt alpha of the right camera is known only from its prior.",
         "8889 ± 22",
         "6.34° ± 0.11°",
-        "0.620° ± 0.031°",
+        "0.000° ± 0.031°",
         "the paper's homography",
         "rotations about the rig's x, y, z axes",
         "residual above 5 sigmas",
