@@ -179,6 +179,19 @@ fn a_contradiction_is_not_called_usable() {
     assert!(!report::text(&record).starts_with("DO NOT USE"));
 }
 
+/// A sheet on which the cameras see its own target apart is not where that target stood.
+#[test]
+fn a_sheet_that_is_elsewhere_is_not_called_good() {
+    let mut record = scene::record();
+    record.sheet.as_mut().unwrap().disparity_rms_px = Some(74.9);
+    let v = report::verdict(&record);
+    assert!(v.level == Level::Bad && v.headline.contains("75 px (rms) apart on it"), "{v:?}");
+    assert!(v.next.iter().any(|w| w.contains("in every view marked sheet = true")), "{v:?}");
+    // Residuals of pixels let expect as much.
+    record.fit.rms_px = 8.0;
+    assert!(!report::text(&record).starts_with("DO NOT USE"));
+}
+
 #[test]
 fn the_verdict_follows_the_record() {
     let mut good = scene::record();

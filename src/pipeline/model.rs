@@ -82,11 +82,11 @@ fn label_step(target: &Target) -> f64 {
 fn place(job: &RigDescription, view: &ViewDescription) -> ViewPlace {
     let common = if let Scale::Traverse { sigma_mm } = job.scale { sigma_mm } else { None };
     match view.plane_z_mm {
-        None if !view.sheet => ViewPlace::Free,
-        None => ViewPlace::InPlane { z_mm: 0.0, known: PlanePosition::Exact },
+        _ if view.sheet => ViewPlace::InPlane { z_mm: 0.0, known: PlanePosition::Exact },
+        None => ViewPlace::Free,
         Some(PlaneZ::Unknown) => ViewPlace::InPlane { z_mm: 0.0, known: PlanePosition::Unknown },
         Some(PlaneZ::Known { z_mm, sigma_mm }) => {
-            let sigma_mm = sigma_mm.or(common).filter(|_| !view.sheet);
+            let sigma_mm = sigma_mm.or(common);
             let known = sigma_mm.map_or(PlanePosition::Exact, |sigma_mm| PlanePosition::About { sigma_mm });
             ViewPlace::InPlane { z_mm, known }
         }

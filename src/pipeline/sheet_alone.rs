@@ -172,15 +172,7 @@ fn sheet_views_alone(job: &RigDescription) -> Result<RigDescription> {
         ));
     }
     let mut out = job.clone();
-    for (i, view) in out.views.iter_mut().enumerate() {
-        if view.sheet && view.plane_z_mm.is_some_and(|z| z.value_mm() != Some(0.0)) {
-            return Err(mismatch(
-                job,
-                format!(
-                    "view {i} has sheet = true and a plane_z_mm other than 0: a target in the sheet is at 0; remove one of them"
-                ),
-            ));
-        }
+    for view in &mut out.views {
         if !view.sheet || view.images.iter().any(Option::is_none) {
             view.images.iter_mut().for_each(|i| *i = None);
         }

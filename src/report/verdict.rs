@@ -69,7 +69,7 @@ fn imported(r: &Record) -> bool {
 
 fn level(r: &Record) -> Level {
     let f = &r.fit;
-    if !f.converged || !f.rms_px.is_finite() || contradicted(r) {
+    if !f.converged || !f.rms_px.is_finite() || contradicted(r) || sheet_elsewhere(r).is_some() {
         Level::Bad
     } else if imported(r) || f.nullity > 0 || !f.undetermined.is_empty() || !f.flags.is_empty() || misfit(r) > MISFIT {
         Level::Care
@@ -80,6 +80,12 @@ fn level(r: &Record) -> Level {
 
 fn headline(r: &Record, level: Level) -> String {
     let f = &r.fit;
+    if let Some(apart_px) = sheet_elsewhere(r).filter(|_| f.converged && !contradicted(r)) {
+        return format!(
+            "Do not use this calibration: the cameras see the target that stood in the sheet {} px (rms) apart on it, so the sheet is not there.",
+            plain(apart_px, 2)
+        );
+    }
     match level {
         Level::Bad if f.converged && contradicted(r) => format!(
             "Do not use this calibration: its images contradict each other by {} px (rms), where a few hundredths are usual.",
@@ -109,6 +115,13 @@ fn headline(r: &Record, level: Level) -> String {
 /// Whether the residuals are no noise of any image that shows discs.
 fn contradicted(r: &Record) -> bool {
     r.fit.rms_px > CONTRADICTED_PX && r.fit.sigma_scale.max(misfit(r)) > CONTRADICTED_SIGMAS
+}
+
+/// How far apart the cameras see the sheet's target on the sheet, px, where neither residuals nor standard deviations explain it.
+fn sheet_elsewhere(r: &Record) -> Option<f64> {
+    let apart_px = r.sheet.as_ref()?.disparity_rms_px?;
+    let sigma_px = r.mapping_uncertainty.as_ref().map_or(0.0, |m| m.largest.disparity_px);
+    (apart_px > CONTRADICTED_PX.max(CONTRADICTED_SIGMAS * r.fit.rms_px.max(sigma_px))).then_some(apart_px)
 }
 
 /// Root mean square of the residuals in units of the noise that they were given; 1 where it cannot be told.
@@ -261,6 +274,12 @@ fn next_steps(r: &Record) -> Vec<String> {
         out.push(
             "Check that the right images stand beside the right cameras, and that the nominal values in the rig file are \
              near the truth; then run again."
+                .into(),
+        );
+    }
+    if sheet_elsewhere(r).is_some() {
+        out.push(
+            "Check that the target lay in the light in every view marked sheet = true, and did not move between the two cameras' images."
                 .into(),
         );
     }

@@ -41,7 +41,7 @@ right = "v1_right.png"
 [[view]]
 right = "v2_right.png"
 sheet = true
-plane_z_mm = -3
+plane_z_mm = 0
 "#;
 
 const BUBBLES: &str = r#"[[camera]]
@@ -60,7 +60,7 @@ plane_z_mm = 0.0
 left = "c.png"
 right = "d.png"
 plane_z_mm = 2.0
-sheet = true
+sheet = false
 "#;
 
 const GRID: &str = r#"[[camera]]
@@ -132,7 +132,7 @@ fn everything_is_read() {
     assert_eq!((job.solve.observations, job.solve.loss), (Observations::Bitangent, Loss::Cauchy));
     assert_eq!(job.views[0].images, [Some("v1_left.png".to_string()), Some("v1_right.png".to_string())]);
     let second = &job.views[1];
-    let at = Some(PlaneZ::Known { z_mm: -3.0, sigma_mm: None });
+    let at = Some(PlaneZ::Known { z_mm: 0.0, sigma_mm: None });
     assert_eq!((second.images[0].as_deref(), second.sheet, second.plane_z_mm), (None, true, at));
     assert_eq!(second.line, 35);
     assert!(job.has_sheet() && job.camera_index("right") == Some(1) && job.text == FULL);
@@ -176,7 +176,7 @@ fn every_metric_fact_is_read() {
     assert_eq!(fact("plane_z_mm = { sigma = 0.02 }"), Scale::Traverse { sigma_mm: Some(0.02) });
     let bare = BUBBLES.replace("[scale]\nbaseline_mm = 707\n", "");
     assert_eq!(parse(&bare).scale, Scale::Traverse { sigma_mm: None });
-    let place = |to: &str| parse(&BUBBLES.replace("plane_z_mm = 2.0\nsheet = true", to)).views[1].plane_z_mm;
+    let place = |to: &str| parse(&BUBBLES.replace("plane_z_mm = 2.0\nsheet = false", to)).views[1].plane_z_mm;
     let about = PlaneZ::Known { z_mm: 2.0, sigma_mm: Some(0.01) };
     assert_eq!(place("plane_z_mm = { value = 2.0, sigma = 0.01 }"), Some(about));
     assert_eq!(place("plane_z_mm = \"unknown\""), Some(PlaneZ::Unknown));
@@ -281,7 +281,7 @@ fn numbers_without_meaning_are_refused() {
             refused(FULL, from, &format!("{bad}{tail}"), line, &["expected"]);
         }
     }
-    refused(FULL, "plane_z_mm = -3", "plane_z_mm = nan", 38, &["finite", "nan"]);
+    refused(FULL, "plane_z_mm = 0", "plane_z_mm = nan", 38, &["finite", "nan"]);
     refused(FULL, "0.00625", "6.25", 4, &["6.25 micrometres are 0.00625"]);
     refused(FULL, "0.00625", "-0.00625", 4, &["-0.00625"]);
     refused(FULL, "sigma = 90", "sigma = 0", 7, &["above 0"]);
@@ -343,16 +343,20 @@ fn contradictions_about_the_scale_are_refused() {
     refused(&bare, "plane_z_mm = 2.0", "", 5, &["nothing sets the scale"]);
     let steps = BUBBLES.replace("baseline_mm = 707", "plane_z_mm = true");
     refused(&steps, "plane_z_mm = 2.0", "plane_z_mm = 0.0", 8, &["two views"]);
-    refused(&steps, "plane_z_mm = 2.0\nsheet = true", "plane_z_mm = \"unknown\"", 8, &["two views"]);
+    refused(&steps, "plane_z_mm = 2.0\nsheet = false", "plane_z_mm = \"unknown\"", 8, &["two views"]);
     let unknown = BUBBLES.replace("plane_z_mm = 0.0", "");
     refused(
         &unknown,
-        "plane_z_mm = 2.0\nsheet = true",
+        "plane_z_mm = 2.0\nsheet = false",
         "plane_z_mm = \"unknown\"",
         13,
         &["counts from", "sheet = true"],
     );
-    refused(BUBBLES, "plane_z_mm = 2.0", "plane_z_mm = { value = 2.0, sigma = 0.1 }", 16, &["exactly"]);
+    let at_zero = ["[[view]] 1 plane_z_mm", "in the laser sheet, exactly at plane_z_mm = 0", "remove sheet = true"];
+    for elsewhere in ["2.0", "\"unknown\"", "{ value = 2.0 }", "{ value = 0.0, sigma = 0.1 }"] {
+        let place = format!("sheet = true\nplane_z_mm = {elsewhere}");
+        refused(BUBBLES, "plane_z_mm = 2.0\nsheet = false", &place, 17, &at_zero);
+    }
     refused(BUBBLES, "baseline_mm = 707", "spacing_mm = { view = 2, value = 26 }", 8, &["from 0 to 1"]);
     refused(BUBBLES, "baseline_mm = 707", "spacing_mm = { view = -1, value = 26 }", 8, &["from 0 to 1"]);
     refused(BUBBLES, "baseline_mm = 707", "spacing_mm = 26", 8, &["view = ..."]);

@@ -72,23 +72,23 @@ fn read(section: &Section<'_>, item: &Item<'_>, cameras: &[CameraDescription]) -
 }
 
 fn plane_z(item: &Item<'_>, sheet: bool) -> Result<PlaneZ> {
-    let exact =
-        "in a view with sheet = true the target is in the sheet exactly; remove sheet = true, or give a number alone";
-    if item.is_text() {
-        item.choice(&[("unknown", ())])?;
-        return if sheet { Err(item.refuse(exact)) } else { Ok(PlaneZ::Unknown) };
+    let place = if item.is_text() {
+        item.choice(&[("unknown", PlaneZ::Unknown)])?
+    } else if item.is_table() {
+        let section = item.section("a table")?;
+        section.only(&["value", "sigma"], |_| None)?;
+        let z_mm = section.require("value", "expected a position in mm")?.number(FINITE)?;
+        PlaneZ::Known { z_mm, sigma_mm: section.number("sigma", SIGMA)? }
+    } else {
+        PlaneZ::Known { z_mm: item.number(FINITE)?, sigma_mm: None }
+    };
+    if sheet && place != (PlaneZ::Known { z_mm: 0.0, sigma_mm: None }) {
+        return Err(item.refuse(
+            "in a view with sheet = true the target is in the laser sheet, exactly at plane_z_mm = 0; count positions along a traverse \
+             from the sheet, or remove sheet = true",
+        ));
     }
-    if !item.is_table() {
-        return Ok(PlaneZ::Known { z_mm: item.number(FINITE)?, sigma_mm: None });
-    }
-    let section = item.section("a table")?;
-    section.only(&["value", "sigma"], |_| None)?;
-    let z_mm = section.require("value", "expected a position in mm")?.number(FINITE)?;
-    let sigma_mm = section.number("sigma", SIGMA)?;
-    if sheet && sigma_mm.is_some() {
-        return Err(item.refuse(exact));
-    }
-    Ok(PlaneZ::Known { z_mm, sigma_mm })
+    Ok(place)
 }
 
 /// In a view an unknown key is most often a camera that is not described.
