@@ -5,8 +5,8 @@
 
 mod rig_scene;
 
-use rig_scene::{Noise, Scene};
-use spivcal::bundle::{AdjustOptions, Iteration, named_covariance};
+use rig_scene::{Grid, Noise, Scene, tilted_camera};
+use spivcal::bundle::{AdjustOptions, Fact, Iteration, State, named_covariance};
 use spivcal::camera::{Camera, Intrinsics};
 use spivcal::error::{Error, Unusable};
 use spivcal::rig::calibrate_rig;
@@ -74,5 +74,44 @@ fn whoever_stops_the_work_does_not_wait_for_its_end() {
         let stopped = calibrate_rig(&problem, &AdjustOptions::default(), &mut observe);
         assert!(matches!(stopped, Err(Error::Unusable(Unusable::Cancelled))), "after {after}");
         assert!(later <= most, "{later} more iterations after {after}");
+    }
+}
+
+/// A radius is as good a length as the spacing: of either disc of a pair, of both, of a grid's dots; exact or with a sigma.
+#[test]
+fn a_known_radius_sets_the_scale() {
+    let cameras = || [[0.1, 0.02], [-0.12, 0.01]].map(|[b, a]| tilted_camera(b, a)).to_vec();
+    let pair = Scene::with_cameras(3, cameras(), false, true, false).with_noise(3);
+    let grid = Grid { columns: 5, rows: 4, pitch_mm: 4.0, radius_mm: 1.2, print_error_mm: 0.0, turn: 1.0 };
+    let dots = Scene::with_grid(3, cameras(), grid, false).with_noise(3);
+    for (scene, radii, sigma_mm) in [
+        (&pair, &[1][..], None),
+        (&pair, &[2], None),
+        (&pair, &[1, 2], None),
+        (&pair, &[1], Some(1e-4)),
+        (&pair, &[2], Some(1e-4)),
+        (&dots, &[1], None),
+        (&dots, &[1], Some(1e-4)),
+    ] {
+        let mut problem = scene.problem();
+        problem.model.target.free[0] = true;
+        problem.shape_mm[0] = None;
+        for &parameter in radii {
+            let value_mm = scene.truth.shape_mm[parameter];
+            problem.shape_mm[parameter] = Some(value_mm);
+            match sigma_mm {
+                None => problem.model.target.free[parameter] = false,
+                Some(sigma_mm) => problem.model.facts.push(Fact::Shape { parameter, view: None, value_mm, sigma_mm }),
+            }
+        }
+        let solution = calibrate_rig(&problem, &AdjustOptions { rounds: 0, ..Default::default() }, &mut |_| true);
+        let found = solution.unwrap_or_else(|e| panic!("{radii:?} {sigma_mm:?}: {e}")).adjustment.state;
+        let baseline_mm = |s: &State| s.camera_from_first[1].translation_mm.norm();
+        for (name, own, true_mm) in [
+            ("spacing", found.shape_mm[0], scene.truth.shape_mm[0]),
+            ("baseline", baseline_mm(&found), baseline_mm(&scene.truth)),
+        ] {
+            assert!((own / true_mm - 1.0).abs() < 2e-3, "{radii:?} {sigma_mm:?}: {name} {own} for {true_mm} mm");
+        }
     }
 }

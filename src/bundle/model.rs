@@ -79,6 +79,11 @@ impl TargetModel {
     pub fn per_view(&self) -> bool {
         matches!(self.shape, TargetShape::Pair { per_view: true })
     }
+    /// Shape parameters that are radii and held.
+    pub fn held_radii(&self) -> impl Iterator<Item = usize> + '_ {
+        let radii = if matches!(self.shape, TargetShape::Pair { .. }) { 1..3 } else { 1..2 };
+        radii.filter(|k| !self.free[*k])
+    }
     /// Centre and radius of disc `j` without offsets, mm, for shape parameters `tau`.
     pub fn nominal_disc(&self, j: usize, tau: &[f64; 3]) -> (Vector3<f64>, f64) {
         match &self.shape {

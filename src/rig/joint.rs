@@ -332,7 +332,7 @@ fn metric_scale(problem: &RigProblem, agreed: &Agreed, poses: &[(Motion<Rig, Tar
         }
     }
     // Steps of a traverse, where nothing else is metric.
-    if model.target.free[0] {
+    if model.target.free[0] && model.target.held_radii().next().is_none() {
         let at = |i: usize| match model.views[i].place {
             ViewPlace::InPlane { known: PlanePosition::Unknown, .. } | ViewPlace::Free => None,
             ViewPlace::InPlane { z_mm, .. } => {

@@ -180,6 +180,12 @@ fn every(edge: &EdgePoints, count: usize) -> EdgePoints {
     EdgePoints { u_px: pick(&edge.u_px), v_px: pick(&edge.v_px), sigma_px: pick(&edge.sigma_px) }
 }
 
+/// Whether held radii are the only length of the target that is known.
+fn radii_set_the_scale(problem: &RigProblem) -> bool {
+    let [spacing_mm, ..] = problem.shape_mm;
+    spacing_mm.is_none() && problem.model.target.held_radii().any(|k| problem.shape_mm[k].is_some())
+}
+
 /// A model with few discs and edge points, without printing errors: to choose between starts.
 pub(super) fn thinned_model(model: &Model) -> Model {
     let mut out = model.clone();
@@ -213,8 +219,8 @@ const START_LOSS: Loss = Loss::Huber(50.0);
 fn mono_model(problem: &RigProblem, c: usize, seeds: &[SeededImage]) -> Model {
     let full = &problem.model;
     let mut target = full.target.clone();
-    // Scale is a gauge of a single camera; printing errors wait for both.
-    target.free[0] = false;
+    // Scale is a gauge of a single camera, unless a radius holds it; printing errors wait for both.
+    target.free[0] &= radii_set_the_scale(problem);
     target.offset_sigma_mm = None;
     let image = |(k, s): (usize, &SeededImage)| ImageObservations {
         view: k,
@@ -271,31 +277,31 @@ fn mono_start(problem: &RigProblem, c: usize, seeds: &[SeededImage], pinhole: &E
     // Poses belong to the pinhole that these intrinsics really have, which fixed values may have moved.
     let actual = Camera::new(intrinsics).ok()?;
     let pinhole = actual.effective_pinhole();
-    let spacing = problem.shape_mm[0].unwrap_or(1.0);
+    let turn = if camera.uses_pinhole_frame() { Matrix3::identity() } else { actual.cam_from_pinhole() };
     let mut views = vec![];
     for s in seeds {
-        let (pose, radii) = match &s.seed {
-            ViewSeed::Lattice { homography, .. } => (lattice_pose(homography, &pinhole)?, None),
+        let (pose, shape_mm) = match &s.seed {
+            ViewSeed::Lattice { homography, .. } => {
+                let pose = lattice_pose(homography, &pinhole)?;
+                let shape = lattice_shape(problem, s, &pose, &actual);
+                (pose, shape)
+            }
             ViewSeed::Pair { ellipses, line } => {
                 let p = pair_pose([&ellipses[0], &ellipses[1]], line, &pinhole)?;
-                let scaled = Motion::new(p.cam_from_target.rotation, p.cam_from_target.translation_mm * spacing);
-                (scaled, Some(p.radii.map(|r| r * spacing)))
+                let ([r0, r1], spacing) = (p.radii, problem.shape_mm[0].unwrap_or(1.0));
+                let pose = Motion::new(p.cam_from_target.rotation, p.cam_from_target.translation_mm * spacing);
+                (pose, [1.0, r0, r1].map(|s| s * spacing))
             }
         };
-        let turn = if camera.uses_pinhole_frame() { Matrix3::identity() } else { actual.cam_from_pinhole() };
-        let shape = match radii {
-            Some([r0, r1]) => [spacing, r0, r1],
-            None => lattice_shape(problem, s, &pose, &actual),
-        };
         let first_from_target: Motion<Rig, Target> = Motion::new(turn * pose.rotation, turn * pose.translation_mm);
-        views.push(ViewState { first_from_target, plane_from_target: None, shape_mm: shape });
+        views.push(ViewState { first_from_target, plane_from_target: None, shape_mm });
     }
-    let median = |k: usize| {
-        let mut all: Vec<f64> = views.iter().map(|v| v.shape_mm[k]).collect();
-        all.sort_by(f64::total_cmp);
-        problem.shape_mm[k].unwrap_or(all[all.len() / 2])
+    let metric = problem.shape_mm[0].is_some() || radii_set_the_scale(problem);
+    scale_by_radii(problem, &mut views);
+    let shape = |k: usize| {
+        problem.shape_mm[k].filter(|_| metric).unwrap_or_else(|| median(views.iter().map(|v| v.shape_mm[k])))
     };
-    let shape_mm = [median(0), median(1), median(2)];
+    let shape_mm = [shape(0), shape(1), shape(2)];
     Some(State {
         cameras: vec![intrinsics],
         camera_from_first: vec![Motion::identity()],
@@ -307,11 +313,30 @@ fn mono_start(problem: &RigProblem, c: usize, seeds: &[SeededImage], pinhole: &E
     })
 }
 
-/// Radius of a lattice's dots from their mean size in the image.
+fn median(numbers: impl Iterator<Item = f64>) -> f64 {
+    let mut all: Vec<f64> = numbers.collect();
+    all.sort_by(f64::total_cmp);
+    all.get(all.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+/// Brings the views, seen with a spacing of 1, to the scale of known radii where these set it.
+fn scale_by_radii(problem: &RigProblem, views: &mut [ViewState]) {
+    if !radii_set_the_scale(problem) {
+        return;
+    }
+    let held = || problem.model.target.held_radii().filter_map(|k| Some((k, problem.shape_mm[k]?)));
+    let scale = median(views.iter().flat_map(|v| held().map(|(k, radius_mm)| radius_mm / v.shape_mm[k])));
+    for v in views {
+        v.first_from_target.translation_mm *= scale;
+        v.shape_mm.iter_mut().for_each(|s| *s *= scale);
+    }
+}
+
+/// Shape of a lattice, its radius from the mean size of its dots in the image.
 fn lattice_shape(problem: &RigProblem, s: &SeededImage, pose: &Motion<Cam, Target>, camera: &Camera) -> [f64; 3] {
     let shape = problem.shape_mm;
     let size: f64 = problem.ellipses[s.image].iter().map(|e| e.semi_major_px).sum::<f64>();
     let mean_px = size / problem.ellipses[s.image].len().max(1) as f64;
     let mm_per_px = pose.translation_mm.norm() / camera.effective_pinhole().f_px;
-    [shape[0].unwrap_or(1.0), shape[1].unwrap_or(mean_px * mm_per_px), shape[2].unwrap_or(0.0)]
+    [shape[0].unwrap_or(1.0), mean_px * mm_per_px, shape[2].unwrap_or(0.0)]
 }
