@@ -44,6 +44,7 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
     let dewarped =
         command.dewarped.as_deref().map(|p| Dewarped::grid_of(p, &record, &[&maps[0], &maps[1]])).transpose()?;
     let unit = unit(command, &tables)?;
+    let tables = tables.map(|t| t.in_unit(unit));
     let fields = [PlanarField::new(&tables[0])?, PlanarField::new(&tables[1])?];
     let perturbed = if command.no_calibration_sigma { None } else { perturbed_maps(&record)? };
     let mut flags = vec![];

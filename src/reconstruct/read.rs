@@ -3,7 +3,7 @@
 //! | format | header | positions | y | left out |
 //! |---|---|---|---|---|
 //! | CSV | `x_px,y_px,dx_px,dy_px` or `x_mm,y_mm,dx_mm,dy_mm`; further columns are ignored, but `flag` and `sigma_dx_mm,sigma_dy_mm` (`_px`) | as named | down in px, up in mm | `flag` other than 0, empty cells, `nan` |
-//! | OpenPIV | `# x y u v flags mask` (`flags` or `mask` may be missing) | px | up: rows were turned over by `transform_coordinates` | flagged or masked |
+//! | OpenPIV | `# x y u v flags mask` (`flags` or `mask` may be missing) | px; mm where the user says so | up: rows were turned over by `transform_coordinates` | flagged or masked |
 //! | PIVlab | `PIVlab ...`, `FRAME: ...`, `x [px],y [px],u [px/frame],v [px/frame],Vector type [-]` | px, counted from 1 | down | vector type other than 1 |
 //!
 //! A CSV with `x,y,u,v` (or `dx,dy`) leaves the unit open; the user says it. Columns are separated by commas, semicolons (then a
@@ -265,18 +265,39 @@ impl FieldTable {
         Ok(())
     }
 
+    /// The field where the user says its unit: what OpenPIV wrote in mm has y up, as the sheet.
+    ///
+    /// ```
+    /// use spivcal::reconstruct::{FieldUnit, parse_field};
+    /// let field = parse_field("# x y u v\n-1 2 0.1 0.2\n-1 4 0.1 0.3\n", "left.txt")?.in_unit(FieldUnit::Millimetres);
+    /// assert_eq!((field.y, field.dy), (vec![2.0, 4.0], vec![0.2, 0.3]));
+    /// # Ok::<(), spivcal::Error>(())
+    /// ```
+    #[must_use]
+    pub fn in_unit(mut self, unit: FieldUnit) -> Self {
+        let up = |unit: Option<FieldUnit>| unit == Some(FieldUnit::Millimetres);
+        if self.format == FieldFormat::OpenPiv && up(Some(unit)) != up(self.unit) {
+            self.turn_over();
+        }
+        self.unit = Some(unit);
+        self
+    }
+
     /// Pixels from the centre of the first pixel, y down.
     fn turn_to_our_convention(&mut self) {
         match self.format {
             FieldFormat::Csv => {}
             FieldFormat::PivLab => self.x.iter_mut().chain(&mut self.y).for_each(|p| *p -= 1.0),
-            FieldFormat::OpenPiv => {
-                let low = self.y.iter().copied().fold(f64::INFINITY, f64::min);
-                let high = self.y.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-                self.y.iter_mut().for_each(|y| *y = low + high - *y);
-                self.dy.iter_mut().for_each(|d| *d = -*d);
-            }
+            FieldFormat::OpenPiv => self.turn_over(),
         }
+    }
+
+    /// Turns the y axis over, about the middle of the field.
+    fn turn_over(&mut self) {
+        let low = self.y.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = self.y.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        self.y.iter_mut().for_each(|y| *y = low + high - *y);
+        self.dy.iter_mut().for_each(|d| *d = -*d);
     }
 }
 
@@ -308,6 +329,18 @@ mod tests {
                 assert!(f.dy[i] == ours.dy[i] || i == 1 && f.dy[i].is_nan() && ours.dy[i].is_nan(), "{format:?}");
             }
         }
+    }
+
+    /// In mm y is up in the file as in the sheet, whoever wrote it.
+    #[test]
+    fn openpiv_in_millimetres_is_not_turned_over() {
+        let text = "# x\ty\tu\tv\n-12\t7\t0.25\t0.3\n-10.5\t7\t0.25\t0.4\n-12\t5.5\t0.2\t0.1\n";
+        let csv = parse_field(&text.replace("# ", "").replace('\t', ","), "a").unwrap();
+        let mm = parse_field(text, "a").unwrap().in_unit(FieldUnit::Millimetres);
+        assert_eq!((&mm.y, &mm.dy, mm.unit), (&csv.y, &csv.dy, Some(FieldUnit::Millimetres)));
+        let px = parse_field(text, "a").unwrap();
+        assert_eq!((&px.y, &px.dy), (&vec![5.5, 5.5, 7.0], &vec![-0.3, -0.4, -0.1]));
+        assert_eq!(px.clone().in_unit(FieldUnit::DewarpedPixels).dy, px.dy);
     }
 
     #[test]
