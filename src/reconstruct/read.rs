@@ -67,6 +67,8 @@ pub struct FieldTable {
 
 /// Which column holds what.
 struct Columns {
+    /// How many the header names.
+    count: usize,
     at: [usize; 4],
     sigma: Option<[usize; 2]>,
     /// Columns that must hold this value for the vector to count.
@@ -102,7 +104,8 @@ fn separator_of(line: &str) -> char {
 /// ```
 ///
 /// # Errors
-/// [`Invalid::Syntax`] with file and line where the text is no displacement field, a cell is no number, or a row is cut short.
+/// [`Invalid::Syntax`] with file and line where the text is no displacement field, a cell is no number, or a row has fewer or more cells than
+/// the header names.
 pub fn parse_field(text: &str, file: &str) -> Result<FieldTable> {
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let mut lines = text.lines().enumerate().map(|(i, l)| (i + 1, l.trim())).filter(|(_, l)| !l.is_empty()).peekable();
@@ -154,6 +157,7 @@ fn header(
     expected: &str,
 ) -> Result<(FieldFormat, Option<FieldUnit>, Columns)> {
     let find = |name: &str| names.iter().position(|n| n == name);
+    let count = names.len();
     let four = |four: [&str; 4]| -> Option<[usize; 4]> {
         let at = four.map(find);
         at.iter().all(Option::is_some).then(|| at.map(Option::unwrap_or_default))
@@ -168,11 +172,11 @@ fn header(
             )
         })?;
         let wanted = find("vector type [-]").map(|c| (c, 1.0)).into_iter().collect();
-        return Ok((FieldFormat::PivLab, Some(FieldUnit::RawPixels), Columns { at, sigma: None, wanted }));
+        return Ok((FieldFormat::PivLab, Some(FieldUnit::RawPixels), Columns { count, at, sigma: None, wanted }));
     }
     let bad = ["flag", "flags", "mask"].iter().filter_map(|n| find(n)).map(|c| (c, 0.0)).collect();
     if let (true, Some(at)) = (commented, four(["x", "y", "u", "v"])) {
-        return Ok((FieldFormat::OpenPiv, Some(FieldUnit::RawPixels), Columns { at, sigma: None, wanted: bad }));
+        return Ok((FieldFormat::OpenPiv, Some(FieldUnit::RawPixels), Columns { count, at, sigma: None, wanted: bad }));
     }
     let known = [
         (["x_px", "y_px", "dx_px", "dy_px"], Some(FieldUnit::RawPixels)),
@@ -184,7 +188,7 @@ fn header(
         if let Some(at) = four(columns) {
             // Named after the displacement, with its unit.
             let sigma = sigma_columns(names, [columns[2], columns[3]]).map_err(|what| fault(file, line, what))?;
-            return Ok((FieldFormat::Csv, unit, Columns { at, sigma, wanted: bad }));
+            return Ok((FieldFormat::Csv, unit, Columns { count, at, sigma, wanted: bad }));
         }
     }
     Err(fault(file, line, format!("columns \"{}\": {expected}", names.join(", "))))
@@ -217,6 +221,15 @@ fn sigma_columns(names: &[String], displacements: [&str; 2]) -> std::result::Res
 impl FieldTable {
     fn push(&mut self, row: &[String], columns: &Columns, line: usize) -> Result<()> {
         let file = self.file.clone();
+        let filled = row.iter().rposition(|c| !c.is_empty()).map_or(0, |last| last + 1);
+        if filled > columns.count {
+            let what = format!(
+                "{filled} cells, but the header names {}; are decimals written with commas? Export with points, or with semicolons \
+                 between the cells; or name every column in the header",
+                columns.count
+            );
+            return Err(fault(&file, line, what));
+        }
         let number = |column: usize| -> Result<f64> {
             let Some(cell) = row.get(column) else {
                 let what = format!(
@@ -375,6 +388,13 @@ mod tests {
         assert!(message("a,b,c\n1,2,3\n").contains("columns \"a, b, c\": expected a header x_px"));
         assert!(message("x_px,y_px,dx_px,dy_px\n1,2,3,4\n1,2,oops,4\n").contains("f.txt:3: \"oops\" is not a number"));
         assert!(message("x_px,y_px,dx_px,dy_px\n1,2,3,4\n5,6\n").contains("f.txt:3: 2 columns"));
+        let commas = message("x_mm,y_mm,dx_mm,dy_mm\n-12,0,7,0,0,247\n");
+        assert!(
+            commas.contains("f.txt:2: 6 cells, but the header names 4; are decimals written with commas?"),
+            "{commas}"
+        );
+        // A mark at the end of every line is none.
+        assert!(parse_field("x_px,y_px,dx_px,dy_px\n1,2,3,4,\n", "f.txt").is_ok());
         assert!(message("x_px,y_px,dx_px,dy_px\n").contains("no vector below"));
         assert!(message("x_px,y_px,dx_px,dy_px\nnan,2,3,4\n").contains("without a position"));
         assert!(
