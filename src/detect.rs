@@ -26,6 +26,7 @@ mod trace;
 mod whole;
 
 pub use find::{find_discs, find_discs_with};
+pub(crate) use plane::noise;
 pub use whole::DetectMemory;
 
 use crate::conic::{CommonNoise, ContourNoise, Ellipse};

@@ -274,6 +274,29 @@ fn wrong_polarity_is_named() {
     job.refused(3, &["v01_left.png", "are found with polarity = \"dark\""]);
 }
 
+/// A camera of 10 bit fills a hundredth of a file of 16.
+#[test]
+fn ten_bits_in_sixteen_are_not_taken_for_darkness() {
+    let deep = |i: &GrayImage, level: &dyn Fn(u16) -> u16| {
+        let pixels = samples(i).iter().map(|g| level(u16::from(*g))).collect();
+        GrayImage::new(Pixels::U16(pixels), i.width(), i.height()).unwrap()
+    };
+    let job = Job::new();
+    job.edit("polarity = \"dark\"", "polarity = \"bright\"");
+    job.redraw("v01_left.png", |i| deep(i, &|g| 88 + 2 * g));
+    job.refused(3, &["v01_left.png", "are found with polarity = \"dark\""]);
+    // Noise alone, as far as it may reach.
+    job.redraw("v01_left.png", |i| {
+        let mut at = 1_u64;
+        let noise = (0..i.width() * i.height()).map(|_| {
+            at = at.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            100 + (0..8).map(|k| (at >> (40 + 2 * k)) as u16 & 7).sum::<u16>()
+        });
+        GrayImage::new(Pixels::U16(noise.collect()), i.width(), i.height()).unwrap()
+    });
+    job.refused(3, &["v01_left.png", "all its grey values lie between 1", "nothing is to be seen"]);
+}
+
 #[test]
 fn a_dark_image_is_named_as_dark() {
     let job = Job::new();

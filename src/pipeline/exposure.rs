@@ -1,15 +1,16 @@
 //! Images that show too little or too much light: what is said of them.
 
 use crate::detect::pattern::label_discs;
-use crate::detect::{DetectOptions, Detection, LabelledDisc, find_discs};
+use crate::detect::{DetectOptions, Detection, LabelledDisc, find_discs, noise};
 use crate::error::{Error, Insufficient};
 use crate::image::{GrayView, Samples};
 use crate::rig_file::TargetDescription;
 use crate::target::Polarity;
 use std::ops::Range;
 
-/// An image whose grey values span no more than this part of their type's range shows nothing.
+/// An image whose grey values span no more than this part of the range its camera uses, or so many times its noise, shows nothing.
 const FLAT: f32 = 0.02;
+const FLAT_SIGMAS: f32 = 12.0;
 /// Surroundings of a disc in which saturation is counted, semi-axes.
 const ABOUT_DISC: f64 = 1.25;
 /// Of so many rows one is looked at.
@@ -19,9 +20,12 @@ const ROW_STEP: usize = 4;
 pub(super) fn explained(e: Error, target: &TargetDescription, name: &str, view: &GrayView<'_>) -> Error {
     let Error::Insufficient(Insufficient::TooFewDiscs { image, found, needed, hint }) = e else { return e };
     let [low, high] = view.range();
+    // Files of 16 bit hold levels of 10 or 12 bit, too.
     let full = match view.samples() {
         Samples::U8(_) => 255.0,
-        Samples::U16(_) => 65_535.0,
+        Samples::U16(_) => {
+            (8..16).map(|bits| ((1_u32 << bits) - 1) as f32).find(|end| high <= *end).unwrap_or(65_535.0)
+        }
         Samples::F32(_) => high.abs(),
     };
     let other = match target.polarity {
@@ -33,12 +37,12 @@ pub(super) fn explained(e: Error, target: &TargetDescription, name: &str, view: 
         let options = DetectOptions { polarity, ..DetectOptions::default() };
         find_discs(view, &options).is_ok_and(|d| label_discs(name, &d, &target.target).is_ok())
     };
-    let hint = if high - low <= FLAT * full {
+    let hint = if let Some((word, _)) = other.filter(|(_, p)| shows(*p)) {
+        format!("its discs are found with polarity = \"{word}\": write that into [target]")
+    } else if high - low <= (FLAT * full).max(FLAT_SIGMAS * noise(view)) {
         format!(
             "all its grey values lie between {low} and {high}: nothing is to be seen in it; check light, shutter and the file"
         )
-    } else if let Some((word, _)) = other.filter(|(_, p)| shows(*p)) {
-        format!("its discs are found with polarity = \"{word}\": write that into [target]")
     } else {
         hint
     };
