@@ -5,8 +5,8 @@
 
 mod rig_scene;
 
-use rig_scene::{Problem, Scene};
-use spivcal::bundle::{AdjustOptions, Adjustment, Iteration, adjust, named_covariance};
+use rig_scene::{Problem, Scene, tilted_camera};
+use spivcal::bundle::{AdjustOptions, Adjustment, Fact, Focus, Iteration, adjust, named_covariance};
 use spivcal::diagnosis::{Findings, Subject, diagnose};
 use spivcal::error::{Error, Result, Unusable};
 use spivcal::target::DotId;
@@ -109,6 +109,36 @@ fn right_views_agree() {
         }
         println!("{name}: {alarms} alarms in 20 rigs where 0.2 are expected");
         assert!(alarms <= 2, "{name}: {alarms}");
+    }
+}
+
+/// What only a prior holds without a view is lost with it: that is no contradiction, and not to be cured by leaving the view out.
+#[test]
+fn the_only_view_in_the_sheet_does_not_contradict_the_focus() {
+    let cameras = vec![tilted_camera(-0.1107, 0.0), tilted_camera(0.1107, 0.0)];
+    let mut scene = Scene::at_positions(21, cameras, &|v| (v == 5).then_some(0.0)).with_noise(7);
+    let focus = |camera| Focus { camera, pixel_pitch_mm: 0.00625, tilt_sigma_rad: 0.01, distance: Some((50.0, 0.005)) };
+    scene.model.facts.extend([0, 1].map(|c| Fact::Focus(focus(c))));
+    let f = diagnosed(&adjusted(&scene), &|_| true).unwrap();
+    let views = &f.diagnosis.views;
+    assert!(views.iter().all(|v| !v.contradicts), "{:#?}", f.flags);
+    let lost = &views[5].lost;
+    assert!(lost.iter().any(|l| l == "distance of the sheet"), "{lost:?}");
+    assert!(views[5].words.contains("cannot be spared: without it no image determines the"), "{}", views[5].words);
+}
+
+/// Where nothing is determined no quantity is named.
+#[test]
+fn views_that_determine_nothing_are_said_to() {
+    let cameras = vec![tilted_camera(-0.1107, 0.01), tilted_camera(0.1107, -0.02)];
+    let mut scene = Scene::at_positions(21, cameras, &|_| Some(0.0)).with_noise(7);
+    scene.model.facts.clear();
+    let f = diagnosed(&adjusted(&scene), &|_| true).unwrap();
+    let silent: Vec<_> =
+        f.diagnosis.views.iter().filter(|v| v.sigma_growth_of.is_empty() && v.lost.is_empty()).collect();
+    assert!(!silent.is_empty(), "{:#?}", f.diagnosis);
+    for v in silent {
+        assert!(v.words.contains("no quantity that matters is determined with all views"), "{}", v.words);
     }
 }
 

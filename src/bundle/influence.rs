@@ -13,6 +13,7 @@
 
 use super::adjust::{AdjustOptions, Adjustment, Bundle, adjust};
 use super::assemble;
+use super::facts::Fact;
 use super::image_map::MappedNormal;
 use super::layout::Places;
 use super::model::Model;
@@ -56,11 +57,21 @@ fn without(model: &Model, views: &[usize]) -> Model {
 /// Most numbers kept of all images together.
 const KEPT: usize = 4_000_000;
 
+/// A function whose standard deviation grows by no more than this factor is not lost, whatever holds it.
+const SPARED: f64 = 2.0;
+
 /// An adjustment, ready to be asked what it would be without one of its views.
 pub struct ViewsLeftOut<'a> {
     adjustment: &'a Adjustment,
     /// View and equations of each image at the estimate; none where they are too large to be kept.
     images: Option<Vec<(usize, MappedNormal)>>,
+    /// The model without priors, where it has any.
+    unaided: Option<Model>,
+}
+
+/// Whether a fact is a prior on what images tell, and no length.
+fn is_prior(fact: &Fact) -> bool {
+    matches!(fact, Fact::Intrinsic { .. } | Fact::Focus(_) | Fact::WindowParallel { .. })
 }
 
 impl<'a> ViewsLeftOut<'a> {
@@ -72,25 +83,45 @@ impl<'a> ViewsLeftOut<'a> {
         let of_disc = if places.offsets.is_some() { 4 * 30 + 20 } else { 0 };
         let numbers: usize = model.images.iter().map(|i| 500 + of_disc * (i.discs.len() + i.points.disc.len())).sum();
         let images = if numbers <= KEPT { assemble::of_each_image(model, &places, state) } else { None };
-        Self { adjustment, images }
+        let unaided = model.facts.iter().any(is_prior).then(|| {
+            let mut out = model.clone();
+            out.facts.retain(|f| !is_prior(f));
+            out
+        });
+        Self { adjustment, images, unaided }
     }
 
     /// Normal equations of the images at hand without those of a view.
-    fn summed(&self, bundle: &Bundle<'_>, view: usize) -> Option<NormalEquations> {
-        let images = self.images.as_ref()?.iter().filter(|(v, _)| *v != view);
+    fn summed(&self, bundle: &Bundle<'_>, view: Option<usize>) -> Option<NormalEquations> {
+        let images = self.images.as_ref()?.iter().filter(|(v, _)| Some(*v) != view);
         bundle.summed(images, &self.adjustment.state)
     }
 
-    /// Change and covariance of `rows` (functions x global unknowns) without the images of a view; facts about it stay. `None` where
-    /// nothing can be said.
-    pub fn predicted(&self, view: usize, rows: &DMatrix<f64>) -> Option<Prediction> {
-        let Adjustment { model, state, .. } = self.adjustment;
-        let equations = match self.images {
+    /// The same, one block per view, for the facts of a model.
+    fn equations(&self, model: &Model, view: Option<usize>) -> Option<NormalEquations> {
+        match self.images {
             // Beside its images a model without a view is the same.
-            Some(_) => self.summed(&Bundle::with_views(model), view)?,
-            None => Bundle::with_views(&without(model, &[view])).linearise(state)?,
-        };
-        predict(&equations, rows)
+            Some(_) => self.summed(&Bundle::with_views(model), view),
+            None => Bundle::with_views(&without(model, view.as_slice())).linearise(&self.adjustment.state),
+        }
+    }
+
+    /// Change and covariance of `rows` (functions x global unknowns) without the images of a view; facts about it stay. What only
+    /// priors hold then, and images do with the view, counts as not determined. `None` where nothing can be said.
+    pub fn predicted(&self, view: usize, rows: &DMatrix<f64>) -> Option<Prediction> {
+        let mut out = predict(&self.equations(&self.adjustment.model, Some(view))?, rows)?;
+        let unaided = |view: Option<usize>| predict(&self.equations(self.unaided.as_ref()?, view)?, rows);
+        let Some(alone) = unaided(Some(view)) else { return Some(out) };
+        let held: Vec<usize> = (0..rows.nrows()).filter(|&k| out.determined[k] && !alone.determined[k]).collect();
+        if held.is_empty() {
+            return Some(out);
+        }
+        if let (Some(all), Some(all_alone)) = (predicted_with_all_views(self.adjustment, rows), unaided(None)) {
+            let grows = |k: usize| out.covariance[(k, k)] > SPARED * SPARED * all.covariance[(k, k)];
+            let lost: Vec<usize> = held.into_iter().filter(|&k| all_alone.determined[k] && grows(k)).collect();
+            lost.into_iter().for_each(|k| out.determined[k] = false);
+        }
+        Some(out)
     }
 
     /// State and Newton decrement of the adjustment without the images of a view, from its estimate, with its sigmas and outliers, and
@@ -104,7 +135,7 @@ impl<'a> ViewsLeftOut<'a> {
         let model = without(&self.adjustment.model, &[view]);
         let bundle = Bundle::of(&model);
         let state = &self.adjustment.state;
-        let equations = self.summed(&bundle, view).or_else(|| bundle.linearise(state))?;
+        let equations = self.summed(&bundle, Some(view)).or_else(|| bundle.linearise(state))?;
         let start = (state.clone(), equations);
         Some(minimise_from(&bundle, start, options, FIRST_DAMPING, observe))
     }
@@ -150,7 +181,7 @@ mod tests {
                 assert!(model.images.len() < adjustment.model.images.len());
                 for bundle in [Bundle::of(&model), Bundle::with_views(&model)] {
                     let wanted = bundle.linearise(&adjustment.state).unwrap();
-                    assert_eq!(all.summed(&bundle, view).unwrap(), wanted);
+                    assert_eq!(all.summed(&bundle, Some(view)).unwrap(), wanted);
                     assert_ne!(wanted, full);
                 }
             }

@@ -87,13 +87,18 @@ fn change(v: &ViewInfluence) -> f64 {
 }
 
 fn contradiction(v: &ViewInfluence) -> String {
+    let z = digits(v.z.abs(), 2);
+    let most_significant = match v.z_of.as_str() {
+        "" => String::new(),
+        same if same == v.shift_of => format!(" ({z} of those of the change)"),
+        other => format!(", the {other} by {z} of those of its change"),
+    };
     format!(
-        "view {} contradicts the others: without it the {} changes by {} of its standard deviations ({} of those of the change); \
+        "view {} contradicts the others: without it the {} changes by {} of its standard deviations{most_significant}; \
          look at its images, and leave it out if the target moved, was bent, or is not the same",
         v.view,
         v.shift_of,
-        digits(change(v), 2),
-        digits(v.z.abs(), 2)
+        digits(change(v), 2)
     )
 }
 
@@ -156,7 +161,9 @@ fn influence(keys: &Keys, full: &DMatrix<f64>, view: usize, left: &Left, tests: 
     {
         format!("view {view} cannot be spared: it alone sets the scale")
     } else if !lost.is_empty() {
-        format!("view {view} cannot be spared: without it nothing determines the {}", listed(&lost))
+        format!("view {view} cannot be spared: without it no image determines the {}", listed(&lost))
+    } else if usable.is_empty() {
+        format!("what view {view} adds cannot be said: no quantity that matters is determined with all views")
     } else if size(growth) < 1.0 + LITTLE {
         format!(
             "view {view} adds little: without it no standard deviation grows by more than {} %",

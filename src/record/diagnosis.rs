@@ -142,7 +142,7 @@ pub struct ViewInfluence {
     /// Which quantity.
     #[serde(default)]
     pub sigma_growth_of: String,
-    /// Key quantities that nothing determines without this view.
+    /// Key quantities that no image determines without this view.
     #[serde(default)]
     pub lost: Vec<String>,
     /// Largest change of a key quantity without the view, in its standard deviations, predicted from the normal equations.

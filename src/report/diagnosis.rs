@@ -103,12 +103,14 @@ pub(super) fn views(record: &Record) -> Table {
             [one, more @ ..] => format!("lost: {one} and {} more", more.len()),
         };
         let shift = if v.shift_sigmas.is_finite() { v.shift_sigmas } else { v.predicted_shift_sigmas };
-        let shift = if v.lost.is_empty() { format!("{} sigma", plain(shift, 2)) } else { "–".into() };
-        let z = if v.z.is_finite() && v.lost.is_empty() { plain(v.z, 2) } else { "–".into() };
+        let shift =
+            if v.lost.is_empty() && shift.is_finite() { format!("{} sigma", plain(shift, 2)) } else { "–".into() };
+        let z =
+            if v.z.is_finite() && v.lost.is_empty() { format!("{} ({})", plain(v.z, 2), v.z_of) } else { "–".into() };
         let verdict = if v.contradicts { "CONTRADICTS the others" } else { "agrees" };
         let verdict = if v.lost.is_empty() { verdict } else { "cannot be spared" };
         (format!("view {}", v.view), vec![growth, shift, z, verdict.into()])
     };
-    let heads = ["largest sigma without it", "largest change", "that change in its own sigmas", ""];
+    let heads = ["largest sigma without it", "largest change", "most significant change in its own sigmas", ""];
     table(&heads, d.views.iter().map(row).collect())
 }
