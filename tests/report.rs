@@ -8,7 +8,7 @@ mod scene;
 use roxmltree::{Document, ParsingOptions};
 use scene::pictures;
 use spivcal::image::GrayImage;
-use spivcal::record::{Known, Record, ResidualTable};
+use spivcal::record::{Diagnosis, Known, Record, ResidualTable, ViewInfluence};
 use spivcal::report::{self, Level, OverlayInput, OverlayShapes};
 
 fn parse(html: &str) -> Document<'_> {
@@ -190,6 +190,33 @@ fn a_sheet_that_is_elsewhere_is_not_called_good() {
     // Residuals of pixels let expect as much.
     record.fit.rms_px = 8.0;
     assert!(!report::text(&record).starts_with("DO NOT USE"));
+}
+
+/// A view of which nothing can be said has dashes; the change that is most significant has its own name.
+#[test]
+fn influences_have_names_or_dashes() {
+    let mut record = scene::record();
+    let nothing = |view: usize| ViewInfluence {
+        view,
+        sigma_growth: f64::NAN,
+        sigma_growth_of: String::new(),
+        lost: vec![],
+        predicted_shift_sigmas: f64::NAN,
+        shift_sigmas: f64::NAN,
+        shift_of: String::new(),
+        z: f64::NAN,
+        z_of: String::new(),
+        contradicts: false,
+        words: "nothing can be said".into(),
+    };
+    let (shift_sigmas, shift_of, z, z_of) = (207.0, "angle of the sheet".into(), 5.9, "out-of-plane gain".into());
+    let views = vec![nothing(0), ViewInfluence { shift_sigmas, shift_of, z, z_of, ..nothing(1) }];
+    let diagnosis = Diagnosis { views, key_quantities: vec![], priors: vec![], model_tests: vec![], outliers: vec![] };
+    record.fit.diagnosis = Some(diagnosis);
+    let html = report::write_html(&record, &[], &ResidualTable::default()).unwrap();
+    let text = words(&parse(&html));
+    assert!(!text.contains("unknown ()") && !text.contains("unknown sigma"), "{text}");
+    assert!(text.contains("207 sigma") && text.contains("5.9 (out-of-plane gain)"), "{text}");
 }
 
 #[test]

@@ -98,6 +98,7 @@ pub(super) fn views(record: &Record) -> Table {
     let Some(d) = &record.fit.diagnosis else { return Table::default() };
     let row = |v: &crate::record::ViewInfluence| {
         let growth = match v.lost.as_slice() {
+            [] if v.sigma_growth_of.is_empty() => "–".into(),
             [] => format!("× {} ({})", plain(v.sigma_growth, 3), v.sigma_growth_of),
             [one] => format!("lost: {one}"),
             [one, more @ ..] => format!("lost: {one} and {} more", more.len()),

@@ -225,7 +225,9 @@ fn cheapest(starts: &[(RigProblem, Agreed, State)], undecided: &mut Vec<String>,
     let as_good: Vec<usize> = (0..chi2.len()).filter(|&i| chi2[i].0 < least + AS_GOOD * unit).collect();
     if as_good.len() > 1 && !is_pair(&starts[0].0) {
         undecided.push(format!(
-            "how the dots' labels of the two cameras belong together is not decided by the images ({} ways fit equally well): taken with              both cameras upright (target y up) and the grids' middles as near to each other as the images allow; record the              target in clearly different tilts and turns, or mark one of its dots",
+            "how the dots' labels of the two cameras belong together is not decided by the images ({} ways fit equally well): taken with \
+             both cameras upright (target y up) and the grids' middles as near to each other as the images allow; record the \
+             target in clearly different tilts and turns, or mark one of its dots",
             as_good.len()
         ));
     }
