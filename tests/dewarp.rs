@@ -75,6 +75,20 @@ fn high_order_kernels_reach_the_sampling_floor() {
     }
 }
 
+#[test]
+fn a_place_that_is_no_number_is_refused() {
+    let (map, grid) = straight(40, 30);
+    let image = GrayImage::new(Pixels::U8(vec![7; 40 * 30]), 40, 30).unwrap();
+    for z_mm in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        let refused = dewarp(&image.view(), &map, &grid, Kernel::Cubic, z_mm).unwrap_err();
+        assert_eq!(
+            (refused.exit_code(), refused.to_string().contains("a finite number of mm")),
+            (2, true),
+            "{refused}"
+        );
+    }
+}
+
 /// A camera straight above the sheet, one pixel per mm.
 fn straight(w: usize, h: usize) -> (SheetMap, SheetGrid) {
     let (cx, cy) = (0.5 * (w - 1) as f64, 0.5 * (h - 1) as f64);

@@ -79,7 +79,7 @@ pub(crate) fn resample(sampler: &Sampler, map: &SheetMap, grid: &SheetGrid, z_mm
 /// Depth is kept: 8 and 16 bit are rounded and kept within their limits, floats stay as they come.
 ///
 /// # Errors
-/// [`Invalid::Value`] where the image has another size than the map was made for.
+/// [`Invalid::Value`] where the image has another size than the map was made for, or z is no number.
 pub fn dewarp(view: &GrayView<'_>, map: &SheetMap, grid: &SheetGrid, kernel: Kernel, z_mm: f64) -> Result<Dewarped> {
     let mut out = Dewarped { image: GrayImage::new(Pixels::U8(vec![0]), 1, 1)?, valid: vec![] };
     dewarp_into(view, map, grid, kernel, z_mm, &mut out)?;
@@ -122,6 +122,9 @@ pub fn dewarp_into(
     if let Some(a) = (0..2).find(|a| size_px[*a] != map.size_px()[*a]) {
         let what = format!("{} px, as at the calibration", map.size_px()[a]);
         return Err(Invalid::value(["image width", "image height"][a], size_px[a] as f64, what).into());
+    }
+    if !z_mm.is_finite() {
+        return Err(Invalid::value("z_mm", z_mm, "a finite number of mm").into());
     }
     let valid = &mut out.valid;
     valid.resize(grid.width_px * grid.height_px, false);
