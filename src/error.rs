@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | [`Error::Invalid`] | the caller: a file, a key, a number is wrong | 2 |
 //! | [`Error::Insufficient`] | the experimenter: the data cannot answer the question | 3 |
-//! | [`Error::Unusable`] | look at the report: the answer is not to be trusted | 1 |
+//! | [`Error::Unusable`] | the experimenter or the caller: no answer was reached | 3 |
 //! | [`Error::Bug`] | us | 4 |
 //!
 //! Fields are numbers; the words are made in one place, here.
@@ -23,7 +23,7 @@ pub enum Error {
     /// The images or views do not hold enough to answer.
     #[error(transparent)]
     Insufficient(#[from] Insufficient),
-    /// There is an answer, but it must not be used as it stands.
+    /// Work ended before there was an answer that can be used.
     #[error(transparent)]
     Unusable(#[from] Unusable),
     /// A promise of the library to itself was broken.
@@ -35,9 +35,8 @@ impl Error {
     /// Exit code of the program for this family (see `docs/` and `program.md` of the design).
     pub fn exit_code(&self) -> u8 {
         match self {
-            Error::Unusable(_) => 1,
             Error::Invalid(_) => 2,
-            Error::Insufficient(_) => 3,
+            Error::Insufficient(_) | Error::Unusable(_) => 3,
             Error::Bug(_) => 4,
         }
     }
@@ -176,12 +175,14 @@ pub enum Insufficient {
     Inconsistent(String),
 }
 
-/// A result that must not be used without looking at the report.
+/// There is no result: work ended before it.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum Unusable {
     /// The adjustment did not reach its minimum.
-    #[error("the adjustment stopped ({reason}) with a Newton decrement of {decrement:.2e}, wanted {wanted:.0e}")]
+    #[error(
+        "the adjustment stopped ({reason}) with a Newton decrement of {decrement:.2e}, wanted {wanted:.0e}, so there is no result; do the right images stand beside the right cameras and views, are nominal values near the truth, and is no sigma in the rig file far smaller than anyone can know?"
+    )]
     NotConverged {
         /// Name of the termination.
         reason: String,

@@ -47,8 +47,11 @@ pub(super) const POSITIVE: Limits = Limits::new(0.0, f64::INFINITY, "a finite nu
 /// A positive length in mm.
 pub(super) const LENGTH_MM: Limits = Limits::new(0.0, 1e6, "a length in mm, above 0 and below 1 km");
 /// A standard deviation.
-pub(super) const SIGMA: Limits =
-    Limits::new(0.0, f64::INFINITY, "a finite standard deviation above 0 (for a value that is exact, leave sigma out)");
+pub(super) const SIGMA: Limits = Limits::new(
+    1e-12,
+    f64::INFINITY,
+    "a finite standard deviation above 1e-12 (for a value that is exact, leave sigma out)",
+);
 
 /// A value with the words that lead to it.
 #[derive(Clone)]
