@@ -22,7 +22,7 @@ pub use model::{AXIS_POINT_SIGMA, LOSS_SIGMAS, POINT_SIGMA};
 pub use png::png_bytes;
 pub use sheet_alone::{SheetOptions, SheetOutput, TRANSFER_LIMIT_PX, find_sheet};
 pub use tiff_file::{ImageScale, tiff_bytes};
-pub use workers::Workers;
+pub use workers::{MOST_THREADS, Workers};
 
 use crate::error::Result;
 use crate::image::GrayImage;

@@ -423,6 +423,10 @@ fn arguments_that_are_no_arguments() {
         (&["detect", "-o", "x"][..], "IMAGE"),
         (&["simulate", "--preset", "nonsense", "-o", "x"][..], "printed"),
         (&["show", "--threads", "0", "x"][..], "--threads"),
+        (
+            &["detect", "a.png", "-o", "x", "--threads", "100000"][..],
+            "threads = 100000 is not allowed: expected at most 1024",
+        ),
     ] {
         let output = spivcal(arguments);
         refused(&output, 2, &[words]);

@@ -5,6 +5,7 @@ use super::door::{destroy, enter_without_object};
 use super::memory::Out;
 use super::table::{self, Body, Kind};
 use crate::detect::DetectMemory;
+use crate::pipeline::MOST_THREADS;
 use std::sync::Arc;
 
 /// How calls on the objects of a context work, and with what.
@@ -15,9 +16,6 @@ pub(super) struct Context {
     /// What searches of images use again.
     pub(super) memory: Arc<DetectMemory>,
 }
-
-/// More threads than any machine has come from a mistaken argument.
-const MAX_THREADS: i32 = 1024;
 
 /// Makes a context. All other objects are made in one, and end with it.
 ///
@@ -31,7 +29,7 @@ pub unsafe extern "C" fn spivcal_context_create(threads: i32, context: *mut u64)
         stay_silent();
         // SAFETY: the contract of the header.
         let out = unsafe { Out::new(context, "context") }?;
-        let Some(threads) = usize::try_from(threads).ok().filter(|_| threads <= MAX_THREADS) else {
+        let Some(threads) = usize::try_from(threads).ok().filter(|n| *n <= MOST_THREADS) else {
             return Err(super::door::Fault::argument("threads"));
         };
         out.set(table::insert(0, Body::Context(Context { threads, memory: Arc::default() }))?);

@@ -4,6 +4,9 @@ use crate::error::{Invalid, Result};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
+/// More threads than any machine has come from a mistaken argument.
+pub const MOST_THREADS: usize = 1024;
+
 /// A thread pool of its own whose threads have ended when it is dropped.
 ///
 /// A pool of rayon tells its threads to end but does not wait for them; in a host that unloads the library they would
@@ -17,8 +20,12 @@ impl Workers {
     /// `threads` threads; 0 takes as many as the machine has.
     ///
     /// # Errors
-    /// [`Invalid::Threads`] where the system gives no threads.
+    /// [`Invalid::Value`] beyond [`MOST_THREADS`], [`Invalid::Threads`] where the system gives no threads.
     pub fn new(threads: usize) -> Result<Self> {
+        if threads > MOST_THREADS {
+            let expected = format!("at most {MOST_THREADS}; without it all processors are used");
+            return Err(Invalid::value("threads", threads as f64, expected).into());
+        }
         Self::started(threads, |worker| std::thread::Builder::new().name("spivcal".into()).spawn(|| worker.run()))
     }
 
@@ -105,6 +112,12 @@ mod tests {
         assert_eq!(error.exit_code(), 2);
         let told = error.to_string();
         assert!(told.contains("3 threads") && told.contains("no more") && told.contains("ask for fewer"), "{told}");
+    }
+
+    #[test]
+    fn a_mistaken_number_of_threads_is_refused() {
+        let refused = Workers::new(100_000).err().unwrap().to_string();
+        assert!(refused.contains("threads = 100000 is not allowed: expected at most 1024"), "{refused}");
     }
 
     #[test]
