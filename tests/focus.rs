@@ -110,7 +110,7 @@ fn a_fixed_sheet_is_flagged_without_the_focus_relation() {
 
 /// Every derived number that has a standard deviation lies within five of them of the truth.
 fn told_truly(found: &Record, truth: &Record) {
-    let (rig, true_rig) = (found.rig.unwrap(), truth.rig.unwrap());
+    let (rig, true_rig) = (found.rig.as_ref().unwrap(), truth.rig.as_ref().unwrap());
     let (sheet, true_sheet) = (found.sheet.as_ref().unwrap(), truth.sheet.as_ref().unwrap());
     let mut all = vec![
         ("baseline", rig.baseline_mm, true_rig.baseline_mm, rig.sigma.baseline_mm),

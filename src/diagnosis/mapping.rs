@@ -88,7 +88,7 @@ pub(super) fn mapping_uncertainty(
     points.push([points.iter().map(|p| p[0]).sum::<f64>() / n, points.iter().map(|p| p[1]).sum::<f64>() / n]);
     let at: Option<Vec<PointUncertainty>> = gathered(true, &points, |p| uncertainty.at(*p));
     let at = at?;
-    let placed = places(covariance, names, (&points, &at), uncertainty.names_at())?;
+    let placed = places(covariance, (&points, &at), uncertainty.names_at())?;
     let all: Vec<MappingSigma> = points
         .iter()
         .zip(placed.iter().zip(&at))
@@ -153,7 +153,6 @@ fn field(stereo: &StereoSheet, sizes_px: &[[f64; 2]]) -> Option<Field> {
 /// and turn; the last point takes no part in their fit. `NaN` where nothing determines it.
 fn places(
     covariance: &NamedCovariance,
-    names: &[&str],
     (points, at): (&[[f64; 2]], &[PointUncertainty]),
     own: &[usize],
 ) -> Option<Vec<f64>> {
