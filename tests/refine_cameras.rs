@@ -12,7 +12,7 @@ use render::Random;
 use spivcal::disparity::{CheckOptions, CheckOutput, check_sheet};
 use spivcal::frames::{Cam, Rig, Sheet};
 use spivcal::image::GrayImage;
-use spivcal::record::{Pose, Record};
+use spivcal::record::{Covariance, Pose, Record};
 use spivcal::rigid::Motion;
 use spivcal::simulate::simulate_particles;
 
