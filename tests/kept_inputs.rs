@@ -78,9 +78,11 @@ fn the_images_of_a_rig_file_are_not_replaced() {
     let json = scratch.path().join("c");
     let rig = scratch.path().join("rig.toml");
     assert_eq!(spivcal(&["calibrate", rig.to_str().unwrap(), "-o", json.to_str().unwrap()]).status.code(), Some(0));
-    kept(
-        scratch.path(),
-        "overlay_05_left.png",
-        &["sheet", "rig.toml", "--calibration", "c/calibration.json", "-o", "."],
-    );
+    // Views of `sheet` are counted after those of the calibration.
+    let image = |n: usize| scratch.path().join(format!("overlay_0{n}_left.png"));
+    std::fs::rename(image(5), image(6)).unwrap();
+    let text = std::fs::read_to_string(&rig).unwrap();
+    std::fs::write(&rig, text.replace("overlay_05_left", "overlay_06_left")).unwrap();
+    let sheet = ["sheet", "rig.toml", "--calibration", "c/calibration.json", "-o", "."];
+    kept(scratch.path(), "overlay_06_left.png", &sheet);
 }

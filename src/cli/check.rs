@@ -38,10 +38,7 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         let what = "the calibration has no laser sheet to check; say --plane-of-view N to start from the plane of the target of a view";
         return Err(fault(&command.calibration, what));
     }
-    let [left, right] = command.pairs.as_slice() else {
-        return Err(Error::Bug("--pairs takes two patterns".into()));
-    };
-    let files = paired(matching(left)?, matching(right)?, left, right)?;
+    let files = pairs_of(&command.pairs)?;
     progress.stage("reading images", files.len());
     let mut images: Vec<[GrayImage; 2]> = vec![];
     for pair in &files {
@@ -97,6 +94,14 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
     out.commit_beside(&command.output, &[&command.calibration])?;
     tell_further_pages(files.iter().flatten());
     Ok(Done { text: words, json, flags: found.check.flags })
+}
+
+/// The files of each pair.
+fn pairs_of(patterns: &[String]) -> Result<Vec<[PathBuf; 2]>> {
+    let [left, right] = patterns else {
+        return Err(Error::Bug("--pairs takes two patterns".into()));
+    };
+    paired(matching(left)?, matching(right)?, left, right)
 }
 
 fn words(c: &SheetCheck, to: &Path, files: &[&str]) -> String {
