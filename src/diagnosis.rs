@@ -20,7 +20,7 @@ mod priors;
 mod views;
 mod weak;
 
-pub use mapping::{determines_measurements, mapping_of_record};
+pub use mapping::mapping_of_record;
 
 use crate::bundle::{AdjustOptions, Adjustment, Iteration, NamedCovariance};
 use crate::error::{Result, Unusable};

@@ -38,6 +38,8 @@ pub use homography::{
 };
 pub use joint::{joint_sheet, placed_joint_sheet};
 pub(crate) use parameter::{Parameter, STEP_NAMES, stepped_camera, stepped_motion, stepped_window};
+pub(crate) use recorded::covariance_of_record;
+pub use recorded::determines_measurements;
 
 use crate::frames::{Rig, Sheet};
 use crate::rigid::Motion;

@@ -8,10 +8,9 @@
 //! ```
 
 use super::keys::typical;
-use crate::bundle::{NamedCovariance, Natural, ParameterKnowledge, measured};
-use crate::camera::INTRINSICS;
+use crate::bundle::{NamedCovariance, measured};
 use crate::record::{MappingMap, MappingSigma, MappingUncertainty, Record};
-use crate::sheet::{Parameter, PointUncertainty, SheetUncertainty, StereoSheet};
+use crate::sheet::{PointUncertainty, SheetUncertainty, StereoSheet, covariance_of_record};
 use crate::threads::gathered;
 use nalgebra::{DMatrix, DVector, Vector2};
 
@@ -31,46 +30,15 @@ struct Field {
 /// name the sheet, or does not determine cameras and sheet.
 pub fn mapping_of_record(record: &Record) -> Option<(MappingUncertainty, Vec<String>)> {
     let [first, second] = record.cameras.as_slice() else { return None };
-    let (names, c) = ([first.name.as_str(), second.name.as_str()], &record.covariance);
-    let own: Vec<usize> = (0..c.names.len()).filter(|i| Parameter::of(&c.names[*i], names).is_some()).collect();
-    let has_sheet = own.iter().any(|i| matches!(Parameter::of(&c.names[*i], names), Some(Parameter::Sheet(_))));
-    let c = c.only(&own);
-    let n = own.len();
-    let matrix = DMatrix::from_fn(n, n, |i, j| c.matrix[i][j]);
-    if !has_sheet || matrix.iter().any(|v| !v.is_finite()) {
-        return None;
-    }
-    let known = ParameterKnowledge::Estimated { prior_share: 0.0 };
-    let natural = Natural {
-        cameras: vec![first.model().ok()?, second.model().ok()?],
-        cam_from_rig: vec![first.cam_from_rig.motion(), second.cam_from_rig.motion()],
-        rig_from_plane: Some(record.sheet.as_ref()?.rig_from_sheet.motion()),
-        rig_from_target: vec![],
-    };
-    let scale = DVector::from_fn(n, |i, _| typical(&natural, &c.names[i], &names).unwrap_or(0.0));
-    let directions = DMatrix::from_fn(n, c.null_directions.len(), |i, k| c.null_directions[k][i]);
-    let covariance = NamedCovariance {
-        determined: (0..n).map(|i| c.determines(i)).collect(),
-        intrinsics: vec![[known; INTRINSICS]; 2],
-        nullity: directions.ncols(),
-        null_directions: measured(directions, &scale),
-        undetermined: vec![],
-        offset_sigmas_mm: vec![],
-        names: c.names,
-        natural,
-        scale,
-        matrix,
-    };
+    let names = [first.name.as_str(), second.name.as_str()];
+    let known = covariance_of_record(record)?;
+    let typical = |name: &String| typical(&known.natural, name, &names).unwrap_or(0.0);
+    let scale = DVector::from_iterator(known.names.len(), known.names.iter().map(typical));
+    let covariance = NamedCovariance { null_directions: measured(known.null_directions, &scale), scale, ..known };
     let sizes_px = [first, second].map(|c| c.image_size_px.map(|n| n as f64));
     let mut flags = vec![];
     let found = mapping_uncertainty(&covariance, &sizes_px, &names, &mut flags)?;
     Some((found, flags))
-}
-
-/// Whether what is measured with a record does not depend on anything that its calibration leaves undetermined.
-pub fn determines_measurements(record: &Record) -> bool {
-    let named = || mapping_of_record(record).is_some_and(|(mapping, _)| mapping.undetermined.is_empty());
-    record.covariance.null_directions.is_empty() || named()
 }
 
 pub(super) fn mapping_uncertainty(

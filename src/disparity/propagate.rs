@@ -21,11 +21,10 @@
 
 use super::plane::{Match, PlaneFit, see, weighted_plane};
 use crate::dewarp::SheetMap;
-use crate::diagnosis::determines_measurements;
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::{Covariance, Record};
 use crate::rigid::Motion;
-use crate::sheet::{Parameter, STEP_NAMES, stepped_camera, stepped_motion, stepped_window};
+use crate::sheet::{Parameter, STEP_NAMES, determines_measurements, stepped_camera, stepped_motion, stepped_window};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Matrix6x3, SMatrix, SVector, Vector3};
 
 /// Row names of the sheet in a covariance.

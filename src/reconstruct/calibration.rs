@@ -2,11 +2,11 @@
 
 use crate::camera::{Camera, INTRINSIC_NAMES, Intrinsics, WINDOW_STEP_NAMES, WINDOW_STEPS};
 use crate::dewarp::SheetMap;
-use crate::diagnosis::determines_measurements;
 use crate::error::Result;
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::Record;
 use crate::rigid::Motion;
+use crate::sheet::determines_measurements;
 use nalgebra::{DMatrix, DVector, SVector, Vector3};
 
 const STEPS: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
