@@ -367,6 +367,7 @@ mod tests {
                 "\"rig_from_target\": {\"rotation\": [[1,0,0],[0,-1,0],[0,0,-1]], \"translation_mm\": [0,0,500]}",
             )
             .replace(", \"right\": 0", "")
+            .replace("\"spacing_mm\": 0", "\"spacing_mm\": 20")
             .replace("\"f_px\": 0, \"aspect\": 1", "\"f_px\": 8000, \"aspect\": 1")
             .replace(
                 "\"distance_mm\": 0, \"abc_per_mm\": [0,0,0]",
