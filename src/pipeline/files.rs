@@ -142,10 +142,13 @@ fn spare(place: &Path) -> std::io::Result<Option<PathBuf>> {
     use std::io::ErrorKind::{AlreadyExists, NotFound};
     let name = place.file_name().unwrap_or_default().to_string_lossy();
     let mut number = 0u32;
-    while place.exists() {
+    while place.is_file() {
         let old = place.with_file_name(format!(".{name}.{}.{number}.old", std::process::id()));
         // Some file systems give a file one name only.
-        let copied = || std::io::copy(&mut fs::File::open(place)?, &mut fs::File::create_new(&old)?).map(drop);
+        let copied = || {
+            let (mut from, mut to) = (fs::File::open(place)?, fs::File::create_new(&old)?);
+            std::io::copy(&mut from, &mut to).map(drop).inspect_err(|_| drop(fs::remove_file(&old)))
+        };
         let linked = fs::hard_link(place, &old);
         match linked.or_else(|e| if matches!(e.kind(), AlreadyExists | NotFound) { Err(e) } else { copied() }) {
             Err(e) if e.kind() == AlreadyExists => number += 1,

@@ -8,8 +8,8 @@ use nalgebra::{Matrix3, Vector3};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 
-/// Files written with 8 digits agree to this, relative to lengths and in sines and cosines of angles.
-const ROUNDING: f64 = 1e-6;
+/// Files written with five digits agree to this, relative to lengths and in sines and cosines of angles.
+const ROUNDING: f64 = 1e-4;
 
 /// Values of `target.kind`; the last where a calibration comes from another package.
 const KINDS: [&str; 5] = ["two-discs", "bubbles", "dot-grid", "two-level-plate", "none"];
