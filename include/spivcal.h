@@ -704,7 +704,7 @@
 
 /**
  * Covariance of all estimated numbers, n x n row-major, n = SPIVCAL_COUNT_COVARIANCE; units: those at the end of the two names;
- * poses: steps as of SPIVCAL_ARRAY_CAM_FROM_RIG_SIGMA, which turn the translation too.
+ * poses: steps as of SPIVCAL_ARRAY_CAM_FROM_RIG_SIGMA, which turn the translation too. NaN in the rows and columns of numbers that nothing determines.
  */
 #define SPIVCAL_ARRAY_COVARIANCE 531
 
