@@ -147,7 +147,7 @@ pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
     });
     let mut out = NamedCovariance {
         names,
-        null_directions: measured(without(&g * &moved, &determined), &scale),
+        null_directions: measured(&g * &moved, &scale),
         matrix,
         scale,
         determined,
@@ -306,12 +306,6 @@ fn null_movements(post: &Posterior, e: &NormalEquations) -> DMatrix<f64> {
         }
     }
     moved
-}
-
-/// Directions without the rounding in what does not move along them.
-fn without(mut directions: DMatrix<f64>, still: &[bool]) -> DMatrix<f64> {
-    (0..still.len()).filter(|i| still[*i]).for_each(|i| directions.row_mut(i).fill(0.0));
-    directions
 }
 
 /// Directions of such length that what moves most moves by its scale.

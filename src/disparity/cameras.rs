@@ -253,6 +253,7 @@ impl Prior {
                 .collect(),
             matrix: (0..n + 6).map(|i| (0..n + 6).map(|j| entry(i, j)).collect()).collect(),
             // Those of views and target: none moves the cameras, nor the sheet.
+            undetermined: old.only(&kept).undetermined,
             null_directions: old.only(&kept).null_directions.into_iter().map(|d| [d, vec![0.0; 6]].concat()).collect(),
         };
         Some(Propagated { plane_and_center, against_start, covariance })

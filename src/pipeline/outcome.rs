@@ -41,6 +41,10 @@ pub(super) fn record(s: &Solved, fits: &[ImageFit], findings: &Findings, sheet: 
         covariance: Covariance {
             names: s.covariance.names.clone(),
             matrix: s.covariance.matrix.row_iter().map(|r| r.iter().copied().collect()).collect(),
+            undetermined: {
+                let named = s.covariance.names.iter().zip(&s.covariance.determined);
+                named.filter(|(_, known)| !**known).map(|(name, _)| name.clone()).collect()
+            },
             null_directions: s.covariance.null_directions.column_iter().map(|d| d.iter().copied().collect()).collect(),
         },
     })

@@ -553,16 +553,19 @@ pub struct Covariance {
     /// Symmetric matrix, rows in the order of the names; unit: product of the two names' units.
     #[serde(with = "maybe_rows")]
     pub matrix: Vec<Vec<f64>>,
-    /// Directions that nothing determines, over the names, where there are any: the matrix holds the others alone. A name that one of them moves has no
-    /// standard deviation; a function of several has one where it stands still along all of them.
+    /// Names of numbers that nothing determines, where there are any: the matrix holds the determined directions alone, and these have no standard
+    /// deviation.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub undetermined: Vec<String>,
+    /// The directions that nothing determines, over all names: a function of several numbers is known where it stands still along all of them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub null_directions: Vec<Vec<f64>>,
 }
 
 impl Covariance {
-    /// Whether nothing undetermined moves the number of row `i`.
+    /// Whether something determines the number of row `i`.
     pub fn determines(&self, i: usize) -> bool {
-        self.null_directions.iter().all(|d| d.get(i).is_none_or(|x| *x == 0.0))
+        !self.undetermined.contains(&self.names[i])
     }
     /// The entry of two rows; `NaN` where one of them is not determined.
     pub fn known(&self, i: usize, j: usize) -> f64 {
@@ -571,11 +574,12 @@ impl Covariance {
     /// That of some of the rows, in their order.
     pub(crate) fn only(&self, rows: &[usize]) -> Self {
         let pick = |row: &Vec<f64>| -> Vec<f64> { rows.iter().map(|j| row[*j]).collect() };
-        let directions = self.null_directions.iter().map(pick);
+        let lost = rows.iter().filter(|i| !self.determines(**i)).map(|i| self.names[*i].clone()).collect::<Vec<_>>();
         Self {
             names: rows.iter().map(|i| self.names[*i].clone()).collect(),
             matrix: rows.iter().map(|i| pick(&self.matrix[*i])).collect(),
-            null_directions: directions.filter(|d| d.iter().any(|x| *x != 0.0)).collect(),
+            null_directions: if lost.is_empty() { vec![] } else { self.null_directions.iter().map(pick).collect() },
+            undetermined: lost,
         }
     }
     /// Index of a name.
