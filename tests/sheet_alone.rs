@@ -93,6 +93,7 @@ fn what_does_not_belong_together_is_refused() {
     // A camera that was turned: the discs meet nowhere near a plane, or transfer badly.
     let mut record = Record::from_json(&json, "c").unwrap();
     record.cameras[1].cam_from_rig.translation_mm[1] += 5.0;
+    (record.rig, record.sheet) = (None, None);
     std::fs::write(&other, record.to_json().unwrap()).unwrap();
     std::fs::write(&rig, &text).unwrap();
     let output = sheet(&rig, &folder, &other, &out);

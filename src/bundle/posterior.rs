@@ -89,15 +89,12 @@ impl NamedCovariance {
     /// True where a linear function of named parameters, a (name, coefficient) list, stands still along every undetermined
     /// direction: the angle of the sheet to the baseline may be known where neither sheet nor baseline is.
     pub fn is_determined(&self, row: &[(String, f64)]) -> bool {
-        let mut all = DVector::zeros(self.names.len());
+        let mut all = DVector::<f64>::zeros(self.names.len());
         row.iter().filter_map(|(n, c)| Some((self.index(n)?, *c))).for_each(|(i, c)| all[i] += c);
-        self.stands_still(&all)
-    }
-    /// The same of derivatives by all names: its terms cancel, or are rounding against what it would feel if all of its parameters moved by their scale.
-    pub(crate) fn stands_still(&self, row: &DVector<f64>) -> bool {
-        let size: f64 = row.iter().zip(self.scale.iter()).map(|(r, s)| r.abs() * s).sum();
+        // Its terms cancel, or are rounding against what it would feel if all of its parameters moved by their scale.
+        let size: f64 = all.iter().zip(self.scale.iter()).map(|(r, s)| r.abs() * s).sum();
         self.null_directions.column_iter().all(|d| {
-            let terms = row.component_mul(&d);
+            let terms = all.component_mul(&d);
             terms.sum().abs() <= (CANCELLED * terms.abs().sum()).max(ROUNDED * size)
         })
     }
@@ -309,7 +306,7 @@ fn null_movements(post: &Posterior, e: &NormalEquations) -> DMatrix<f64> {
 }
 
 /// Directions of such length that what moves most moves by its scale.
-pub(crate) fn measured(mut directions: DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> {
+fn measured(mut directions: DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> {
     for mut d in directions.column_iter_mut() {
         let most = d.iter().zip(scale.iter()).filter(|(_, s)| **s > 0.0).map(|(d, s)| d.abs() / s).fold(0.0, f64::max);
         if most > 0.0 {

@@ -41,7 +41,7 @@ impl Keys {
                 break;
             }
             let row = derivative.row(k).transpose();
-            out.determined.push(covariance.stands_still(&row));
+            out.determined.push(still(&row, covariance, names));
             let terms = covariance.names.iter().zip(row.iter()).filter(|(_, v)| **v != 0.0);
             out.rows.push(terms.map(|(n, v)| (n.clone(), *v)).collect());
             out.list.push(Key { name, unit, value: *value });
@@ -115,6 +115,22 @@ pub(super) fn derivative(
         out.set_column(column, &((at(h)? - at(-h)?) / (2.0 * h)));
     }
     Some(out)
+}
+
+/// True where a function with these derivatives stands still along every undetermined direction: its terms cancel, or are rounding
+/// against what it would feel if all of its parameters moved as far as the one that moves most.
+pub(super) fn still(row: &DVector<f64>, covariance: &NamedCovariance, names: &[&str]) -> bool {
+    if covariance.nullity == 0 {
+        return true;
+    }
+    let typical: Vec<f64> =
+        covariance.names.iter().map(|n| typical(&covariance.natural, n, names).unwrap_or(0.0)).collect();
+    covariance.null_directions.column_iter().all(|d| {
+        let terms = row.component_mul(&d);
+        let most = d.iter().zip(&typical).filter(|(_, t)| **t > 0.0).map(|(d, t)| d.abs() / t).fold(0.0, f64::max);
+        let size: f64 = row.iter().zip(&typical).map(|(r, t)| r.abs() * t).sum();
+        terms.sum().abs() <= (1e-4 * terms.abs().sum()).max(1e-6 * most * size)
+    })
 }
 
 /// Lengths by which shifts are measured: where the rig looks.

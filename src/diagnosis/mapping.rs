@@ -7,8 +7,8 @@
 //! e_i = misplacement of point i in a camera,  e' = e - (shift, turn) fitted to all points of both cameras,  C' = P D C D^T P^T
 //! ```
 
-use super::keys::typical;
-use crate::bundle::{NamedCovariance, measured};
+use super::keys::still;
+use crate::bundle::NamedCovariance;
 use crate::record::{MappingMap, MappingSigma, MappingUncertainty, Record};
 use crate::sheet::{PointUncertainty, SheetUncertainty, StereoSheet, covariance_of_record};
 use crate::threads::gathered;
@@ -31,10 +31,7 @@ struct Field {
 pub fn mapping_of_record(record: &Record) -> Option<(MappingUncertainty, Vec<String>)> {
     let [first, second] = record.cameras.as_slice() else { return None };
     let names = [first.name.as_str(), second.name.as_str()];
-    let known = covariance_of_record(record)?;
-    let typical = |name: &String| typical(&known.natural, name, &names).unwrap_or(0.0);
-    let scale = DVector::from_iterator(known.names.len(), known.names.iter().map(typical));
-    let covariance = NamedCovariance { null_directions: measured(known.null_directions, &scale), scale, ..known };
+    let covariance = covariance_of_record(record)?;
     let sizes_px = [first, second].map(|c| c.image_size_px.map(|n| n as f64));
     let mut flags = vec![];
     let found = mapping_uncertainty(&covariance, &sizes_px, &names, &mut flags)?;
@@ -56,7 +53,7 @@ pub(super) fn mapping_uncertainty(
     points.push([points.iter().map(|p| p[0]).sum::<f64>() / n, points.iter().map(|p| p[1]).sum::<f64>() / n]);
     let at: Option<Vec<PointUncertainty>> = gathered(true, &points, |p| uncertainty.at(*p));
     let at = at?;
-    let placed = places(covariance, (&points, &at), uncertainty.names_at())?;
+    let placed = places(covariance, names, (&points, &at), uncertainty.names_at())?;
     let all: Vec<MappingSigma> = points
         .iter()
         .zip(placed.iter().zip(&at))
@@ -121,6 +118,7 @@ fn field(stereo: &StereoSheet, sizes_px: &[[f64; 2]]) -> Option<Field> {
 /// and turn; the last point takes no part in their fit. `NaN` where nothing determines it.
 fn places(
     covariance: &NamedCovariance,
+    names: &[&str],
     (points, at): (&[[f64; 2]], &[PointUncertainty]),
     own: &[usize],
 ) -> Option<Vec<f64>> {
@@ -136,7 +134,7 @@ fn places(
     let is_still = |row: usize| {
         let mut by_name = DVector::zeros(covariance.names.len());
         own.iter().zip(beside.row(row).iter()).for_each(|(i, x)| by_name[*i] = *x);
-        covariance.stands_still(&by_name)
+        still(&by_name, covariance, names)
     };
     let sigma = |row: usize| {
         if is_still(row) { spread.row(row).dot(&beside.row(row)).max(0.0).sqrt() } else { f64::NAN }

@@ -93,7 +93,8 @@ impl Prior {
         let c = &start.covariance.matrix;
         let lost =
             |(i, _): &&(usize, Parameter)| numbers.iter().any(|(j, _)| !start.covariance.known(*i, *j).is_finite());
-        if let Some((i, _)) = numbers.iter().find(lost) {
+        let own = |(i, _): &&(usize, Parameter)| !start.covariance.known(*i, *i).is_finite();
+        if let Some((i, _)) = numbers.iter().find(own).or_else(|| numbers.iter().find(lost)) {
             let name = &start.covariance.names[*i];
             return Err(unknown(&format!(
                 "the calibration does not determine {name}, so there is no covariance to weigh the particles against"
