@@ -62,6 +62,7 @@ mod residuals;
 mod retraction;
 mod state;
 mod tangent;
+mod typical;
 
 /// The scenes of the tests below `tests`, for those in here.
 #[cfg(test)]
@@ -83,6 +84,7 @@ pub(crate) use posterior::{intrinsic_words, layer_words};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};
 pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
 pub use state::{State, ViewState};
+pub(crate) use typical::{distance_mm, typical};
 
 /// How the adjustment is steered and how it ended: rooms above speak of it without knowing the solver.
 pub use crate::solve::{Iteration, Options as SolveOptions, Prediction, Termination, symmetric_eigen};

@@ -135,7 +135,7 @@ fn quantities(covariance: &NamedCovariance, keys: &Keys) -> Vec<KeyQuantity> {
         name: key.name.clone(),
         unit: key.unit.into(),
         value: key.value,
-        sigma: if keys.determined[k] { sigmas[k] } else { f64::NAN },
+        sigma: sigmas[k],
     };
     keys.list.iter().enumerate().map(quantity).collect()
 }

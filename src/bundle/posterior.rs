@@ -15,11 +15,12 @@ use super::chart::{self, ChartDerivative, SolverCamera};
 use super::layout::Places;
 use super::model::{Model, TargetShape};
 use super::state::State;
+use super::typical::typical;
 use crate::camera::{Camera, INTRINSIC_NAMES, INTRINSICS, LAYERS, WINDOW_STEP_NAMES};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::rigid::Motion;
 use crate::solve::{NormalEquations, Posterior, posterior};
-use nalgebra::{DMatrix, DVector, SMatrix, Vector3};
+use nalgebra::{DMatrix, DVector, DVectorView, SMatrix, Vector3};
 
 /// How a parameter is known.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,8 +43,7 @@ pub struct NamedCovariance {
     pub names: Vec<String>,
     /// Covariance, over the determined directions.
     pub matrix: DMatrix<f64>,
-    /// By how much each parameter moves as the unknowns that it follows move by what the images fix each to where all others are known: the measure by
-    /// which a movement counts as none.
+    /// A large change of each parameter: the measure by which a movement counts as none.
     pub scale: DVector<f64>,
     /// False where a parameter moves along an undetermined direction.
     pub determined: Vec<bool>,
@@ -51,7 +51,7 @@ pub struct NamedCovariance {
     pub intrinsics: Vec<[ParameterKnowledge; INTRINSICS]>,
     /// Number of undetermined directions.
     pub nullity: usize,
-    /// The undetermined directions in the named parameters, one column each; the parameter that moves most moves by its scale.
+    /// The undetermined directions in the named parameters, one column each; the parameter that moves most by its scale.
     pub null_directions: DMatrix<f64>,
     /// Undetermined and prior-dominated parameters in words.
     pub undetermined: Vec<String>,
@@ -91,10 +91,13 @@ impl NamedCovariance {
     pub fn is_determined(&self, row: &[(String, f64)]) -> bool {
         let mut all = DVector::<f64>::zeros(self.names.len());
         row.iter().filter_map(|(n, c)| Some((self.index(n)?, *c))).for_each(|(i, c)| all[i] += c);
-        // Its terms cancel, or are rounding against what it would feel if all of its parameters moved by their scale.
-        let size: f64 = all.iter().zip(self.scale.iter()).map(|(r, s)| r.abs() * s).sum();
+        self.stands_still(&all)
+    }
+    /// The same of derivatives by all names: its terms cancel, or are rounding against what it would feel if all of its parameters moved by their scale.
+    pub(crate) fn stands_still(&self, row: &DVector<f64>) -> bool {
+        let size: f64 = row.iter().zip(self.scale.iter()).map(|(r, s)| r.abs() * s).sum();
         self.null_directions.column_iter().all(|d| {
-            let terms = all.component_mul(&d);
+            let terms = row.component_mul(&d);
             terms.sum().abs() <= (CANCELLED * terms.abs().sum()).max(ROUNDED * size)
         })
     }
@@ -133,10 +136,15 @@ pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
     let matrix = &g * &full * g.transpose();
     // Large variances along weak directions cancel in small ones: rounding is not the same on both sides.
     let matrix = 0.5 * (&matrix + matrix.transpose());
-    let equations = adjustment.equations.as_ref()?;
-    let (own, moved) = (own_precision(equations), null_movements(&post, equations));
-    let determined: Vec<bool> = rows.iter().map(|row| still(&row.terms, &moved, &own)).collect();
-    let scale = g.map(f64::abs) * &own;
+    let moved = null_movements(&post, &places, adjustment.equations.as_ref()?);
+    let cameras: Vec<&str> = model.cameras.iter().map(|c| c.name.as_str()).collect();
+    let scale = DVector::from_iterator(rows.len(), rows.iter().map(|row| typical(&natural, &row.name, &cameras)));
+    let null_directions = measured(&g * &moved, &scale);
+    let still = |i: usize, k: usize| {
+        let by_rounding = null_directions[(i, k)].abs() <= ROUNDED * scale[i];
+        by_rounding || cancels(&rows[i].terms, &moved.column(k))
+    };
+    let determined = (0..rows.len()).map(|i| (0..post.nullity).all(|k| still(i, k))).collect();
     let names: Vec<String> = rows.into_iter().map(|r| r.name).collect();
     let offset_sigmas_mm = places.offsets.map_or_else(Vec::new, |at| {
         let sigma = |i: usize| post.global[(i, i)].max(0.0).sqrt();
@@ -144,7 +152,7 @@ pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
     });
     let mut out = NamedCovariance {
         names,
-        null_directions: measured(&g * &moved, &scale),
+        null_directions,
         matrix,
         scale,
         determined,
@@ -281,19 +289,14 @@ fn shape_names(model: &Model) -> [&'static str; 3] {
     }
 }
 
-/// What the images and priors fix each unknown to where all others are known; 1 where nothing sees it.
-fn own_precision(e: &NormalEquations) -> DVector<f64> {
-    let of_blocks = e.blocks.iter().flat_map(|b| b.h_vv.diagonal().iter().copied().collect::<Vec<_>>());
-    let information = e.h_gg.diagonal().iter().copied().chain(of_blocks).collect::<Vec<_>>();
-    DVector::from_vec(information).map(|h| if h > 0.0 { h.sqrt().recip() } else { 1.0 })
-}
-
 /// Movement of all unknowns along each undetermined direction, one column each.
-fn null_movements(post: &Posterior, e: &NormalEquations) -> DMatrix<f64> {
-    let (n, own) = (e.h_gg.nrows(), own_precision(e));
-    let mut moved = DMatrix::zeros(own.len(), post.nullity);
+fn null_movements(post: &Posterior, places: &Places, e: &NormalEquations) -> DMatrix<f64> {
+    let n = places.global;
+    let scale = |i: usize| if e.h_gg[(i, i)] > 0.0 { e.h_gg[(i, i)].sqrt().recip() } else { 1.0 };
+    let total = n + post.blocks.iter().map(|b| b.own.nrows()).sum::<usize>();
+    let mut moved = DMatrix::zeros(total, post.nullity);
     for k in 0..post.nullity {
-        let global = DVector::from_fn(n, |i, _| post.null_directions[(i, k)] * own[i]);
+        let global = DVector::from_fn(n, |i, _| post.null_directions[(i, k)] * scale(i));
         moved.view_mut((0, k), (n, 1)).copy_from(&global);
         let mut at = n;
         for b in &post.blocks {
@@ -316,18 +319,16 @@ fn measured(mut directions: DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> 
     directions
 }
 
-/// Part of the movements of its terms by which a sum may move and yet stand still, and part of their scales: what rounding makes of a direction.
+/// Part of the movements of its terms by which a sum may move and yet stand still, and part of what it would feel of large changes: what rounding
+/// makes of a direction.
 const CANCELLED: f64 = 1e-4;
-const ROUNDED: f64 = 1e-5;
+const ROUNDED: f64 = 1e-6;
 
-/// Whether a sum of unknowns stands still along every undetermined direction; `own` are the scales of the unknowns.
-fn still(terms: &[(usize, f64)], moved: &DMatrix<f64>, own: &DVector<f64>) -> bool {
-    let scale: f64 = terms.iter().map(|(i, c)| c.abs() * own[*i]).sum();
-    moved.column_iter().all(|m| {
-        let sum: f64 = terms.iter().map(|(i, c)| c * m[*i]).sum();
-        let size: f64 = terms.iter().map(|(i, c)| (c * m[*i]).abs()).sum();
-        sum.abs() <= (CANCELLED * size).max(ROUNDED * scale)
-    })
+/// Whether the movements of its unknowns cancel in a sum.
+fn cancels(terms: &[(usize, f64)], moved: &DVectorView<'_, f64>) -> bool {
+    let sum: f64 = terms.iter().map(|(i, c)| c * moved[*i]).sum();
+    let size: f64 = terms.iter().map(|(i, c)| (c * moved[*i]).abs()).sum();
+    sum.abs() <= CANCELLED * size
 }
 
 fn knowledge(model: &Model, covariance: &NamedCovariance, c: usize) -> [ParameterKnowledge; INTRINSICS] {

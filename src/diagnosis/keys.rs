@@ -1,6 +1,6 @@
 //! The numbers that a user relies on, with their derivatives by the named parameters.
 
-use crate::bundle::{NamedCovariance, Natural};
+use crate::bundle::{NamedCovariance, Natural, distance_mm};
 use crate::camera::INTRINSIC_NAMES;
 use crate::record::SHEET_QUANTITIES;
 use crate::sheet::{Parameter, StereoSheet, stepped_camera, stepped_motion, stepped_window};
@@ -41,7 +41,7 @@ impl Keys {
                 break;
             }
             let row = derivative.row(k).transpose();
-            out.determined.push(still(&row, covariance, names));
+            out.determined.push(covariance.stands_still(&row));
             let terms = covariance.names.iter().zip(row.iter()).filter(|(_, v)| **v != 0.0);
             out.rows.push(terms.map(|(n, v)| (n.clone(), *v)).collect());
             out.list.push(Key { name, unit, value: *value });
@@ -115,56 +115,6 @@ pub(super) fn derivative(
         out.set_column(column, &((at(h)? - at(-h)?) / (2.0 * h)));
     }
     Some(out)
-}
-
-/// True where a function with these derivatives stands still along every undetermined direction: its terms cancel, or are rounding
-/// against what it would feel if all of its parameters moved as far as the one that moves most.
-pub(super) fn still(row: &DVector<f64>, covariance: &NamedCovariance, names: &[&str]) -> bool {
-    if covariance.nullity == 0 {
-        return true;
-    }
-    let typical: Vec<f64> =
-        covariance.names.iter().map(|n| typical(&covariance.natural, n, names).unwrap_or(0.0)).collect();
-    covariance.null_directions.column_iter().all(|d| {
-        let terms = row.component_mul(&d);
-        let most = d.iter().zip(&typical).filter(|(_, t)| **t > 0.0).map(|(d, t)| d.abs() / t).fold(0.0, f64::max);
-        let size: f64 = row.iter().zip(&typical).map(|(r, t)| r.abs() * t).sum();
-        terms.sum().abs() <= (1e-4 * terms.abs().sum()).max(1e-6 * most * size)
-    })
-}
-
-/// Lengths by which shifts are measured: where the rig looks.
-pub(super) fn distance_mm(natural: &Natural) -> f64 {
-    let plane = natural.rig_from_plane.as_ref().map(|p| p.translation_mm.norm());
-    let views = natural.rig_from_target.iter().map(|v| v.translation_mm.norm());
-    plane.unwrap_or_else(|| views.fold(1.0, f64::max))
-}
-
-/// Half a percent, or 5 mrad, of a parameter: a change that a user would call large.
-pub(super) fn typical(natural: &Natural, name: &str, names: &[&str]) -> Option<f64> {
-    const PART: f64 = 0.005;
-    let own = [names.first().copied().unwrap_or_default(), names.get(1).copied().unwrap_or_default()];
-    Some(match Parameter::of(name, own)? {
-        Parameter::Intrinsic(c, k) => {
-            let i = natural.cameras[c].intrinsics();
-            // The image reaches about to the mirrored axis point.
-            let s = (i.cx_px.abs().max(i.cy_px.abs()) / i.f_px).powi(2).clamp(1e-4, 1.0);
-            match k {
-                0 | 2 | 3 => PART * i.f_px,
-                6..=8 => PART / s.powi(k as i32 - 5),
-                _ => PART,
-            }
-        }
-        Parameter::Window(_, 3 | 4) => PART * distance_mm(natural),
-        Parameter::Window(..) => PART,
-        Parameter::Motion(k) | Parameter::Sheet(k) => {
-            if k < 3 {
-                PART
-            } else {
-                PART * distance_mm(natural)
-            }
-        }
-    })
 }
 
 fn step(natural: &Natural, parameter: Parameter) -> f64 {

@@ -7,7 +7,6 @@
 //! e_i = misplacement of point i in a camera,  e' = e - (shift, turn) fitted to all points of both cameras,  C' = P D C D^T P^T
 //! ```
 
-use super::keys::still;
 use crate::bundle::NamedCovariance;
 use crate::record::{MappingMap, MappingSigma, MappingUncertainty, Record};
 use crate::sheet::{PointUncertainty, SheetUncertainty, StereoSheet, covariance_of_record};
@@ -53,7 +52,7 @@ pub(super) fn mapping_uncertainty(
     points.push([points.iter().map(|p| p[0]).sum::<f64>() / n, points.iter().map(|p| p[1]).sum::<f64>() / n]);
     let at: Option<Vec<PointUncertainty>> = gathered(true, &points, |p| uncertainty.at(*p));
     let at = at?;
-    let placed = places(covariance, names, (&points, &at), uncertainty.names_at())?;
+    let placed = places(covariance, (&points, &at), uncertainty.names_at())?;
     let all: Vec<MappingSigma> = points
         .iter()
         .zip(placed.iter().zip(&at))
@@ -118,7 +117,6 @@ fn field(stereo: &StereoSheet, sizes_px: &[[f64; 2]]) -> Option<Field> {
 /// and turn; the last point takes no part in their fit. `NaN` where nothing determines it.
 fn places(
     covariance: &NamedCovariance,
-    names: &[&str],
     (points, at): (&[[f64; 2]], &[PointUncertainty]),
     own: &[usize],
 ) -> Option<Vec<f64>> {
@@ -134,7 +132,7 @@ fn places(
     let is_still = |row: usize| {
         let mut by_name = DVector::zeros(covariance.names.len());
         own.iter().zip(beside.row(row).iter()).for_each(|(i, x)| by_name[*i] = *x);
-        still(&by_name, covariance, names)
+        covariance.stands_still(&by_name)
     };
     let sigma = |row: usize| {
         if is_still(row) { spread.row(row).dot(&beside.row(row)).max(0.0).sqrt() } else { f64::NAN }

@@ -3,10 +3,11 @@
 //! The covariance of cameras, motion and sheet, each number in units of half a percent or 5 mrad, has principal directions; those
 //! along which one standard deviation exceeds one unit are weak. Directions that nothing determines come first, without a sigma.
 
-use super::keys::{Keys, parameter_words, typical};
+use super::keys::{Keys, parameter_words};
 use super::{digits, listed};
 use crate::bundle::{NamedCovariance, symmetric_eigen};
 use crate::record::NearNull;
+use crate::sheet::Parameter;
 use nalgebra::{DMatrix, DVector};
 
 /// Weak directions named at most, beside those that nothing determines.
@@ -15,12 +16,9 @@ const MOST: usize = 6;
 const PART: f64 = 0.2;
 
 pub(super) fn near_null(covariance: &NamedCovariance, names: &[&str], keys: &Keys) -> Vec<NearNull> {
-    let own: Vec<(usize, f64)> = covariance
-        .names
-        .iter()
-        .enumerate()
-        .filter_map(|(i, n)| Some((i, typical(&covariance.natural, n, names)?)))
-        .collect();
+    let cameras = [0, 1].map(|c| names.get(c).copied().unwrap_or_default());
+    let of_rig = |i: &usize| Parameter::of(&covariance.names[*i], cameras).is_some();
+    let own: Vec<(usize, f64)> = (0..covariance.names.len()).filter(of_rig).map(|i| (i, covariance.scale[i])).collect();
     let mut out = vec![];
     for direction in covariance.null_directions.column_iter() {
         let d = DVector::from_fn(own.len(), |i, _| direction[own[i].0] / own[i].1);

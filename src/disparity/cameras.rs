@@ -246,16 +246,13 @@ impl Prior {
             (false, true) => cross[(i - n, kept[j])],
             (true, false) => cross[(j - n, kept[i])],
         };
+        let rest = old.only(&kept);
         let covariance = Covariance {
-            names: kept
-                .iter()
-                .map(|i| old.names[*i].clone())
-                .chain(STEP_NAMES.map(|s| format!("{SHEET}{s}")))
-                .collect(),
+            names: rest.names.into_iter().chain(STEP_NAMES.map(|s| format!("{SHEET}{s}"))).collect(),
             matrix: (0..n + 6).map(|i| (0..n + 6).map(|j| entry(i, j)).collect()).collect(),
             // Those of views and target: none moves the cameras, nor the sheet.
-            undetermined: old.only(&kept).undetermined,
-            null_directions: old.only(&kept).null_directions.into_iter().map(|d| [d, vec![0.0; 6]].concat()).collect(),
+            undetermined: rest.undetermined,
+            null_directions: rest.null_directions.into_iter().map(|d| [d, vec![0.0; 6]].concat()).collect(),
         };
         Some(Propagated { plane_and_center, against_start, covariance })
     }

@@ -227,14 +227,13 @@ fn with_sheet(
         let sheet = step_by_plane * by_number * DVector::from_fn(p.len(), |k, _| d[p[k]]);
         kept.iter().map(|i| d[*i]).chain(sheet.iter().copied()).collect()
     };
+    let rest = old.only(&kept);
+    // The sheet's own steps move with the cameras; what is measured in it need not.
+    let lost = STEP_NAMES.iter().filter(|_| p.iter().any(|i| !old.determines(*i)));
     Covariance {
-        names: kept.iter().map(|i| old.names[*i].clone()).chain(STEP_NAMES.map(|s| format!("{SHEET}{s}"))).collect(),
+        names: rest.names.into_iter().chain(STEP_NAMES.map(|s| format!("{SHEET}{s}"))).collect(),
         matrix: (0..n + 6).map(|i| (0..n + 6).map(|j| entry(i, j)).collect()).collect(),
-        // The sheet's own steps move with the cameras; what is measured in it need not.
-        undetermined: {
-            let sheet = STEP_NAMES.iter().filter(|_| p.iter().any(|i| !old.determines(*i)));
-            old.only(&kept).undetermined.into_iter().chain(sheet.map(|s| format!("{SHEET}{s}"))).collect()
-        },
+        undetermined: rest.undetermined.into_iter().chain(lost.map(|s| format!("{SHEET}{s}"))).collect(),
         null_directions: old.null_directions.iter().map(with_cameras).collect(),
     }
 }

@@ -23,13 +23,13 @@ const SHORTEST: f64 = 0.95;
 /// Everything but the sheet, and the sheet.
 pub(super) fn record(s: &Solved, fits: &[ImageFit], findings: &Findings, sheet: Option<Sheet>) -> Result<Record> {
     let cameras: Vec<record::Camera> = (0..s.job.cameras.len())
-        .map(|c| camera(s, fits, findings, c))
+        .map(|c| camera(s, fits, c))
         .collect::<Option<_>>()
         .ok_or_else(|| Error::Bug("a camera has no image".into()))?;
     Ok(Record {
         format: record::FORMAT.into(),
         version: record::VERSION,
-        rig: rig(s, findings),
+        rig: rig(s),
         cameras,
         sheet,
         target: target(s),
@@ -38,16 +38,19 @@ pub(super) fn record(s: &Solved, fits: &[ImageFit], findings: &Findings, sheet: 
         fit: fit(s, fits, findings),
         mapping_uncertainty: findings.mapping.clone(),
         provenance: provenance(s),
-        covariance: Covariance {
-            names: s.covariance.names.clone(),
-            matrix: s.covariance.matrix.row_iter().map(|r| r.iter().copied().collect()).collect(),
-            undetermined: {
-                let named = s.covariance.names.iter().zip(&s.covariance.determined);
-                named.filter(|(_, known)| !**known).map(|(name, _)| name.clone()).collect()
-            },
-            null_directions: s.covariance.null_directions.column_iter().map(|d| d.iter().copied().collect()).collect(),
-        },
+        covariance: covariance(s),
     })
+}
+
+fn covariance(s: &Solved) -> Covariance {
+    let c = &s.covariance;
+    let lost = c.names.iter().zip(&c.determined).filter(|(_, known)| !**known);
+    Covariance {
+        names: c.names.clone(),
+        matrix: c.matrix.row_iter().map(|r| r.iter().copied().collect()).collect(),
+        undetermined: lost.map(|(name, _)| name.clone()).collect(),
+        null_directions: c.null_directions.column_iter().map(|d| d.iter().copied().collect()).collect(),
+    }
 }
 
 /// Sigma of a named parameter; 0 where held, `NaN` where undetermined.
@@ -59,7 +62,7 @@ fn total<'a>(fits: impl Iterator<Item = &'a ImageFit>) -> ImageFit {
     fits.fold(ImageFit::default(), |a, b| a.plus(b))
 }
 
-fn camera(s: &Solved, fits: &[ImageFit], findings: &Findings, c: usize) -> Option<record::Camera> {
+fn camera(s: &Solved, fits: &[ImageFit], c: usize) -> Option<record::Camera> {
     let description = &s.job.cameras[c];
     let first = s.images.iter().find(|i| i.camera == c)?;
     let own = total(s.images.iter().zip(fits).filter(|(i, _)| i.camera == c).map(|(_, f)| f));
@@ -79,7 +82,7 @@ fn camera(s: &Solved, fits: &[ImageFit], findings: &Findings, c: usize) -> Optio
             k2: of(7),
             k3: of(8),
             pupil_ratio: of(9),
-            effective: effective_sigma(s, findings, &description.name, camera),
+            effective: effective_sigma(s, &description.name, camera),
             cam_from_rig: if c == 0 { still() } else { pose_sigma(s, &format!("{}.cam_from_rig", description.name)) },
         },
         window: camera.window().map(|w| window(s, &description.name, w)),
@@ -124,7 +127,7 @@ fn pose_sigma(s: &Solved, name: &str) -> PoseSigma {
 }
 
 /// Sigmas of the effective pinhole: `f_e = f ca cb`, `cx_e = cx - f sb`, `cy_e = cy - aspect f sa cb`.
-fn effective_sigma(s: &Solved, findings: &Findings, name: &str, camera: &Camera) -> Effective {
+fn effective_sigma(s: &Solved, name: &str, camera: &Camera) -> Effective {
     let i = camera.intrinsics();
     let ((sa, ca), (sb, cb)) = (i.alpha_rad.sin_cos(), i.beta_rad.sin_cos());
     let f = i.f_px;
@@ -142,21 +145,10 @@ fn effective_sigma(s: &Solved, findings: &Findings, name: &str, camera: &Camera)
     let named: Vec<Vec<(String, f64)>> =
         rows.into_iter().map(|r| r.into_iter().map(|(n, v)| (format!("{name}.{n}"), v)).collect()).collect();
     let sigmas = s.covariance.sigmas(&named);
-    let known = |what: &str, sigma| known(findings, &format!("effective {what} of camera {name}"), sigma);
-    Effective {
-        f_px: known("focal length", sigmas[0]),
-        cx_px: known("principal point cx", sigmas[1]),
-        cy_px: known("principal point cy", sigmas[2]),
-    }
+    Effective { f_px: sigmas[0], cx_px: sigmas[1], cy_px: sigmas[2] }
 }
 
-/// A standard deviation, unless the diagnosis says that nothing determines the key quantity of this name.
-fn known(findings: &Findings, name: &str, sigma: f64) -> f64 {
-    let lost = findings.diagnosis.key_quantities.iter().any(|k| k.name == name && k.sigma.is_nan());
-    if lost { f64::NAN } else { sigma }
-}
-
-fn rig(s: &Solved, findings: &Findings) -> Option<Rig> {
+fn rig(s: &Solved) -> Option<Rig> {
     let motion = s.covariance.natural.cam_from_rig.get(1)?;
     let name = &s.job.cameras[1].name;
     let t = motion.translation_mm;
@@ -175,10 +167,7 @@ fn rig(s: &Solved, findings: &Findings) -> Option<Rig> {
     Some(Rig {
         baseline_mm: t.norm(),
         axes_angle_deg: cosine.clamp(-1.0, 1.0).acos().to_degrees(),
-        sigma: RigSigma {
-            baseline_mm: known(findings, "distance of the cameras", sigmas[0]),
-            axes_angle_deg: known(findings, "angle between the lens axes", sigmas[1].to_degrees()),
-        },
+        sigma: RigSigma { baseline_mm: sigmas[0], axes_angle_deg: sigmas[1].to_degrees() },
     })
 }
 

@@ -3,10 +3,10 @@
 use super::gain::SheetUncertainty;
 use super::parameter::Parameter;
 use super::{Placement, SheetEstimate, plane_geometry};
-use crate::bundle::{NamedCovariance, Natural, ParameterKnowledge};
+use crate::bundle::{NamedCovariance, Natural, ParameterKnowledge, typical};
 use crate::camera::INTRINSICS;
 use crate::record::{ANGLES_CONVENTION, Pose, Record, Sheet, SheetSigma};
-use nalgebra::{DMatrix, Vector3};
+use nalgebra::{DMatrix, DVector, Vector3};
 
 impl SheetEstimate {
     /// The plane `normal . p = distance` of the rig frame, its sigmas unknown; `second_center_mm` is the second projection
@@ -48,7 +48,7 @@ impl SheetEstimate {
     }
 }
 
-/// Numbers of both cameras and the sheet with what their record says of their errors; scales are their standard deviations. `None` where its covariance
+/// Numbers of both cameras and the sheet with what their record says of their errors. `None` where its covariance
 /// does not name the sheet, or has numbers that do not exist.
 pub(crate) fn covariance_of_record(record: &Record) -> Option<NamedCovariance> {
     let [first, second] = record.cameras.as_slice() else { return None };
@@ -62,20 +62,21 @@ pub(crate) fn covariance_of_record(record: &Record) -> Option<NamedCovariance> {
         return None;
     }
     let known = ParameterKnowledge::Estimated { prior_share: 0.0 };
+    let natural = Natural {
+        cameras: vec![first.model().ok()?, second.model().ok()?],
+        cam_from_rig: vec![first.cam_from_rig.motion(), second.cam_from_rig.motion()],
+        rig_from_plane: Some(record.sheet.as_ref()?.rig_from_sheet.motion()),
+        rig_from_target: vec![],
+    };
     Some(NamedCovariance {
-        scale: matrix.diagonal().map(|v| v.max(0.0).sqrt()),
+        scale: DVector::from_iterator(n, c.names.iter().map(|name| typical(&natural, name, &names))),
         determined: (0..n).map(|i| c.determines(i)).collect(),
         intrinsics: vec![[known; INTRINSICS]; 2],
         nullity: c.null_directions.len(),
         null_directions: DMatrix::from_fn(n, c.null_directions.len(), |i, k| c.null_directions[k][i]),
         undetermined: vec![],
         offset_sigmas_mm: vec![],
-        natural: Natural {
-            cameras: vec![first.model().ok()?, second.model().ok()?],
-            cam_from_rig: vec![first.cam_from_rig.motion(), second.cam_from_rig.motion()],
-            rig_from_plane: Some(record.sheet.as_ref()?.rig_from_sheet.motion()),
-            rig_from_target: vec![],
-        },
+        natural,
         names: c.names,
         matrix,
     })
