@@ -35,7 +35,7 @@
 //! seen from its front (y up). Lines: 0 external left, 1 external right, 2 internal left (touches disc 0 on the left,
 //! disc 1 on the right), 3 internal right. Points: line `k` touches disc `i` at `2 k + i` (0 to 7); then the
 //! crossings [`CROSSINGS`]: 8 = external with external, 9 = internal with internal, 10 = (0, 2), 11 = (0, 3), 12 = (1, 2),
-//! 13 = (1, 3). [`SWAPPED`] is the order when the discs change places.
+//! 13 = (1, 3). [`SWAPPED`] is the order when the discs change places, [`FROM_BEHIND`] when a camera sees the plate from behind.
 //!
 //! **Where it is not valid.** Discs that touch, overlap or contain one another have fewer tangents: a typed
 //! refusal. The external tangents are parallel where the discs look equally large: that crossing is then at infinity
@@ -66,6 +66,8 @@ pub const CROSSINGS: [[usize; 2]; 6] = [[0, 1], [2, 3], [0, 2], [0, 3], [1, 2], 
 ///
 /// Turned round, external left and right change places, internal left stays internal left.
 pub const SWAPPED: [usize; POINTS] = [3, 2, 1, 0, 5, 4, 7, 6, 8, 9, 12, 13, 10, 11];
+/// `points in an image from behind the plate[i] = image of points on the plate[FROM_BEHIND[i]]`: left and right change places.
+pub const FROM_BEHIND: [usize; POINTS] = [2, 3, 0, 1, 6, 7, 4, 5, 8, 9, 13, 12, 11, 10];
 /// Names of the points, for reports and overlays; `EL` = external left, `IR` = internal right, then the disc touched
 /// or the line crossed.
 pub const NAMES: [&str; POINTS] =

@@ -12,7 +12,7 @@
 use super::assemble::{ImageNormal, LOCAL, SPACE, SeenImage};
 use super::edges::{Columns, allows};
 use super::model::{Loss, PairObservation};
-use crate::bitangent::{EXTERNAL_CROSSING, POINTS, circle_features};
+use crate::bitangent::{EXTERNAL_CROSSING, FROM_BEHIND, POINTS, circle_features};
 use crate::camera::{Camera, INTRINSICS, LaneCamera};
 use crate::lanes::{self, GROUP, Kernel, Lanes, splats};
 use nalgebra::{Matrix3x2, SMatrix, SVector, Vector3};
@@ -134,8 +134,11 @@ fn gaps(image: &SeenImage, pair: &PairObservation, columns: Option<&Columns>, sc
         return None;
     }
     let (motion, n) = (&image.cam_from_target, pair.kept.len());
+    let behind = motion.rotation.column(2).dot(&motion.translation_mm) > 0.0;
+    let on_target = |k: usize| if behind { FROM_BEHIND[k] } else { k };
     let mut points = [[0.0; POINTS]; 3];
     for (row, &k) in pair.kept.iter().enumerate() {
+        let k = on_target(k);
         let p = motion.apply(&Vector3::new(features.points_mm[2 * k], features.points_mm[2 * k + 1], c0.z));
         (0..3).for_each(|i| points[i][row] = p[i]);
     }
@@ -158,7 +161,7 @@ fn gaps(image: &SeenImage, pair: &PairObservation, columns: Option<&Columns>, sc
         let p = Vector3::new(points[0][row], points[1][row], points[2][row]);
         let g = Vector3::new(of[1][row], of[2][row], of[3][row]);
         let turn = p.cross(&g);
-        let shape = in_plane.tr_mul(&g).transpose() * by_shape.fixed_rows::<2>(2 * pair.kept[row]);
+        let shape = in_plane.tr_mul(&g).transpose() * by_shape.fixed_rows::<2>(2 * on_target(pair.kept[row]));
         for (x, &k) in rows[j].iter_mut().zip(columns.list()) {
             *x = match k {
                 k if k < INTRINSICS => of[4 + k][row] - pair.lens.as_ref().map_or(0.0, |l| l.derivative[(j, k)]),
