@@ -1,7 +1,8 @@
 //! The paper's step alone: the cameras are known, the sheet is found from new views recorded in it.
 //!
-//! Which disc of a pair is which is not known across the cameras. Each view and pairing proposes a plane; the plane over which all
-//! views transfer best, each in its better pairing, decides for all of them. Where another choice transfers about as well, that is
+//! Which disc of a pair is which is not known across the cameras, nor whether the sheet lies between them. Each view and pairing proposes a
+//! plane, with both cameras on one side of it and with one on each; the plane over which all views transfer best, each in its better pairing,
+//! decides for all of them. Where another choice transfers about as well, that is
 //! said instead of guessed.
 
 use super::images::{SeenImage, see_all};
@@ -55,6 +56,14 @@ struct SheetView {
     choices: Vec<Vec<PairFeatures>>,
 }
 
+impl SheetView {
+    /// The same with the sheet between the cameras.
+    fn from_both_sides(&self) -> Self {
+        let turned = |c: &Vec<PairFeatures>| c.iter().map(PairFeatures::from_both_sides).collect();
+        Self { view: self.view, choices: self.choices.iter().map(turned).collect() }
+    }
+}
+
 /// The sheet from the views of `job` with `sheet = true`, with the cameras of `calibration` held; their covariance is part of
 /// the sheet's sigmas.
 ///
@@ -74,8 +83,13 @@ pub fn find_sheet(
     check_sizes(&images, calibration)?;
     let pair = matches!(job.target.target, Target::TwoDiscs(_) | Target::Bubbles(_));
     let views = features(&wanted, &images, &held, pair);
-    let (homography, chosen) = fit(&held, &views, &placement(job)?, &job.file)?;
-    Ok(output(calibration, job, &held, images, &views, &homography, &chosen))
+    let mut sides = vec![views];
+    if pair {
+        sides.push(sides[0].iter().map(SheetView::from_both_sides).collect());
+    }
+    let (homography, chosen) = fit(&held, &sides, &placement(job)?, &job.file)?;
+    let views = &sides[0];
+    Ok(output(calibration, job, &held, images, views, &homography, &chosen))
 }
 
 /// Where the rig file places the sheet frame; without the poses of targets only by a point.
@@ -263,10 +277,11 @@ fn chosen_features(views: &[SheetView], chosen: &[usize]) -> Vec<Vec<PairFeature
     views.iter().zip(chosen).map(|(v, c)| v.choices[*c].clone()).collect()
 }
 
-/// The plane over which all views transfer best, with the features of the choices made.
+/// The plane over which all views transfer best, with the features of the choices made; `sides`: the views with both cameras on one side of
+/// the sheet, then, where the target shows both its sides, with the sheet between them.
 fn fit(
     held: &HeldCameras,
-    views: &[SheetView],
+    sides: &[Vec<SheetView>],
     placement: &Placement,
     file: &str,
 ) -> Result<(Homography, Vec<Vec<PairFeatures>>)> {
@@ -276,16 +291,22 @@ fn fit(
              calibration is of this rig, that nothing was moved since, and that left and right images belong together"
         ))
     };
-    // Choices of all views with the root mean square error that they reach, best first.
-    let mut found: Vec<(Vec<usize>, Homography)> = vec![];
-    for choice in views.iter().flat_map(|v| &v.choices) {
+    // Side and choices of all views with the root mean square error that they reach, best first.
+    let mut found: Vec<((usize, Vec<usize>), Homography)> = vec![];
+    let all =
+        sides.iter().enumerate().flat_map(|(s, views)| views.iter().flat_map(move |v| &v.choices).map(move |c| (s, c)));
+    for (side, choice) in all {
         let Some(start) = triangulated_plane(held, choice) else { continue };
         let Ok(own) = fit_homography(held, choice, &start) else { continue };
-        let (chosen, square) = better_choices(held, &own.estimate.abc_per_mm, views);
+        if held.on_opposite_sides(&own.estimate.abc_per_mm) != (side == 1) {
+            continue;
+        }
+        let (chosen, square) = better_choices(held, &own.estimate.abc_per_mm, &sides[side]);
+        let chosen = (side, chosen);
         if !square.is_finite() || found.iter().any(|(c, _)| *c == chosen) {
             continue;
         }
-        let features = chosen_features(views, &chosen).concat();
+        let features = chosen_features(&sides[side], &chosen.1).concat();
         if let Ok(all) = fit_placed_homography(held, &features, &own.estimate.abc_per_mm, placement) {
             found.push((chosen, all));
         }
@@ -301,8 +322,8 @@ fn fit(
         ))
         .into());
     }
-    let (chosen, homography) = found.into_iter().next().ok_or_else(nothing)?;
-    Ok((homography, chosen_features(views, &chosen)))
+    let ((side, chosen), homography) = found.into_iter().next().ok_or_else(nothing)?;
+    Ok((homography, chosen_features(&sides[side], &chosen)))
 }
 
 fn output(

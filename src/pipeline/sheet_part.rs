@@ -31,7 +31,10 @@ pub(super) fn sheet_part(s: &Solved) -> Result<Option<Sheet>> {
     let mut sheet = joint.to_record("joint", views.clone());
     if let [first, second] = names[..] {
         let held = HeldCameras::of(s.covariance, [first, second]);
-        let features: Vec<PairFeatures> = views.iter().flat_map(|v| features_of_view(s, &held, *v)).collect();
+        let mut features: Vec<PairFeatures> = views.iter().flat_map(|v| features_of_view(s, &held, *v)).collect();
+        if held.on_opposite_sides(&joint.abc_per_mm) {
+            features.iter_mut().for_each(|f| *f = f.from_both_sides());
+        }
         if !features.is_empty() {
             let all = transfer_residuals(&held, &joint.abc_per_mm, &features);
             let left: Vec<f64> = all.iter().flatten().map(|r| r.norm_squared()).collect();

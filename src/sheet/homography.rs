@@ -13,7 +13,7 @@
 
 use super::parameter::{Parameter, stepped_camera, stepped_motion, stepped_window};
 use super::{Placement, SheetEstimate, plane_geometry, sigmas};
-use crate::bitangent::bitangents;
+use crate::bitangent::{FROM_BEHIND, bitangents};
 use crate::bundle::{DiscObservation, NamedCovariance};
 use crate::camera::Camera;
 use crate::conic::fit_geometric;
@@ -55,6 +55,12 @@ impl PairFeatures {
         }
         let [first_px, second_px] = seen;
         Some(Self { first_px, second_px, sigma_px: variance.sqrt() })
+    }
+
+    /// The same discs where the second camera sees the other side of their plane: left and right change places in its image.
+    pub fn from_both_sides(&self) -> Self {
+        let second_px = (0..self.second_px.len()).map(|i| self.second_px[FROM_BEHIND[i]]).collect();
+        Self { second_px, ..self.clone() }
     }
 }
 
@@ -140,6 +146,11 @@ impl HeldCameras {
     /// The two cameras.
     pub fn cameras(&self) -> [&Camera; 2] {
         [&self.pair.cameras[0], &self.pair.cameras[1]]
+    }
+
+    /// Whether the plane `abc . p = 1` of the rig frame lies between the cameras.
+    pub fn on_opposite_sides(&self, abc_per_mm: &Vector3<f64>) -> bool {
+        abc_per_mm.dot(&self.pair.second_from_first.inverse().translation_mm) > 1.0
     }
 
     /// Standard deviation of a parameter, `None` where it is not determined.
