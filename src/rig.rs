@@ -6,7 +6,8 @@
 //!    an image leaves open which disc is which (two discs of one size, a grid without marks), every way to join the labels of
 //!    a view is a vote, and the consensus decides; what it leaves open, the cost of the common adjustment decides. Where every
 //!    dot is estimated, its printing error tells the views how their labels belong together; a turn or a shift of the
-//!    labels of all views together changes nothing (a gauge): those of one view are kept.
+//!    labels of all views together changes nothing (a gauge): those of one view are kept. Discs that are seen from both sides may have the
+//!    cameras on opposite sides: where the views agree better so, all of the second camera's poses are turned over.
 //! 3. One metric fact fixes the scale; drifting bubbles have a scale of their own in every view until the baseline is common.
 //! 4. Several starts of the common adjustment, tried on a part of the edge points unless the first explains them to their
 //!    noise; the lowest cost wins.
@@ -19,6 +20,7 @@
 //! |---|---|---|---|
 //! | M_v | `motion` | rad, mm | second solver frame from first, by view v |
 //! | T | `changes` | - | change of labels, a quarter turn and a shift of the target; exchange of a pair: half a turn about its middle |
+//! | P | `from_behind` | - | `diag(1, -1, -1)`: the target seen from its other side |
 //! | D | mirror | - | `diag(-1, 1, 1)`: a horizontally mirrored camera |
 
 mod consensus;
@@ -28,6 +30,7 @@ mod labels;
 mod mono;
 mod off_plane;
 mod print;
+mod sides;
 mod starts;
 mod windows;
 

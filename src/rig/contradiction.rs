@@ -1,9 +1,11 @@
-//! Cameras that contradict each other, and why: a mirrored camera, images exchanged between cameras or views, or of different moments.
+//! Cameras that contradict each other, and why: a mirrored camera, one behind the target, images exchanged between cameras or views, or of
+//! different moments.
 
 use super::consensus::{CONSENSUS_RAD, Choice, Poses, choices, votes};
 use super::joint::{Context, agrees};
-use super::labels::image_at;
+use super::labels::{image_at, is_pair};
 use super::mono::calibrate_camera;
+use super::sides::{Way, behind};
 use super::{Mono, Pose, RigProblem, side_by_side};
 use crate::error::{Error, Insufficient, Result};
 use crate::frames::{Cam, Target};
@@ -33,15 +35,42 @@ fn mirrored(pose: &Motion<Cam, Target>) -> Motion<Cam, Target> {
     Motion::new(d * pose.rotation * f, d * pose.translation_mm)
 }
 
-/// A camera whose images agree with the other's when they are flipped, if there is one.
-fn mirrored_camera(problem: &RigProblem, monos: &[Mono]) -> Option<usize> {
-    [1, 0].into_iter().find(|&c| {
+/// For each camera, how the views agree when its images are flipped.
+fn flipped(problem: &RigProblem, monos: &[Mono]) -> impl Iterator<Item = (usize, Choice)> {
+    [1, 0].into_iter().filter_map(move |c| {
         let flip = |p: &Option<Pose>| p.as_ref().map(|(m, s)| (mirrored(m), *s));
         let flipped: Vec<_> = monos[c].poses.iter().map(flip).collect();
         let poses = [0, 1].map(|k| if k == c { &flipped } else { &monos[k].poses });
         let votes = votes(problem, poses[0], poses[1], true);
-        choices(problem, &votes).first().is_some_and(|b| b.spread() < 0.3 * CONSENSUS_RAD)
+        Some((c, choices(problem, &votes).into_iter().next()?))
     })
+}
+
+/// Disagreement up to which all views together name a cause, rad.
+const NAMED_RAD: f64 = 0.3 * CONSENSUS_RAD;
+
+/// A camera whose images agree with the other's when they are flipped, if there is one.
+fn mirrored_camera(problem: &RigProblem, monos: &[Mono]) -> Option<usize> {
+    flipped(problem, monos).find(|(_, choice)| choice.spread() < NAMED_RAD).map(|(c, _)| c)
+}
+
+/// Words where cameras that seem to be on opposite sides may as well be on one side, one of them mirrored.
+pub(super) fn mirrored_as_well(problem: &RigProblem, way: &Way) -> Option<String> {
+    if !way.behind {
+        return None;
+    }
+    let same = way.turned(&way.monos);
+    let (c, _) = flipped(problem, &same).find(|(_, f)| f.outside().len() <= way.choice.outside().len())?;
+    let names = names(problem);
+    Some(format!(
+        "the views agree when the images of camera \"{}\" are mirrored, and as well when the cameras \"{}\" and \"{}\" look at the target from opposite sides: views \
+         parallel to each other cannot tell; switch off the mirroring if there is one, and record at least one view tilted by 5 degrees or more",
+        names[c], names[0], names[1]
+    ))
+}
+
+fn names(problem: &RigProblem) -> Vec<&str> {
+    problem.model.cameras.iter().map(|c| c.name.as_str()).collect()
 }
 
 /// Views on which the cameras do not agree.
@@ -76,17 +105,18 @@ fn exchanged(problem: &RigProblem, view: usize) -> RigProblem {
 ///
 /// An image of the wrong camera spoils what that camera finds alone, so both are calibrated again for every view that may be it. The view
 /// that leaves the fewest apart is kept, then the next.
-fn cameras_exchanged(problem: &RigProblem, monos: &[Mono], outside: usize, context: &Context<'_>) -> Vec<usize> {
+fn cameras_exchanged(problem: &RigProblem, way: &Way, outside: usize, context: &Context<'_>) -> Vec<usize> {
     let views: Vec<usize> =
         (0..problem.model.views.len()).filter(|&v| (0..2).all(|c| image_at(problem, c, v).is_some())).collect();
-    let (mut problem, mut out, mut least) = (problem.clone(), vec![], (outside, worst_px(monos)));
+    let (mut problem, mut out, mut least) = (problem.clone(), vec![], (outside, worst_px(&way.monos)));
     while 2 * (out.len() + 1) < views.len() {
         let rest: Vec<usize> = views.iter().copied().filter(|v| !out.contains(v)).collect();
         let tried = side_by_side(&rest, |&v| {
             let trial = exchanged(&problem, v);
             let alone: Result<Vec<Mono>> = (0..2).map(|c| calibrate_camera(&trial, c, context.told)).collect();
             let monos = alone.ok()?;
-            let score = (apart(&trial, &monos[0].poses, &monos[1].poses), worst_px(&monos));
+            let sided = way.turned(&monos);
+            let score = (apart(&trial, &sided[0].poses, &sided[1].poses), worst_px(&monos));
             Some((score, v, monos))
         });
         let better = |a: &(usize, f64), b: &(usize, f64)| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1));
@@ -106,30 +136,24 @@ fn cameras_exchanged(problem: &RigProblem, monos: &[Mono], outside: usize, conte
 /// What makes the cameras' views agree, in words: images mirrored or exchanged; `None` where neither does.
 pub(super) fn exchanged_or_mirrored(
     problem: &RigProblem,
-    monos: &[Mono],
-    choice: &Choice,
+    way: &Way,
     outside: &[usize],
     context: &Context<'_>,
 ) -> Option<String> {
-    let names: Vec<&str> = problem.model.cameras.iter().map(|c| c.name.as_str()).collect();
-    if 2 * outside.len() >= choice.common()
-        && let Some(c) = mirrored_camera(problem, monos)
+    if 2 * outside.len() >= way.choice.common()
+        && let Some(words) = mirrored_or_behind(problem, way)
     {
-        return Some(format!(
-            "the images of camera \"{}\" are mirrored against those of camera \"{}\" (or the other way round): the views agree only when one is flipped; \
-             switch off the mirroring of that camera, or of a mirror in its path, in the recording software",
-            names[c],
-            names[1 - c]
-        ));
+        return Some(words);
     }
-    if let Some([a, b]) = views_exchanged(problem, monos, outside) {
+    let names = names(problem);
+    if let Some([a, b]) = views_exchanged(problem, &way.monos, outside) {
         return Some(format!(
             "the images of camera \"{}\", or those of camera \"{}\", seem to be exchanged between the view(s) {a}, {b} (counted from 0): exchange the file \
              names of one camera in the rig file",
             names[0], names[1]
         ));
     }
-    let views = cameras_exchanged(problem, monos, outside.len(), context);
+    let views = cameras_exchanged(problem, way, outside.len(), context);
     (!views.is_empty()).then(|| {
         format!(
             "the images of cameras \"{}\" and \"{}\" seem to be exchanged in view(s) {} (counted from 0); exchange their file names in the rig file",
@@ -140,20 +164,48 @@ pub(super) fn exchanged_or_mirrored(
     })
 }
 
+/// Words where the views agree when one camera's images are flipped, or when it is behind a target that is made for one side.
+fn mirrored_or_behind(problem: &RigProblem, way: &Way) -> Option<String> {
+    let same = way.turned(&way.monos);
+    let over = behind(&same);
+    let names = names(problem);
+    let mirrored = mirrored_camera(problem, &same);
+    let told = |c: usize| {
+        format!(
+            "the images of camera \"{}\" are mirrored against those of camera \"{}\" (or the other way round): the views agree only when one is flipped; \
+             switch off the mirroring of that camera, or of a mirror in its path, in the recording software",
+            names[c],
+            names[1 - c]
+        )
+    };
+    if is_pair(problem) {
+        return mirrored.or_else(|| mirrored_camera(problem, &over)).map(told);
+    }
+    let opposite = choices(problem, &votes(problem, &over[0].poses, &over[1].poses, true));
+    if opposite.first().is_none_or(|o| o.spread() >= NAMED_RAD) {
+        return mirrored.map(told);
+    }
+    let sides = format!(
+        "the cameras \"{}\" and \"{}\" look at the target from opposite sides, which is not supported for grids and plates: they have one front; use two discs that both \
+         sides show, such as bubbles in the sheet",
+        names[0], names[1]
+    );
+    Some(match mirrored {
+        Some(c) => {
+            format!("one of two things, which views parallel to each other cannot tell apart: {}; or {sides}", told(c))
+        }
+        None => sides,
+    })
+}
+
 fn listed(views: &[usize]) -> String {
     views.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")
 }
 
 /// Finds out why the cameras' views do not agree, and says it.
-pub(super) fn cameras_disagree(
-    problem: &RigProblem,
-    monos: &[Mono],
-    choice: &Choice,
-    outside: &[usize],
-    context: &Context<'_>,
-) -> Error {
-    let words = exchanged_or_mirrored(problem, monos, choice, outside, context).unwrap_or_else(|| {
-        let common = choice.common();
+pub(super) fn cameras_disagree(problem: &RigProblem, way: &Way, outside: &[usize], context: &Context<'_>) -> Error {
+    let words = exchanged_or_mirrored(problem, way, outside, context).unwrap_or_else(|| {
+        let common = way.choice.common();
         format!(
             "the two cameras do not see the same target position in view(s) {} (counted from 0): {} of {common} views agree on how the cameras stand to \
              each other; check that both images of a view were taken at the same moment, that they are not exchanged, and that no camera was moved",

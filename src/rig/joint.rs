@@ -1,11 +1,14 @@
 //! The motion between the cameras by consensus of the views, scale, and the common adjustment.
 
-use super::consensus::{CONSENSUS_RAD, Choice, choices, votes};
-use super::contradiction::{DOUBT, cameras_disagree, contradicts_px, exchanged_or_mirrored, worst_px};
+use super::consensus::{CONSENSUS_RAD, Choice};
+use super::contradiction::{
+    DOUBT, cameras_disagree, contradicts_px, exchanged_or_mirrored, mirrored_as_well, worst_px,
+};
 use super::labels::{changed, image_at, is_pair, labels, order_pairs, relabel};
 use super::mono::{calibrate_camera, thinned_model};
 use super::off_plane::views_off_plane;
 use super::print::labels_by_print;
+use super::sides::{Way, ways};
 use super::starts::{best_start, joint_start};
 use super::windows::set_windows;
 use super::{Mono, Pose, RigProblem, RigSolution, Told, rms_of, side_by_side};
@@ -101,15 +104,13 @@ pub(super) fn together(problem: &RigProblem, monos: &[Mono], context: &Context<'
         _ => match common_start(problem, monos, context, &mut undecided)? {
             Common::Start(start) => *start,
             Common::Doubtful(start, outside) => {
-                let (labelled, state, choice) = *start;
-                if let Some(words) = exchanged_or_mirrored(problem, monos, &choice, &outside, context) {
+                let (labelled, state, way) = *start;
+                if let Some(words) = exchanged_or_mirrored(problem, &way, &outside, context) {
                     return Err(Insufficient::Inconsistent(words).into());
                 }
                 (labelled, state)
             }
-            Common::Apart(choice, outside) => {
-                return Err(cameras_disagree(problem, monos, &choice, &outside, context));
-            }
+            Common::Apart(way, outside) => return Err(cameras_disagree(problem, &way, &outside, context)),
         },
     };
     labels_by_print(&mut problem, &mut start);
@@ -151,24 +152,54 @@ enum Common {
     /// The problem with the labels that fit best, and where its adjustment starts.
     Start(Box<(RigProblem, State)>),
     /// The same where views are apart and the adjustment brings them together, though not as well as the cameras alone let expect.
-    Doubtful(Box<(RigProblem, State, Choice)>, Vec<usize>),
+    Doubtful(Box<(RigProblem, State, Way)>, Vec<usize>),
     /// Views that no common motion explains, with the labels that explain most.
-    Apart(Box<Choice>, Vec<usize>),
+    Apart(Box<Way>, Vec<usize>),
 }
 
-/// Start of the common adjustment, with the labels that fit best.
+/// Start of the common adjustment, with the sides and labels that fit best.
+///
+/// The second camera is behind the target where more views agree so, or as many and the adjustment fits better.
 fn common_start(
     problem: &RigProblem,
     monos: &[Mono],
     context: &Context<'_>,
     undecided: &mut Vec<String>,
 ) -> Result<Common> {
+    let [mut same, opposite] = ways(problem, monos);
+    let apart = |w: &[Way]| w.first().map_or(usize::MAX, |w| w.choice.outside().len());
+    if apart(&opposite) < apart(&same) {
+        let found = start_of(problem, &opposite, true, context, undecided)?;
+        if !matches!(found, Common::Apart(..)) {
+            return Ok(found);
+        }
+        let other = start_of(problem, &same, true, context, undecided)?;
+        if !matches!(other, Common::Apart(..)) || mirrored_as_well(problem, &opposite[0]).is_some() {
+            return Ok(other);
+        }
+        // More views agree so: what is wrong with the rest is told from there.
+        return start_of(problem, &opposite, false, context, undecided);
+    }
+    if apart(&same) == 0 && apart(&opposite) == 0 {
+        same.extend(opposite);
+    }
+    start_of(problem, &same, false, context, undecided)
+}
+
+/// Start of the common adjustment in the way that fits best, the first where others fit as well; views that agree are believed unless
+/// `checked`.
+fn start_of(
+    problem: &RigProblem,
+    ways: &[Way],
+    checked: bool,
+    context: &Context<'_>,
+    undecided: &mut Vec<String>,
+) -> Result<Common> {
     let Context { options, told } = *context;
-    let mut all = choices(problem, &votes(problem, &monos[0].poses, &monos[1].poses, false));
     let mut starts = vec![];
-    for choice in &all {
-        let (labelled, agreed) = agreed(problem, monos, choice);
-        let state = pair_start(&labelled, monos, &agreed)?;
+    for way in ways {
+        let (labelled, agreed) = agreed(problem, &way.monos, &way.choice);
+        let state = pair_start(&labelled, &way.monos, &agreed)?;
         starts.push((labelled, agreed, state));
     }
     let best = if starts.len() > 1 { cheapest(&starts, undecided, told) } else { 0 };
@@ -178,23 +209,31 @@ fn common_start(
         )
         .into());
     };
-    if agreed.outside.is_empty() {
-        return Ok(Common::Start(Box::new((labelled, state))));
+    let way = ways[best].clone();
+    if agreed.outside.is_empty() && !checked {
+        return match mirrored_as_well(problem, &way) {
+            Some(words) => Err(Insufficient::Inconsistent(words).into()),
+            None => Ok(Common::Start(Box::new((labelled, state)))),
+        };
     }
     // A weak pose of one camera alone is no contradiction: let the common adjustment decide, quickly first.
     let quick = AdjustOptions { solve: SolveOptions { decrement: 1e-1, iterations: 100 }, rounds: 0, ..*options };
-    let limit_px = contradicts_px(monos);
+    let limit_px = contradicts_px(&way.monos);
     let fits = |model: &Model, state: State| {
         let trial = adjust(model, state, &quick, &mut |i| told(i)).state;
         rms_of(model, &trial).filter(|r| *r < limit_px).map(|r| (trial, r))
     };
     let light = fits(&thinned_model(&labelled.model), State { offsets_mm: vec![], ..state.clone() });
-    Ok(match light.and_then(|_| fits(&labelled.model, state)) {
-        Some((state, rms_px)) if rms_px > DOUBT * worst_px(monos) => {
-            Common::Doubtful(Box::new((labelled, state, all.swap_remove(best))), agreed.outside)
+    let found = light.and_then(|_| fits(&labelled.model, state));
+    if let (Some(_), Some(words)) = (&found, mirrored_as_well(problem, &way)) {
+        return Err(Insufficient::Inconsistent(words).into());
+    }
+    Ok(match found {
+        Some((state, rms_px)) if !agreed.outside.is_empty() && rms_px > DOUBT * worst_px(&way.monos) => {
+            Common::Doubtful(Box::new((labelled, state, way)), agreed.outside)
         }
         Some((state, _)) => Common::Start(Box::new((labelled, state))),
-        None => Common::Apart(Box::new(all.swap_remove(best)), agreed.outside),
+        None => Common::Apart(Box::new(way), agreed.outside),
     })
 }
 

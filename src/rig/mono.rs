@@ -110,7 +110,8 @@ fn refuse_mirrored(problem: &RigProblem, name: &str, seeds: &[SeededImage]) -> R
     }
     Err(Insufficient::Inconsistent(format!(
         "camera \"{name}\": {} of {} images are mirrored (the dots' labels run the wrong way round in {}); switch off the mirroring of that \
-         camera, or of a mirror in its path, in the recording software",
+         camera, or of a mirror in its path, in the recording software; the back of a transparent target looks the same, and grids and plates are \
+         calibrated from their front only",
         wrong.len(),
         seeds.len(),
         wrong.join(", ")
