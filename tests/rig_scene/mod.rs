@@ -291,6 +291,11 @@ impl Scene {
         Parts::of(seed, cameras, Some(grid), false, points, &|_| None).scene()
     }
 
+    /// What a scene with a grid is made of, to be changed before it is seen.
+    pub(crate) fn grid_parts(seed: u64, cameras: Vec<Camera>, grid: Grid) -> Parts {
+        Parts::of(seed, cameras, Some(grid), false, false, &|_| None)
+    }
+
     /// The same without contours, for what [`Scene::seen_as_points`] adds; a prior on every dot when `estimated`, and no error of print.
     pub(crate) fn with_grid_unseen(seed: u64, cameras: Vec<Camera>, grid: Grid, estimated: bool) -> Self {
         Parts::of(seed, cameras, Some(grid), false, estimated, &|_| None).scene_of(0)
