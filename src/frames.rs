@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | [`Cam`] | projection centre; z along the lens axis, forward; x right, y down | mm |
 //! | [`Rig`] | the frame of the first camera | mm |
-//! | [`Target`] | a pattern, plane z = 0; x right, y up, z towards the viewer of its printed side | mm |
+//! | [`Target`] | a pattern, plane z = 0; x right, y up, z towards the viewer of its printed side; of one that shows both sides, towards the first camera | mm |
 //! | [`Sheet`] | the laser sheet, plane z = 0; z towards the first camera, x right and y up as it sees them | mm |
 //! | [`Sensor`] | pixels: (0, 0) is the centre of the first pixel, u right, v down | px |
 //!
