@@ -348,8 +348,10 @@ fn knowledge(model: &Model, covariance: &NamedCovariance, c: usize) -> [Paramete
     })
 }
 
-/// Posterior variance over prior variance from which a parameter counts as known from its prior only.
-const PRIOR_DOMINATED: f64 = 0.5;
+/// Posterior variance over prior variance from which on a number is known from its prior only: nine tenths of its sigma are left.
+pub(crate) const ONLY_PRIOR: f64 = 0.81;
+/// The same for mostly: the images know less than it.
+pub(crate) const MOSTLY_PRIOR: f64 = 0.5;
 
 fn words(model: &Model, covariance: &NamedCovariance) -> Vec<String> {
     let mut out = vec![];
@@ -359,8 +361,9 @@ fn words(model: &Model, covariance: &NamedCovariance) -> Vec<String> {
             match know {
                 ParameterKnowledge::Undetermined => out
                     .push(format!("{what} of camera {} is not determined by the images or by any prior", camera.name)),
-                ParameterKnowledge::Estimated { prior_share } if *prior_share > PRIOR_DOMINATED => {
-                    out.push(format!("{what} of camera {} is known only from its prior", camera.name));
+                ParameterKnowledge::Estimated { prior_share } if *prior_share > MOSTLY_PRIOR => {
+                    let most = if *prior_share > ONLY_PRIOR { "only" } else { "mostly" };
+                    out.push(format!("{what} of camera {} is known {most} from its prior", camera.name));
                 }
                 _ => {}
             }

@@ -3,15 +3,11 @@
 use super::keys::intrinsic_unit;
 use super::{FALSE_ALARMS, Subject, digits, measured};
 use crate::bundle::{
-    Fact, PlanePosition, PriorCheck, PriorOf, TargetShape, ViewPlace, intrinsic_words, layer_words, prior_checks,
+    Fact, MOSTLY_PRIOR, ONLY_PRIOR, PlanePosition, PriorCheck, PriorOf, TargetShape, ViewPlace, intrinsic_words,
+    layer_words, prior_checks,
 };
 use crate::record::Prior;
 use crate::stats::{chi_square_above, normal_beyond};
-
-/// Sigma of the estimate over that of the prior from which on a number is its prior.
-const ONLY_PRIOR: f64 = 0.9;
-/// The same for mostly: half of what is known.
-const MOSTLY_PRIOR: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
 /// What a prior is about, how it is shown, and what to do about a conflict.
 struct Known {
@@ -44,7 +40,6 @@ fn prior(k: &Known, check: &PriorCheck, stated: bool, tested: f64) -> Prior {
     let (value, sigma) = (k.value * k.factor, k.sigma * k.factor);
     let z = check.z().unwrap_or(f64::NAN);
     let (away, own) = check.images_alone().unwrap_or((f64::NAN, f64::NAN));
-    let ratio = check.share.sqrt();
     let conflict = normal_beyond(z) * tested < FALSE_ALARMS;
     let (images_alone, images_alone_sigma) = (value + away * sigma, own * sigma);
     let said = measured(value, sigma, k.unit);
@@ -61,9 +56,9 @@ fn prior(k: &Known, check: &PriorCheck, stated: bool, tested: f64) -> Prior {
             measured(images_alone, images_alone_sigma, k.unit),
             digits(z.abs(), 2)
         )
-    } else if ratio > ONLY_PRIOR {
+    } else if check.share > ONLY_PRIOR {
         format!("{} is known only from its prior {said}; the images add next to nothing", k.name)
-    } else if ratio > MOSTLY_PRIOR {
+    } else if check.share > MOSTLY_PRIOR {
         format!("{} is known mostly from its prior {said}; the images add less than it", k.name)
     } else {
         format!("{}: prior {said} and images agree; the images know more", k.name)
@@ -75,7 +70,7 @@ fn prior(k: &Known, check: &PriorCheck, stated: bool, tested: f64) -> Prior {
         prior: value,
         prior_sigma: sigma,
         estimate: value + check.residual * sigma,
-        sigma_ratio: ratio,
+        sigma_ratio: check.share.sqrt(),
         images_alone,
         images_alone_sigma,
         z,

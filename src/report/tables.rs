@@ -1,6 +1,7 @@
 //! Rows of numbers with their standard deviations, for the text and for the HTML alike.
 
 use super::number::{plain, with_unit};
+use crate::bundle::MOSTLY_PRIOR;
 use crate::record::{Camera, Known, Record, Sheet, SheetSigma, Window};
 
 /// A number as it is shown, and how it is known.
@@ -128,7 +129,7 @@ fn windows(record: &Record, table: &mut Table) {
             Cell {
                 text: with_unit(value, sigma, unit),
                 note: if held { "held".into() } else { told },
-                strong: prior_share(record, &key) > 0.5,
+                strong: prior_share(record, &key) > MOSTLY_PRIOR,
             }
         });
         table.row(name, cells.collect());
@@ -153,7 +154,7 @@ pub(super) fn cameras(record: &Record) -> Table {
             let ((value, sigma), note) = (get(c), note(record, &format!("{}.{key}", c.name)));
             // A parameter that is held has no sigma, whatever was left in the field.
             let sigma = if note == "held" { 0.0 } else { sigma * factor };
-            let strong = prior_share(record, &format!("{}.{key}", c.name)) > 0.5;
+            let strong = prior_share(record, &format!("{}.{key}", c.name)) > MOSTLY_PRIOR;
             Cell { text: with_unit(value * factor, sigma, unit), note, strong }
         });
         table.row(name, cells.collect());

@@ -3,10 +3,8 @@
 use super::number::{count, plain, with_unit};
 use super::tables;
 use crate::frames::{Cam, Rig};
-use crate::record::{Known, Record, SHEET_ALONE, View};
+use crate::record::{Record, SHEET_ALONE, View};
 
-/// A parameter whose prior gives more than this share of what is known counts as known from its prior.
-const PRIOR_SHARE: f64 = 0.9;
 /// Residuals this many times the noise they were given say that the model or the noise is wrong.
 const MISFIT: f64 = 1.5;
 /// Residuals of more than so many px and of so many times what the noise explains are no measure of anything.
@@ -18,8 +16,6 @@ const VIEW_MISFIT: f64 = 2.0;
 const FEW_VIEWS: usize = 4;
 /// More pixels about the discs of an image than this part, equal to the largest, are told.
 const SATURATED: f64 = 0.02;
-/// Parameters named one by one in a sentence.
-const NAMED: usize = 6;
 
 /// How far a calibration is to be trusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -239,19 +235,6 @@ pub(super) fn sentence(words: &str) -> String {
 
 fn open_points(r: &Record) -> Vec<String> {
     let mut out: Vec<String> = r.fit.undetermined.iter().map(|w| sentence(w)).collect();
-    let held: Vec<_> = r
-        .fit
-        .parameters
-        .iter()
-        .filter(|p| p.known == Known::Prior && p.prior_share > PRIOR_SHARE)
-        .map(|p| format!("{} ({} %)", p.name, (100.0 * p.prior_share).floor()))
-        .collect();
-    if !held.is_empty() {
-        let more = held.len().saturating_sub(NAMED);
-        let tail = if more > 0 { format!(" and {more} more") } else { String::new() };
-        let named = held[..held.len() - more].join(", ");
-        out.push(format!("Known mostly from priors, not from the images: {named}{tail}."));
-    }
     out.extend(r.fit.near_null.iter().map(|n| format!("Weak: {}", sentence(&n.words))));
     if r.sheet.is_none() {
         out.push("The laser sheet: no view was recorded in it.".into());
