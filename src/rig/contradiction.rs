@@ -1,7 +1,7 @@
 //! Cameras that contradict each other, and why: a mirrored camera, one behind the target, images exchanged between cameras or views, or of
 //! different moments.
 
-use super::consensus::{CONSENSUS_RAD, Choice, Poses, choices, votes};
+use super::consensus::{CONSENSUS_RAD, Poses, choices, votes};
 use super::joint::{Context, agrees};
 use super::labels::{image_at, is_pair};
 use super::mono::calibrate_camera;
@@ -35,38 +35,39 @@ fn mirrored(pose: &Motion<Cam, Target>) -> Motion<Cam, Target> {
     Motion::new(d * pose.rotation * f, d * pose.translation_mm)
 }
 
-/// For each camera, how the views agree when its images are flipped.
-fn flipped(problem: &RigProblem, monos: &[Mono]) -> impl Iterator<Item = (usize, Choice)> {
-    [1, 0].into_iter().filter_map(move |c| {
+/// Disagreement up to which all views together name a cause, rad.
+pub(super) const NAMED_RAD: f64 = 0.3 * CONSENSUS_RAD;
+
+/// A camera whose images agree with the other's when they are flipped, if there is one.
+fn mirrored_camera(problem: &RigProblem, monos: &[Mono]) -> Option<usize> {
+    [1, 0].into_iter().find(|&c| {
         let flip = |p: &Option<Pose>| p.as_ref().map(|(m, s)| (mirrored(m), *s));
         let flipped: Vec<_> = monos[c].poses.iter().map(flip).collect();
         let poses = [0, 1].map(|k| if k == c { &flipped } else { &monos[k].poses });
         let votes = votes(problem, poses[0], poses[1], true);
-        Some((c, choices(problem, &votes).into_iter().next()?))
+        choices(problem, &votes).first().is_some_and(|b| b.spread() < NAMED_RAD)
     })
 }
 
-/// Disagreement up to which all views together name a cause, rad.
-const NAMED_RAD: f64 = 0.3 * CONSENSUS_RAD;
-
-/// A camera whose images agree with the other's when they are flipped, if there is one.
-fn mirrored_camera(problem: &RigProblem, monos: &[Mono]) -> Option<usize> {
-    flipped(problem, monos).find(|(_, choice)| choice.spread() < NAMED_RAD).map(|(c, _)| c)
+/// Words where one camera's images are flipped.
+pub(super) fn told_mirrored(problem: &RigProblem, camera: usize) -> String {
+    let names = names(problem);
+    format!(
+        "the images of camera \"{}\" are mirrored against those of camera \"{}\" (or the other way round): the views agree only when one is flipped; \
+         switch off the mirroring of that camera, or of a mirror in its path, in the recording software",
+        names[camera],
+        names[1 - camera]
+    )
 }
 
-/// Words where cameras that seem to be on opposite sides may as well be on one side, one of them mirrored.
-pub(super) fn mirrored_as_well(problem: &RigProblem, way: &Way) -> Option<String> {
-    if !way.behind {
-        return None;
-    }
-    let same = way.turned(&way.monos);
-    let (c, _) = flipped(problem, &same).find(|(_, f)| f.outside().len() <= way.choice.outside().len())?;
+/// Words where cameras that seem to be on opposite sides may as well be on one side, the second of them mirrored.
+pub(super) fn told_opposite_or_mirrored(problem: &RigProblem) -> String {
     let names = names(problem);
-    Some(format!(
+    format!(
         "the views agree when the images of camera \"{}\" are mirrored, and as well when the cameras \"{}\" and \"{}\" look at the target from opposite sides: views \
          parallel to each other cannot tell; switch off the mirroring if there is one, and record at least one view tilted by 5 degrees or more",
-        names[c], names[0], names[1]
-    ))
+        names[1], names[0], names[1]
+    )
 }
 
 fn names(problem: &RigProblem) -> Vec<&str> {
@@ -140,8 +141,10 @@ pub(super) fn exchanged_or_mirrored(
     outside: &[usize],
     context: &Context<'_>,
 ) -> Option<String> {
+    // Of pairs it was told by the cost.
     if 2 * outside.len() >= way.choice.common()
-        && let Some(words) = mirrored_or_behind(problem, way)
+        && !is_pair(problem)
+        && let Some(words) = mirrored_or_behind(problem, &way.monos)
     {
         return Some(words);
     }
@@ -164,26 +167,14 @@ pub(super) fn exchanged_or_mirrored(
     })
 }
 
-/// Words where the views agree when one camera's images are flipped, or when it is behind a target that is made for one side.
-fn mirrored_or_behind(problem: &RigProblem, way: &Way) -> Option<String> {
-    let same = way.turned(&way.monos);
-    let over = behind(&same);
+/// Words where the views of a target that is made for one side agree when one camera's images are flipped, or when it is behind the target.
+fn mirrored_or_behind(problem: &RigProblem, monos: &[Mono]) -> Option<String> {
     let names = names(problem);
-    let mirrored = mirrored_camera(problem, &same);
-    let told = |c: usize| {
-        format!(
-            "the images of camera \"{}\" are mirrored against those of camera \"{}\" (or the other way round): the views agree only when one is flipped; \
-             switch off the mirroring of that camera, or of a mirror in its path, in the recording software",
-            names[c],
-            names[1 - c]
-        )
-    };
-    if is_pair(problem) {
-        return mirrored.or_else(|| mirrored_camera(problem, &over)).map(told);
-    }
+    let mirrored = mirrored_camera(problem, monos).map(|c| told_mirrored(problem, c));
+    let over = behind(monos);
     let opposite = choices(problem, &votes(problem, &over[0].poses, &over[1].poses, true));
     if opposite.first().is_none_or(|o| o.spread() >= NAMED_RAD) {
-        return mirrored.map(told);
+        return mirrored;
     }
     let sides = format!(
         "the cameras \"{}\" and \"{}\" look at the target from opposite sides, which is not supported for grids and plates: they have one front; use two discs that both \
@@ -191,8 +182,8 @@ fn mirrored_or_behind(problem: &RigProblem, way: &Way) -> Option<String> {
         names[0], names[1]
     );
     Some(match mirrored {
-        Some(c) => {
-            format!("one of two things, which views parallel to each other cannot tell apart: {}; or {sides}", told(c))
+        Some(words) => {
+            format!("one of two things, which views parallel to each other cannot tell apart: {words}; or {sides}")
         }
         None => sides,
     })

@@ -2,13 +2,13 @@
 
 use super::consensus::{CONSENSUS_RAD, Choice};
 use super::contradiction::{
-    DOUBT, cameras_disagree, contradicts_px, exchanged_or_mirrored, mirrored_as_well, worst_px,
+    DOUBT, cameras_disagree, contradicts_px, exchanged_or_mirrored, told_mirrored, told_opposite_or_mirrored, worst_px,
 };
 use super::labels::{changed, image_at, is_pair, labels, order_pairs, relabel};
 use super::mono::{calibrate_camera, thinned_model};
 use super::off_plane::views_off_plane;
 use super::print::labels_by_print;
-use super::sides::{Way, ways};
+use super::sides::{Side, Way, cheapest_side, side, ways};
 use super::starts::{best_start, joint_start};
 use super::windows::set_windows;
 use super::{Mono, Pose, RigProblem, RigSolution, Told, rms_of, side_by_side};
@@ -97,26 +97,47 @@ pub(super) struct Together {
 
 /// All cameras in one adjustment, from what each found alone.
 pub(super) fn together(problem: &RigProblem, monos: &[Mono], context: &Context<'_>) -> Result<Together> {
-    let Context { options, told } = *context;
-    let mut undecided = vec![];
-    let (mut problem, mut start) = match monos {
-        [alone] => (problem.clone(), single_start(problem, alone)?),
-        _ => match common_start(problem, monos, context, &mut undecided)? {
-            Common::Start(start) => *start,
-            Common::Doubtful(start, outside) => {
-                let (labelled, state, way) = *start;
-                if let Some(words) = exchanged_or_mirrored(problem, &way, &outside, context) {
-                    return Err(Insufficient::Inconsistent(words).into());
-                }
-                (labelled, state)
-            }
-            Common::Apart(way, outside) => return Err(cameras_disagree(problem, &way, &outside, context)),
-        },
+    let [_, _] = monos else {
+        return Ok(adjusted((problem.clone(), single_start(problem, &monos[0])?), vec![], context));
     };
+    let ways = ways(problem, monos);
+    let believed = side(problem, monos, &ways, context);
+    let found = on_side(problem, believed, &ways, context)?;
+    let explained = || rms_of(&found.problem.model, &found.adjustment.state).is_some_and(|r| r < contradicts_px(monos));
+    if !is_pair(problem) || found.adjustment.termination == Termination::Cancelled || explained() {
+        return Ok(found);
+    }
+    // Views of a mirrored camera may agree by chance.
+    match cheapest_side(problem, monos, &ways, context) {
+        other if other == believed => Ok(found),
+        other => on_side(problem, other, &ways, context),
+    }
+}
+
+/// The common adjustment with the cameras on these sides.
+fn on_side(problem: &RigProblem, side: Side, ways: &[Vec<Way>; 2], context: &Context<'_>) -> Result<Together> {
+    let mut undecided = vec![];
+    let start = match common_start(problem, side, ways, context, &mut undecided)? {
+        Common::Start(start) => *start,
+        Common::Doubtful(start, outside) => {
+            let (labelled, state, way) = *start;
+            if let Some(words) = exchanged_or_mirrored(problem, &way, &outside, context) {
+                return Err(Insufficient::Inconsistent(words).into());
+            }
+            (labelled, state)
+        }
+        Common::Apart(way, outside) => return Err(cameras_disagree(problem, &way, &outside, context)),
+    };
+    Ok(adjusted(start, undecided, context))
+}
+
+fn adjusted(start: (RigProblem, State), undecided: Vec<String>, context: &Context<'_>) -> Together {
+    let Context { options, told } = *context;
+    let (mut problem, mut start) = start;
     labels_by_print(&mut problem, &mut start);
     let start = best_start(&problem, start, options, told);
     let adjustment = adjust(&problem.model, start, options, &mut |i| told(i));
-    Ok(Together { problem, adjustment, undecided })
+    Together { problem, adjustment, undecided }
 }
 
 /// What to do where windows leave an adjustment without an end: directions in which the cost hardly changes.
@@ -157,44 +178,25 @@ enum Common {
     Apart(Box<Way>, Vec<usize>),
 }
 
-/// Start of the common adjustment, with the sides and labels that fit best.
-///
-/// The second camera is behind the target where more views agree so, or as many and the adjustment fits better.
+/// Start of the common adjustment on these sides, with the labels that fit best.
 fn common_start(
     problem: &RigProblem,
-    monos: &[Mono],
+    side: Side,
+    ways: &[Vec<Way>; 2],
     context: &Context<'_>,
     undecided: &mut Vec<String>,
 ) -> Result<Common> {
-    let [mut same, opposite] = ways(problem, monos);
-    let apart = |w: &[Way]| w.first().map_or(usize::MAX, |w| w.choice.outside().len());
-    if apart(&opposite) < apart(&same) {
-        let found = start_of(problem, &opposite, true, context, undecided)?;
-        if !matches!(found, Common::Apart(..)) {
-            return Ok(found);
-        }
-        let other = start_of(problem, &same, true, context, undecided)?;
-        if !matches!(other, Common::Apart(..)) || mirrored_as_well(problem, &opposite[0]).is_some() {
-            return Ok(other);
-        }
-        // More views agree so: what is wrong with the rest is told from there.
-        return start_of(problem, &opposite, false, context, undecided);
+    let refused = |words: String| Err(Insufficient::Inconsistent(words).into());
+    match side {
+        Side::Same => start_of(problem, &ways[0], context, undecided),
+        Side::Opposite => start_of(problem, &ways[1], context, undecided),
+        Side::Mirrored => refused(told_mirrored(problem, 1)),
+        Side::OppositeOrMirrored => refused(told_opposite_or_mirrored(problem)),
     }
-    if apart(&same) == 0 && apart(&opposite) == 0 {
-        same.extend(opposite);
-    }
-    start_of(problem, &same, false, context, undecided)
 }
 
-/// Start of the common adjustment in the way that fits best, the first where others fit as well; views that agree are believed unless
-/// `checked`.
-fn start_of(
-    problem: &RigProblem,
-    ways: &[Way],
-    checked: bool,
-    context: &Context<'_>,
-    undecided: &mut Vec<String>,
-) -> Result<Common> {
+/// Start of the common adjustment in the way that fits best, the first where others fit as well.
+fn start_of(problem: &RigProblem, ways: &[Way], context: &Context<'_>, undecided: &mut Vec<String>) -> Result<Common> {
     let Context { options, told } = *context;
     let mut starts = vec![];
     for way in ways {
@@ -209,27 +211,19 @@ fn start_of(
         )
         .into());
     };
-    let way = ways[best].clone();
-    if agreed.outside.is_empty() && !checked {
-        return match mirrored_as_well(problem, &way) {
-            Some(words) => Err(Insufficient::Inconsistent(words).into()),
-            None => Ok(Common::Start(Box::new((labelled, state)))),
-        };
+    if agreed.outside.is_empty() {
+        return Ok(Common::Start(Box::new((labelled, state))));
     }
+    let way = ways[best].clone();
     // A weak pose of one camera alone is no contradiction: let the common adjustment decide, quickly first.
-    let quick = AdjustOptions { solve: SolveOptions { decrement: 1e-1, iterations: 100 }, rounds: 0, ..*options };
     let limit_px = contradicts_px(&way.monos);
     let fits = |model: &Model, state: State| {
-        let trial = adjust(model, state, &quick, &mut |i| told(i)).state;
+        let trial = adjust(model, state, &quick(options), &mut |i| told(i)).state;
         rms_of(model, &trial).filter(|r| *r < limit_px).map(|r| (trial, r))
     };
     let light = fits(&thinned_model(&labelled.model), State { offsets_mm: vec![], ..state.clone() });
-    let found = light.and_then(|_| fits(&labelled.model, state));
-    if let (Some(_), Some(words)) = (&found, mirrored_as_well(problem, &way)) {
-        return Err(Insufficient::Inconsistent(words).into());
-    }
-    Ok(match found {
-        Some((state, rms_px)) if !agreed.outside.is_empty() && rms_px > DOUBT * worst_px(&way.monos) => {
+    Ok(match light.and_then(|_| fits(&labelled.model, state)) {
+        Some((state, rms_px)) if rms_px > DOUBT * worst_px(&way.monos) => {
             Common::Doubtful(Box::new((labelled, state, way)), agreed.outside)
         }
         Some((state, _)) => Common::Start(Box::new((labelled, state))),
@@ -237,9 +231,46 @@ fn start_of(
     })
 }
 
+/// An adjustment that tells whether something fits at all.
+fn quick(options: &AdjustOptions) -> AdjustOptions {
+    AdjustOptions { solve: SolveOptions { decrement: 1e-1, iterations: 100 }, rounds: 0, ..*options }
+}
+
+/// How well a common adjustment of part of the edge points fits.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Trial {
+    pub(super) chi2: f64,
+    pub(super) observations: f64,
+    pub(super) rms_px: f64,
+}
+
+impl Trial {
+    /// Whether its chi-square is not larger than the other's by more than chance.
+    pub(super) fn as_good_as(&self, other: &Self) -> bool {
+        // Too few observations never make a factor below one.
+        self.chi2 < other.chi2 + AS_GOOD * (other.chi2 / other.observations).max(1.0)
+    }
+}
+
+/// The best of some ways; none where none has an adjustment.
+pub(super) fn tried(problem: &RigProblem, ways: &[Way], context: &Context<'_>) -> Option<Trial> {
+    let one = |way: &Way| -> Option<Trial> {
+        let (labelled, agreed) = agreed(problem, &way.monos, &way.choice);
+        let state = pair_start(&labelled, &way.monos, &agreed).ok()?;
+        let model = thinned_model(&labelled.model);
+        let state = State { offsets_mm: vec![], ..state };
+        let trial = adjust(&model, state, &quick(context.options), &mut |i| (context.told)(i));
+        let observations = (model.counts().observations as f64).max(1.0);
+        Some(Trial { chi2: 2.0 * trial.cost, observations, rms_px: rms_of(&model, &trial.state)? })
+    };
+    side_by_side(ways, one).into_iter().flatten().reduce(|a, b| if b.chi2 < a.chi2 { b } else { a })
+}
+
 /// Whether the cameras can be adjusted together.
 pub(super) fn agrees(problem: &RigProblem, monos: &[Mono], context: &Context<'_>) -> bool {
-    matches!(common_start(problem, monos, context, &mut vec![]), Ok(Common::Start(_)))
+    let ways = ways(problem, monos);
+    let side = side(problem, monos, &ways, context);
+    matches!(common_start(problem, side, &ways, context, &mut vec![]), Ok(Common::Start(_)))
 }
 
 /// The start with the labels that the common adjustment fits best, the first where others fit as well.
