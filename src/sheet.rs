@@ -30,6 +30,7 @@ mod joint;
 mod measured;
 mod parameter;
 mod recorded;
+mod rows;
 
 pub use gain::{PointUncertainty, RESPONSES, Response, SheetUncertainty, StereoSheet};
 pub use homography::{
@@ -37,9 +38,10 @@ pub use homography::{
     triangulated_plane,
 };
 pub use joint::{joint_sheet, placed_joint_sheet};
-pub(crate) use parameter::{Parameter, STEP_NAMES, stepped_camera, stepped_motion, stepped_window};
+pub(crate) use parameter::{Parameter, SHEET, STEP_NAMES, stepped_camera, stepped_motion, stepped_window};
 pub(crate) use recorded::covariance_of_record;
 pub use recorded::determines_measurements;
+pub(crate) use rows::with_sheet;
 
 use crate::frames::{Rig, Sheet};
 use crate::rigid::Motion;

@@ -36,7 +36,7 @@ fn the_sheet_of_the_calibration_is_found_again() {
         assert_eq!(out.status.code(), Some(0), "{}", String::from_utf8_lossy(&out.stderr));
         let (old, new) = (record(&first), record(&second));
         assert_eq!(old.cameras, new.cameras);
-        let (a, b) = (old.sheet.unwrap(), new.sheet.clone().unwrap());
+        let (a, b) = (old.sheet.clone().unwrap(), new.sheet.clone().unwrap());
         assert_eq!((b.method.as_str(), &b.views), ("homography", &views));
         assert_eq!(new.views.len(), old.views.len() + views.len());
         for k in 0..3 {
@@ -48,7 +48,11 @@ fn the_sheet_of_the_calibration_is_found_again() {
             assert!((0.5..2.0).contains(&(sb / sa)), "{name} {k}: {sa} {sb}");
         }
         assert!(b.disparity_rms_px.unwrap() < 0.1);
-        assert!(!new.covariance.names.iter().any(|n| n.starts_with("sheet.")));
+        assert_eq!(new.covariance.names.iter().filter(|n| n.starts_with("sheet.")).count(), 6);
+        // Nor are displacements, though cameras and sheet are wrong together.
+        let gain = |r: &Record| r.mapping_uncertainty.as_ref().unwrap().middle.out_of_plane_gain;
+        println!("{name}: out-of-plane gain {:.2e} {:.2e}", gain(&old), gain(&new));
+        assert!((0.7..1.5).contains(&(gain(&new) / gain(&old))), "{} {}", gain(&new), gain(&old));
         for file in ["report.html", &format!("overlay_{:02}_left.png", views[0])] {
             assert!(second.join(file).exists(), "{file}");
         }

@@ -35,14 +35,14 @@
 mod windows;
 
 use super::anchor::Anchor;
-use super::propagate::{Propagated, SHEET, against_by_sheet, against_by_start, sheet_pose, start_rows, tilted};
+use super::propagate::{Propagated, against_by_sheet, against_by_start, sheet_pose, start_rows, tilted};
 use super::stepped::{Steps, numbers_between, record_after, step_between, take_sigmas};
 use crate::bundle::symmetric_eigen;
 use crate::error::{Error, Insufficient, Result};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::record::{CamerasRefined, Covariance, Pose, Record, RefinedNumber, View};
 use crate::rigid::Motion;
-use crate::sheet::{Parameter, STEP_NAMES};
+use crate::sheet::{Parameter, SHEET, STEP_NAMES};
 use crate::stats::chi_square_above;
 use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Matrix6, OMatrix, SVector, U3};
 pub(super) use windows::Update;

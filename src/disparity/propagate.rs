@@ -24,11 +24,10 @@ use crate::dewarp::SheetMap;
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::{Covariance, Record};
 use crate::rigid::Motion;
-use crate::sheet::{Parameter, STEP_NAMES, determines_measurements, stepped_camera, stepped_motion, stepped_window};
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Matrix6x3, SMatrix, SVector, Vector3};
-
-/// Row names of the sheet in a covariance.
-pub(super) const SHEET: &str = "sheet.rig_from_sheet.";
+use crate::sheet::{
+    Parameter, SHEET, STEP_NAMES, determines_measurements, stepped_camera, stepped_motion, stepped_window, with_sheet,
+};
+use nalgebra::{DMatrix, Matrix3, Matrix6, Matrix6x3, SMatrix, SVector, Vector3};
 
 /// Covariances with the calibration's share in them.
 pub(super) struct Propagated {
@@ -170,7 +169,9 @@ pub(super) fn propagate(
         DMatrix::from_fn(3, all.len(), |i, k| if k < p.len() { by_p[(i, k)] } else { by_start[(i, k - p.len())] });
     let known = &gradient * both * gradient.transpose();
     let against_start = Matrix3::from_fn(|i, j| known[(i, j)]) + by_plane * fit.covariance * by_plane.transpose();
-    let covariance = with_sheet(&start.covariance, &p, &by_number, &pose, &plane_and_center);
+    let step_by_plane = pose.adjoint() * tilted();
+    let own = step_by_plane * plane_and_center.fixed_view::<3, 3>(0, 0) * step_by_plane.transpose();
+    let covariance = with_sheet(&start.covariance, &p, &(step_by_plane * &by_number), &own);
     Some(Propagated { plane_and_center, against_start, covariance })
 }
 
@@ -201,39 +202,4 @@ fn by_left_steps(of: impl Fn(&SVector<f64, 6>) -> Vector3<f64>) -> SMatrix<f64, 
         out.set_column(k, &((at(h) - at(-h)) / (2.0 * h)));
     }
     out
-}
-
-/// The covariance of the calibration with rows of the new sheet.
-fn with_sheet(
-    old: &Covariance,
-    p: &[usize],
-    by_number: &DMatrix<f64>,
-    pose: &Motion<Rig, Sheet>,
-    plane_and_center: &Matrix6<f64>,
-) -> Covariance {
-    let step_by_plane = pose.adjoint() * tilted();
-    let own = step_by_plane * plane_and_center.fixed_view::<3, 3>(0, 0) * step_by_plane.transpose();
-    let kept: Vec<usize> = (0..old.names.len()).filter(|i| !old.names[*i].starts_with(SHEET)).collect();
-    let beside = DMatrix::from_fn(p.len(), kept.len(), |i, j| old.matrix[p[i]][kept[j]]);
-    let cross = step_by_plane * by_number * beside;
-    let n = kept.len();
-    let entry = |i: usize, j: usize| match (i < n, j < n) {
-        (true, true) => old.matrix[kept[i]][kept[j]],
-        (false, false) => 0.5 * (own[(i - n, j - n)] + own[(j - n, i - n)]),
-        (false, true) => cross[(i - n, j)],
-        (true, false) => cross[(j - n, i)],
-    };
-    let with_cameras = |d: &Vec<f64>| -> Vec<f64> {
-        let sheet = step_by_plane * by_number * DVector::from_fn(p.len(), |k, _| d[p[k]]);
-        kept.iter().map(|i| d[*i]).chain(sheet.iter().copied()).collect()
-    };
-    let rest = old.only(&kept);
-    // The sheet's own steps move with the cameras; what is measured in it need not.
-    let lost = STEP_NAMES.iter().filter(|_| p.iter().any(|i| !old.determines(*i)));
-    Covariance {
-        names: rest.names.into_iter().chain(STEP_NAMES.map(|s| format!("{SHEET}{s}"))).collect(),
-        matrix: (0..n + 6).map(|i| (0..n + 6).map(|j| entry(i, j)).collect()).collect(),
-        undetermined: rest.undetermined.into_iter().chain(lost.map(|s| format!("{SHEET}{s}"))).collect(),
-        null_directions: old.null_directions.iter().map(with_cameras).collect(),
-    }
 }

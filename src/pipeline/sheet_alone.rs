@@ -12,6 +12,7 @@ use super::workers::Workers;
 use super::{Progress, Source};
 use crate::bundle::DiscObservation;
 use crate::camera::{Camera, INTRINSIC_NAMES};
+use crate::diagnosis::mapping_of_record;
 use crate::error::{Error, Insufficient, Invalid, Result};
 use crate::record::{self, FeatureKind, Record, View};
 use crate::report::OverlayShapes;
@@ -347,7 +348,14 @@ fn output(
     record.sheet = Some(sheet);
     record.provenance.options.insert("sheet".into(), format!("homography with the cameras held, from {}", job.file));
     record.provenance.images.extend(images.iter().map(|i| i.file(job)));
-    let flags = flags(job, views, homography, &images);
+    let mut flags = flags(job, views, homography, &images);
+    if let Some(covariance) = homography.with_sheet(held, &record.covariance) {
+        record.covariance = covariance;
+    }
+    if let Some((mapping, told)) = mapping_of_record(&record) {
+        record.mapping_uncertainty = Some(mapping);
+        flags.extend(told);
+    }
     record.fit.flags.extend(flags.into_iter().map(|f| format!("{FLAG}{f}")));
     let overlays = overlays(held, &images, homography, features, first);
     SheetOutput { record, images, overlays }

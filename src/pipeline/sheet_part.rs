@@ -103,17 +103,17 @@ fn features_of_view(s: &Solved, held: &HeldCameras, view: usize) -> Vec<PairFeat
     common_features(held.cameras(), [&seen[0], &seen[1]])
 }
 
-/// Tangency points of neighbouring discs that both cameras saw in a view; of a two-level plate those of the front level, which
-/// alone lies in the plane.
+/// Tangency points of neighbouring discs that both cameras saw in a view, each disc in one pair alone; of a two-level plate those of the
+/// front level, which alone lies in the plane.
 pub(super) fn common_features(cameras: [&Camera; 2], seen: [&[(DotId, &DiscObservation)]; 2]) -> Vec<PairFeatures> {
     let contour = |c: usize, id: DotId| seen[c].iter().find(|(other, _)| *other == id).map(|(_, contour)| *contour);
     let mut common: Vec<DotId> =
         seen[0].iter().map(|(id, _)| *id).filter(|id| id.level == 0 && contour(1, *id).is_some()).collect();
     common.sort_unstable();
-    let step = (common.len() / PAIRS_PER_VIEW).max(1);
+    let step = (common.len() / (2 * PAIRS_PER_VIEW)).max(1);
     let pair = |p: &[DotId]| {
         let both = |c: usize| Some([contour(c, p[0])?, contour(c, p[1])?]);
         PairFeatures::of(cameras, [both(0)?, both(1)?])
     };
-    common.windows(2).step_by(step).filter_map(pair).collect()
+    common.chunks_exact(2).step_by(step).filter_map(pair).collect()
 }

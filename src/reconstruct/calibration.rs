@@ -76,8 +76,8 @@ fn moved_numbers(record: &Record) -> Option<(Vec<Moved>, DMatrix<f64>)> {
 /// covariance; `None` where a number that the maps need is not determined.
 ///
 /// The change of any result, half the difference between plus and minus, squared and summed over the directions, is its variance by
-/// the calibration. Where the covariance does not name the sheet (found with the cameras held), its own sigmas stand beside the
-/// cameras', which counts the cameras' share twice.
+/// the calibration. Where the covariance does not name the sheet, its own sigmas stand beside the cameras', which counts the
+/// cameras' share twice.
 ///
 /// # Errors
 /// As [`SheetMap::from_record`].

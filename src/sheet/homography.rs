@@ -4,14 +4,19 @@
 //! residual is `q2 - image(p)`. Tilt and distortion stay in both cameras. Features are those of ellipses fitted in the undistorted
 //! image (the distorted one biases them by 0.04 to 0.55 px) and mapped back to real pixels.
 //!
-//! Sigmas: `C = N^-1 (J^T S J + G C_cameras G^T) N^-1` with `N = J^T J`, S the covariance of the features, and G the change of
+//! Sigmas: `C = N^-1 (J^T S J + G C_cameras G^T) N^-1` with `N = J^T J`, S the covariance of the residuals, and G the change of
 //! `J^T r` by the cameras' parameters. Without the second part they would be 5 to 1000 times too small. Where a parameter of
-//! the cameras is not determined, no sigma of the sheet exists.
+//! the cameras is not determined, no sigma of the sheet exists. The eight points of a pair hold ten numbers (two ellipses): with
+//! T = dq/dq1 the transfer's derivative, `S = S_2 + T S_1 T^T`, both by the covariances of the fits.
+//!
+//! The sheet moves with the cameras it was found with: left steps (w, v) of its frame are `-L N^-1 G` times the cameras' errors (L: w and v
+//! by abc), and have that much in common with them ([`Homography::with_sheet`]).
 //!
 //! Start: the features of both cameras meet near points p (middle of the shortest line between their rays); `abc . p = 1` is
 //! linear in abc.
 
 use super::parameter::{Parameter, stepped_camera, stepped_motion, stepped_window};
+use super::rows::with_sheet;
 use super::{Placement, SheetEstimate, plane_geometry, sigmas};
 use crate::bitangent::{FROM_BEHIND, bitangents};
 use crate::bundle::{DiscObservation, NamedCovariance};
@@ -19,18 +24,24 @@ use crate::camera::Camera;
 use crate::conic::fit_geometric;
 use crate::error::{Insufficient, Result};
 use crate::frames::{Cam, Rig};
+use crate::record::Covariance;
 use crate::rigid::Motion;
-use nalgebra::{DMatrix, Matrix3, SMatrix, Vector2, Vector3};
+use nalgebra::{DMatrix, Dyn, Matrix2, Matrix3, Matrix6, OMatrix, SMatrix, U6, Vector2, Vector3};
+
+/// Tangency points of a pair of discs.
+const TOUCHING: usize = 8;
+/// Covariance of the tangency points of a pair in one image, u and v of each in turn, px^2.
+type PairCovariance = SMatrix<f64, { 2 * TOUCHING }, { 2 * TOUCHING }>;
 
 /// Features of the same pair of discs in both cameras, real (distorted) pixels.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct PairFeatures {
     /// In the first camera, px.
     pub first_px: Vec<Vector2<f64>>,
     /// In the second camera, px.
     pub second_px: Vec<Vector2<f64>>,
-    /// Standard deviation of one coordinate of a transferred feature, px.
-    pub sigma_px: f64,
+    /// Of both, px^2.
+    covariance_px2: [PairCovariance; 2],
 }
 
 /// Result of [`fit_homography`].
@@ -40,32 +51,40 @@ pub struct Homography {
     pub estimate: SheetEstimate,
     /// Root mean square transfer error, px.
     pub transfer_rms_px: f64,
+    /// Left steps of the sheet by the cameras' numbers, and their covariance; none where the cameras are not determined.
+    steps: Option<(OMatrix<f64, U6, Dyn>, Matrix6<f64>)>,
+}
+
+impl Homography {
+    /// The covariance that the cameras were held with, and rows of the sheet found; `None` where it does not determine the sheet.
+    pub fn with_sheet(&self, held: &HeldCameras, covariance: &Covariance) -> Option<Covariance> {
+        let (by_number, own) = self.steps.as_ref()?;
+        let rows: Option<Vec<usize>> = held.names.iter().map(|n| covariance.index(n)).collect();
+        Some(with_sheet(covariance, &rows?, by_number, own))
+    }
 }
 
 impl PairFeatures {
     /// Tangency points of two discs from their contours in both cameras; `None` where an image does not give two separated
     /// ellipses, or a camera looks through a window, behind which circles have no ellipses as images.
     pub fn of(cameras: [&Camera; 2], contours: [[&DiscObservation; 2]; 2]) -> Option<Self> {
-        let mut seen = [vec![], vec![]];
-        let mut variance = 0.0;
-        for c in 0..2 {
-            let (points, v) = tangency_points(cameras[c], contours[c])?;
-            seen[c] = points;
-            variance += v;
-        }
-        let [first_px, second_px] = seen;
-        Some(Self { first_px, second_px, sigma_px: variance.sqrt() })
+        let (first_px, first) = tangency_points(cameras[0], contours[0])?;
+        let (second_px, second) = tangency_points(cameras[1], contours[1])?;
+        Some(Self { first_px, second_px, covariance_px2: [first, second] })
     }
 
     /// The same discs where the second camera sees the other side of their plane: left and right change places in its image.
     pub fn from_both_sides(&self) -> Self {
         let second_px = (0..self.second_px.len()).map(|i| self.second_px[FROM_BEHIND[i]]).collect();
-        Self { second_px, ..self.clone() }
+        let [first, second] = &self.covariance_px2;
+        let place = |i: usize| 2 * FROM_BEHIND[i / 2] + i % 2;
+        let second = PairCovariance::from_fn(|i, j| second[(place(i), place(j))]);
+        Self { first_px: self.first_px.clone(), second_px, covariance_px2: [*first, second] }
     }
 }
 
-/// The eight tangency points in real pixels and the mean variance of a coordinate.
-fn tangency_points(camera: &Camera, contours: [&DiscObservation; 2]) -> Option<(Vec<Vector2<f64>>, f64)> {
+/// The eight tangency points in real pixels and their covariance.
+fn tangency_points(camera: &Camera, contours: [&DiscObservation; 2]) -> Option<(Vec<Vector2<f64>>, PairCovariance)> {
     if camera.window().is_some() {
         return None;
     }
@@ -84,14 +103,26 @@ fn tangency_points(camera: &Camera, contours: [&DiscObservation; 2]) -> Option<(
     let fits = [straight(contours[0])?, straight(contours[1])?];
     let b = bitangents(&fits[0].ellipse, &fits[1].ellipse).ok()?;
     let covariance = b.covariance([&fits[0].covariance, &fits[1].covariance]);
-    let mut points = vec![];
-    for k in 0..8 {
-        let q = b.point(k)?;
+    let real = |q: Vector2<f64>| {
         let ray = turn * Vector3::new((q.x - e.cx_px) / e.f_px, (q.y - e.cy_px) / e.f_px, 1.0);
-        points.push(camera.project_xyz(&(ray * (100.0 / ray.z))).ok()?);
+        camera.project_xyz(&(ray * (100.0 / ray.z))).ok()
+    };
+    let mut points = vec![];
+    let mut by_straight = PairCovariance::zeros();
+    for k in 0..TOUCHING {
+        let q = b.point(k)?;
+        points.push(real(q)?);
+        by_straight.fixed_view_mut::<2, 2>(2 * k, 2 * k).copy_from(&derivative(&q, real)?);
     }
-    let variance = (0..16).map(|i| covariance[(i, i)]).sum::<f64>() / 16.0;
-    Some((points, variance))
+    let straight = covariance.fixed_view::<{ 2 * TOUCHING }, { 2 * TOUCHING }>(0, 0);
+    Some((points, by_straight * straight * by_straight.transpose()))
+}
+
+/// Derivative of a smooth map of pixels.
+fn derivative(q: &Vector2<f64>, map: impl Fn(Vector2<f64>) -> Option<Vector2<f64>>) -> Option<Matrix2<f64>> {
+    let h = 1e-2;
+    let by = |step: Vector2<f64>| Some((map(q + step)? - map(q - step)?) / (2.0 * h));
+    Some(Matrix2::from_columns(&[by(Vector2::new(h, 0.0))?, by(Vector2::new(0.0, h))?]))
 }
 
 /// Cameras as the transfer sees them.
@@ -106,6 +137,8 @@ struct Pair {
 pub struct HeldCameras {
     pair: Pair,
     parameters: Vec<Parameter>,
+    /// Theirs.
+    names: Vec<String>,
     covariance: DMatrix<f64>,
 }
 
@@ -128,6 +161,7 @@ impl HeldCameras {
         Self {
             pair: Pair { cameras, second_from_first },
             covariance: DMatrix::from_fn(own.len(), own.len(), |i, j| covariance[(own[i].0, own[j].0)]),
+            names: own.iter().map(|(i, _)| names[*i].clone()).collect(),
             parameters: own.into_iter().map(|(_, h)| h).collect(),
         }
     }
@@ -315,29 +349,47 @@ pub fn fit_placed_homography(
         by_camera.fixed_view_mut::<3, 1>(4, k).copy_from(&((center(&p) - center(&m)) / (2.0 * h)));
     }
     let mut estimate = geometry.estimate;
+    let mut steps = None;
     if determined {
         let cameras = &by_camera * &held.covariance * by_camera.transpose();
         let mut seven = SMatrix::<f64, 7, 7>::from_fn(|i, j| cameras[(i, j)]);
-        let noise = inverse * feature_part(pair, &abc, features) * inverse;
+        let noise = inverse * feature_part(pair, &abc, features).ok_or_else(degenerate)? * inverse;
         let own = turn * noise * turn.transpose();
         let mut corner = seven.fixed_view_mut::<4, 4>(0, 0);
         corner += own;
         estimate.sigmas = sigmas(&(geometry.derivative * seven * geometry.derivative.transpose()));
+        let by_four = step_by_four(&estimate);
+        let own = by_four * seven.fixed_view::<4, 4>(0, 0) * by_four.transpose();
+        steps = Some((by_four * by_camera.rows(0, 4), own));
     }
-    Ok(Homography { estimate, transfer_rms_px: (sum / count).sqrt() })
+    Ok(Homography { estimate, transfer_rms_px: (sum / count).sqrt(), steps })
 }
 
-/// `J^T S J` with one variance per pair; the eight points of a pair hold ten independent numbers of their sixteen.
-fn feature_part(pair: &Pair, abc: &Vector3<f64>, features: &[PairFeatures]) -> Matrix3<f64> {
+/// Left step of the sheet by turn w and shift n . v, its origin moving along the normal alone: `v = P [t]x w + n (n . v)`.
+fn step_by_four(sheet: &SheetEstimate) -> SMatrix<f64, 6, 4> {
+    let n = &sheet.normal;
+    let project = Matrix3::identity() - n * n.transpose();
+    let mut out = SMatrix::<f64, 6, 4>::identity();
+    out.fixed_view_mut::<3, 3>(3, 0).copy_from(&(project * crate::rigid::skew(&sheet.rig_from_sheet.translation_mm)));
+    out.fixed_view_mut::<3, 1>(3, 3).copy_from(n);
+    out
+}
+
+/// `J^T S J`; `None` where a feature does not transfer.
+fn feature_part(pair: &Pair, abc: &Vector3<f64>, features: &[PairFeatures]) -> Option<Matrix3<f64>> {
     let mut out = Matrix3::zeros();
     for f in features {
-        for (q1, q2) in f.first_px.iter().zip(&f.second_px) {
-            if let Some((_, j)) = transfer(pair, abc, q1, q2) {
-                out += j.tr_mul(&j) * (f.sigma_px * f.sigma_px * 1.6);
-            }
+        let mut j = SMatrix::<f64, { 2 * TOUCHING }, 3>::zeros();
+        let mut by_first = PairCovariance::zeros();
+        for (k, (q1, q2)) in f.first_px.iter().zip(&f.second_px).enumerate() {
+            j.fixed_view_mut::<2, 3>(2 * k, 0).copy_from(&transfer(pair, abc, q1, q2)?.1);
+            let t = derivative(q1, |q| transfer(pair, abc, &q, q2).map(|r| r.0))?;
+            by_first.fixed_view_mut::<2, 2>(2 * k, 2 * k).copy_from(&t);
         }
+        let [first, second] = &f.covariance_px2;
+        out += j.tr_mul(&((second + by_first * first * by_first.transpose()) * j));
     }
-    out
+    Some(out)
 }
 
 /// Turn w (perpendicular to n) and shift n . v by abc: `dn = d P dabc`, `w = n x dn`, `dd = -d^2 n . dabc`.

@@ -1,6 +1,6 @@
 //! The sheet as the common plane of the joint adjustment.
 
-use super::parameter::STEP_NAMES;
+use super::parameter::{SHEET, STEP_NAMES};
 use super::{Placement, SheetEstimate, plane_geometry, sigmas};
 use crate::bundle::NamedCovariance;
 use crate::frames::{Rig, Sheet};
@@ -55,7 +55,7 @@ pub fn placed_joint_sheet(
 }
 
 fn sheet_step(k: usize) -> String {
-    format!("sheet.rig_from_sheet.{}", STEP_NAMES[k])
+    format!("{SHEET}{}", STEP_NAMES[k])
 }
 
 #[cfg(test)]

@@ -4,6 +4,8 @@ use crate::camera::{Camera, INTRINSIC_NAMES, Intrinsics, WINDOW_STEP_NAMES};
 use crate::rigid::Motion;
 use nalgebra::SVector;
 
+/// Row names of the sheet in a covariance.
+pub(crate) const SHEET: &str = "sheet.rig_from_sheet.";
 /// Ends of the names of a left step (see [`crate::rigid`]).
 pub(crate) const STEP_NAMES: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
 
@@ -24,7 +26,7 @@ impl Parameter {
     /// The number of this name; `None` for one that belongs to neither the two cameras nor the sheet.
     pub(crate) fn of(name: &str, camera_names: [&str; 2]) -> Option<Self> {
         let step = |rest: &str| STEP_NAMES.iter().position(|n| *n == rest);
-        if let Some(rest) = name.strip_prefix("sheet.rig_from_sheet.") {
+        if let Some(rest) = name.strip_prefix(SHEET) {
             return step(rest).map(Parameter::Sheet);
         }
         let c = (0..2).find(|&c| name.strip_prefix(camera_names[c]).is_some_and(|r| r.starts_with('.')))?;
