@@ -270,6 +270,58 @@ fn mean_shift_of_dots(rows: u32, (a, b): (f64, f64), blur: f64, images: u64) -> 
     (shift.map(|x| x / count), f64::sqrt(expected) / count)
 }
 
+/// Discs as a program draws them: no noise but rounding, pixels by the part that is covered, or the mean of a square of these.
+#[test]
+fn edges_that_are_no_gaussians_are_found_in_light_without_smoke() {
+    let (width, height) = (400_usize, 300_usize);
+    let mut random = Random(7);
+    let mut spots = vec![];
+    for k in 0..12 {
+        let place = |i: usize| 60.0 + 80.0 * i as f64;
+        let (u, v) = (place(k % 4) + random.uniform() - 0.5, place(k / 4) + random.uniform() - 0.5);
+        let (a, b) = (12.0 + 4.0 * random.uniform(), 9.0 + 3.0 * random.uniform());
+        spots.push(Spot { u, v, a, b, phi: 3.0 * random.uniform() - 1.5 });
+    }
+    for side in [1_usize, 3, 5] {
+        const FINE: usize = 16;
+        let covered = |i: usize| {
+            let place = |k: usize, n: usize| k as f64 + (n as f64 + 0.5) / FINE as f64 - 0.5;
+            let cells = (0..FINE * FINE).map(|n| [place(i % width, n % FINE), place(i / width, n / FINE)]);
+            let inside = |[u, v]: [f64; 2]| spots.iter().any(|s| s.cover(u, v, 1e-6) > 0.5);
+            cells.filter(|c| inside(*c)).count() as f64 / (FINE * FINE) as f64
+        };
+        let part: Vec<f64> = (0..width * height).map(covered).collect();
+        let reach = side as isize / 2;
+        let mean = |i: usize| {
+            let near = |di: isize, dj: isize| {
+                let at = |x: usize, d: isize, n: usize| x.saturating_add_signed(d).min(n - 1);
+                part[at(i / width, dj, height) * width + at(i % width, di, width)]
+            };
+            let all = (-reach..=reach).flat_map(|dj| (-reach..=reach).map(move |di| (di, dj)));
+            all.map(|(di, dj)| near(di, dj)).sum::<f64>() / (side * side) as f64
+        };
+        let grey: Vec<u8> = (0..width * height).map(|i| (20.0 + 180.0 * mean(i)).round() as u8).collect();
+        let began = std::time::Instant::now();
+        let d = find_u8(&grey, width, &DetectOptions::default());
+        let seconds = began.elapsed().as_secs_f64();
+        assert_eq!(d.discs.len(), spots.len());
+        let mut z = 0.0;
+        let mut worst = 0.0_f64;
+        for s in &spots {
+            let disc = near(&d, s.u, s.v).unwrap();
+            let e = &disc.ellipse;
+            let off = [e.center_px.u_px - s.u, e.center_px.v_px - s.v, e.semi_major_px - s.a, e.semi_minor_px - s.b];
+            for (k, off) in off.iter().enumerate() {
+                worst = worst.max(off.abs());
+                z += off * off / disc.covariance[(k, k)] / (4.0 * spots.len() as f64);
+            }
+        }
+        println!("means of {side} px: worst {worst:.4} px, mean z^2 {z:.2}, {seconds:.2} s");
+        // Smoke took 15 s per disc to be ruled out.
+        assert!(worst < 0.03 && z < 4.0 && seconds < 20.0, "{worst} {z} {seconds}");
+    }
+}
+
 #[test]
 fn smoke_inside_a_bright_disc() {
     let spot = Spot { u: 80.2, v: 79.6, a: 60.0, b: 45.0, phi: -0.3 };

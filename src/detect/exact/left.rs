@@ -9,6 +9,11 @@ use crate::detect::dense::FIXED;
 /// Pairs of neighbours below which smoke may pass for noise: chance alone makes three standard deviations of their likeness a quarter.
 const FEW: f64 = 144.0;
 
+/// A pixel so many times the blur and half a pixel from the edge feels nothing of it, whatever its profile.
+const DEEP: f64 = 3.3;
+/// Mean squared residual over the noise that is no noise.
+const UNLIKE_NOISE: f64 = 2.0;
+
 /// One sector's share in the result.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Share {
@@ -47,6 +52,8 @@ pub(super) struct Within {
     pub(super) triples: f64,
     /// Shares of all pixels in the disc.
     pub(super) all: f64,
+    /// Number of pairs of neighbouring residuals that the edge does not reach, sums of the first, of the second, and of their products.
+    pub(super) deep: [f64; 4],
 }
 
 /// Noise that a few pixels show.
@@ -98,6 +105,11 @@ impl Exact {
                     if let Some((p1, r1)) = before[1] {
                         self.neighbours[0] += r1 * r2;
                         self.neighbours[1] += 1.0;
+                        let deep = DEEP * state.blur_px + 0.5;
+                        if self.band.distance[p1].abs().min(self.band.distance[p].abs()) > deep {
+                            let sums = [1.0, r1, r2, r1 * r2];
+                            self.within.deep.iter_mut().zip(sums).for_each(|(sum, x)| *sum += x);
+                        }
                         if let Some((_, r0)) = before[0].filter(|(p0, _)| self.side_by_side(*p0, p1)) {
                             self.within.bends += (r1 - 0.5 * (r0 + r2)).powi(2) / 1.5;
                             self.within.triples += 1.0;
@@ -149,6 +161,17 @@ impl Exact {
         beyond > 0.25 * n && beyond > 3.0 * (n * state.allow.squares).sqrt()
     }
 
+    /// Whether the edge alone is not explained, along most of it: it has another profile than a Gaussian's, and the light beside it is even.
+    pub(crate) fn edge_alone(&self, state: &State) -> bool {
+        let [n, first, second, products] = self.within.deep;
+        // About their mean: what the edge does not explain shifts the level.
+        let product = products - first * second / n.max(1.0);
+        let alike = product > 0.25 * n + 3.0 * (n * state.allow.squares).sqrt();
+        let seen = || self.shares.iter().filter(|x| x.pixels > 0.0);
+        let unexplained = seen().filter(|x| x.squares > UNLIKE_NOISE * x.pixels).count();
+        n >= 12.0 && !alike && 2 * unexplained > seen().count()
+    }
+
     /// Whether the noise inside is well above that outside, on a disc of too few pixels to show whether they are alike.
     pub(crate) fn louder_inside(&self, state: &State) -> bool {
         let [inner, outer] = self.away.map(|[_, n]| n);
@@ -163,11 +186,6 @@ impl Exact {
     pub(crate) fn misfit(&self) -> f64 {
         let sum = |f: &dyn Fn(&Share) -> f64| self.shares.iter().map(f).sum::<f64>();
         sum(&|s| s.squares) / sum(&|s| s.pixels).max(1.0)
-    }
-
-    /// Standard deviation of the misfit of what is explained.
-    pub(crate) fn sigma_of_misfit(&self) -> f64 {
-        (2.0 / self.shares.iter().map(|s| s.pixels).sum::<f64>().max(1.0)).sqrt()
     }
 
     /// Noise variances of either side where enough pixels show them, grey^2.

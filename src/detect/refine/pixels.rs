@@ -173,13 +173,15 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let floor = quantisation(view).max((1e-4 * model.step).powi(2));
     s.exact.uncovered();
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
-    let seen = nodes || looks_smoky(&state, &s.exact, large);
+    // Nothing that lies in the light or upon it explains an edge that is no Gaussian's all around.
+    let edge_alone = s.exact.edge_alone(&state);
+    let seen = nodes && large || !edge_alone && (nodes || looks_smoky(&state, &s.exact, large));
     // Light that only fields explain is not to pass for something hidden.
-    let told = !seen && !large && start.smoke && s.exact.may_be_smoke(&state);
+    let told = !seen && !edge_alone && !large && start.smoke && s.exact.may_be_smoke(&state);
     let smoky = seen || told;
     let explained = large || s.exact.misfit() < UNEXPLAINED;
     let (mut clear, mut doubtful) = (false, None);
-    if start.smoke && !(nodes && large) {
+    if start.smoke && !edge_alone && !(nodes && large) {
         // What is hidden is asked for before smoke.
         let mut found = uncover(view, &state, &kept, start, floor, s);
         doubtful = found.take_if(|x| told || !x.believed(smoky));
@@ -223,12 +225,11 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     ))
 }
 
-/// Whether what polynomials leave looks like smoke. A small disc hardly shows that: there light that rises inside alone, and more left than
-/// noise, are enough to ask; of the others a few fields are asked.
+/// Whether what polynomials leave looks like smoke. A small disc hardly shows that: there light that rises inside alone is enough to ask; of the
+/// others a few fields are asked.
 fn looks_smoky(state: &State, exact: &Exact, large: bool) -> bool {
     let [inside, outside] = state.sides.map(|side| side.degree > 0);
-    let unlike_noise = exact.misfit() > MOST_NOISE + 4.0 * exact.sigma_of_misfit();
-    exact.smoke_left(state) || exact.louder_inside(state) || !large && (inside && !outside || unlike_noise)
+    exact.smoke_left(state) || exact.louder_inside(state) || !large && inside && !outside
 }
 
 /// The disc without the pixels that something hides.
