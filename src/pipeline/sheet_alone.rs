@@ -59,8 +59,8 @@ struct SheetView {
 
 impl SheetView {
     /// The same with the sheet between the cameras.
-    fn from_both_sides(&self) -> Self {
-        let turned = |c: &Vec<PairFeatures>| c.iter().map(PairFeatures::from_both_sides).collect();
+    fn on_both_sides(&self) -> Self {
+        let turned = |c: &Vec<PairFeatures>| c.iter().map(PairFeatures::on_both_sides).collect();
         Self { view: self.view, choices: self.choices.iter().map(turned).collect() }
     }
 }
@@ -86,7 +86,7 @@ pub fn find_sheet(
     let views = features(&wanted, &images, &held, pair);
     let mut sides = vec![views];
     if pair {
-        sides.push(sides[0].iter().map(SheetView::from_both_sides).collect());
+        sides.push(sides[0].iter().map(SheetView::on_both_sides).collect());
     }
     let (homography, chosen) = fit(&held, &sides, &placement(job)?, &job.file)?;
     let views = &sides[0];

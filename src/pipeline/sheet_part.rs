@@ -33,7 +33,7 @@ pub(super) fn sheet_part(s: &Solved) -> Result<Option<Sheet>> {
         let held = HeldCameras::of(s.covariance, [first, second]);
         let mut features: Vec<PairFeatures> = views.iter().flat_map(|v| features_of_view(s, &held, *v)).collect();
         if held.on_opposite_sides(&joint.abc_per_mm) {
-            features.iter_mut().for_each(|f| *f = f.from_both_sides());
+            features.iter_mut().for_each(|f| *f = f.on_both_sides());
         }
         if !features.is_empty() {
             let all = transfer_residuals(&held, &joint.abc_per_mm, &features);

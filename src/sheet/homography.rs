@@ -74,7 +74,7 @@ impl PairFeatures {
     }
 
     /// The same discs where the second camera sees the other side of their plane: left and right change places in its image.
-    pub fn from_both_sides(&self) -> Self {
+    pub fn on_both_sides(&self) -> Self {
         let second_px = (0..self.second_px.len()).map(|i| self.second_px[FROM_BEHIND[i]]).collect();
         let [first, second] = &self.covariance_px2;
         let place = |i: usize| 2 * FROM_BEHIND[i / 2] + i % 2;
