@@ -6,10 +6,8 @@ use crate::error::Result;
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::Record;
 use crate::rigid::Motion;
-use crate::sheet::determines_measurements;
+use crate::sheet::{SHEET, STEP_NAMES, determines_measurements};
 use nalgebra::{DMatrix, DVector, SVector, Vector3};
-
-const STEPS: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
 
 /// One number of the calibration that moves the maps.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,7 +41,7 @@ fn moved_numbers(record: &Record) -> Option<(Vec<Moved>, DMatrix<f64>)> {
                 rows.push(Some(row));
             }
         }
-        for (k, step) in STEPS.iter().enumerate().filter(|_| i > 0) {
+        for (k, step) in STEP_NAMES.iter().enumerate().filter(|_| i > 0) {
             if let Some(row) = c.index(&format!("{}.cam_from_rig.{step}", camera.name)) {
                 moved.push(Moved::Pose(i, k));
                 rows.push(Some(row));
@@ -51,7 +49,7 @@ fn moved_numbers(record: &Record) -> Option<(Vec<Moved>, DMatrix<f64>)> {
         }
     }
     let mut own = vec![0.0; rows.len()];
-    let named: Vec<Option<usize>> = STEPS.iter().map(|s| c.index(&format!("sheet.rig_from_sheet.{s}"))).collect();
+    let named: Vec<Option<usize>> = STEP_NAMES.iter().map(|s| c.index(&format!("{SHEET}{s}"))).collect();
     if named.iter().all(Option::is_some) {
         (0..6).for_each(|k| moved.push(Moved::Sheet(k)));
         rows.extend(named);
