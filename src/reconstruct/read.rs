@@ -79,6 +79,13 @@ fn fault(file: &str, line: usize, message: impl Into<String>) -> Error {
     Invalid::Syntax { file: file.into(), line, message: message.into() }.into()
 }
 
+/// What a message shows of a file: the beginning, nothing that a terminal would obey.
+fn shown(text: &str) -> String {
+    const MOST: usize = 60;
+    let begin: String = text.chars().take(MOST).flat_map(char::escape_debug).collect();
+    if text.chars().nth(MOST).is_some() { format!("{begin}...") } else { begin }
+}
+
 /// Cells of a line.
 fn cells(line: &str, separator: char) -> Vec<String> {
     let parts: Vec<&str> = if separator == ' ' {
@@ -108,6 +115,9 @@ fn separator_of(line: &str) -> char {
 /// the header names.
 pub fn parse_field(text: &str, file: &str) -> Result<FieldTable> {
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    // Old programs end lines with a carriage return alone.
+    let returns = if text.contains('\n') { None } else { Some(text.replace('\r', "\n")) };
+    let text = returns.as_deref().unwrap_or(text);
     let mut lines = text.lines().enumerate().map(|(i, l)| (i + 1, l.trim())).filter(|(_, l)| !l.is_empty()).peekable();
     let expected =
         "expected a header x_px,y_px,dx_px,dy_px or x_mm,y_mm,dx_mm,dy_mm, or an export of OpenPIV or PIVlab";
@@ -164,7 +174,7 @@ fn header(
     };
     if pivlab {
         let at = four(["x [px]", "y [px]", "u [px/frame]", "v [px/frame]"]).ok_or_else(|| {
-            let seen = names.join(", ");
+            let seen = shown(&names.join(", "));
             fault(
                 file,
                 line,
@@ -191,7 +201,7 @@ fn header(
             return Ok((FieldFormat::Csv, unit, Columns { count, at, sigma, wanted: bad }));
         }
     }
-    Err(fault(file, line, format!("columns \"{}\": {expected}", names.join(", "))))
+    Err(fault(file, line, format!("columns \"{}\": {expected}", shown(&names.join(", ")))))
 }
 
 /// Columns of the standard deviations of two displacements; none is left unread.
@@ -242,7 +252,7 @@ impl FieldTable {
                 "" | "nan" | "-nan" | "na" | "--" => Ok(f64::NAN),
                 "true" => Ok(1.0),
                 "false" => Ok(0.0),
-                word => word.parse().map_err(|_| fault(&file, line, format!("\"{cell}\" is not a number"))),
+                word => word.parse().map_err(|_| fault(&file, line, format!("\"{}\" is not a number", shown(cell)))),
             }
         };
         let [x, y, dx, dy] = columns.at.map(&number);
@@ -387,6 +397,10 @@ mod tests {
         assert!(message("").contains("f.txt:1: the file is empty"));
         assert!(message("a,b,c\n1,2,3\n").contains("columns \"a, b, c\": expected a header x_px"));
         assert!(message("x_px,y_px,dx_px,dy_px\n1,2,3,4\n1,2,oops,4\n").contains("f.txt:3: \"oops\" is not a number"));
+        let long = message(&format!("x_px,y_px,dx_px,dy_px\n1,2,{}\u{1b}[2J,4\n", "o".repeat(50)));
+        assert!(long.contains("oo\\u{1b}[2J\" is not a number"), "{long}");
+        assert!(message(&"nothing".repeat(9000)).len() < 400);
+        assert_eq!(parse_field("x_px,y_px,dx_px,dy_px\r1,2,3,4\r5,6,7,8\r", "f").unwrap().x, [1.0, 5.0]);
         assert!(message("x_px,y_px,dx_px,dy_px\n1,2,3,4\n5,6\n").contains("f.txt:3: 2 columns"));
         let commas = message("x_mm,y_mm,dx_mm,dy_mm\n-12,0,7,0,0,247\n");
         assert!(
