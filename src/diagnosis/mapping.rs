@@ -16,6 +16,8 @@ use nalgebra::{DMatrix, DVector, Vector2};
 /// Points along the longer and the shorter side of what both cameras see.
 const COLUMNS: usize = 19;
 const ROWS: usize = 13;
+/// Ratio of errors along and across the lines of sight that is worth a warning: less than 12 degrees between them.
+const ONE_LINE: f64 = 10.0;
 /// Relative out-of-plane gain that is worth a warning: 2 % of w.
 const GAIN_LIMIT: f64 = 0.02;
 
@@ -68,6 +70,14 @@ pub(super) fn mapping_uncertainty(
             "the out-of-plane component w is only known to {:.1} % (one standard deviation): record a target that is tilted against the sheet by a \
              few degrees, or state the lens ([focus], [camera.design])",
             100.0 * largest.out_of_plane_gain
+        ));
+    }
+    let ratio = |p: &[f64; 2]| stereo.noise_ratio(*p).unwrap_or(f64::INFINITY);
+    let worst = field.points.iter().map(ratio).fold(0.0, f64::max);
+    if worst > ONE_LINE {
+        flags.push(format!(
+            "both cameras look at the sheet along nearly one line: noise makes errors along it up to {worst:.0} times those across; turn one camera to the \
+             other side of the sheet's normal, best 30 to 45 degrees on either side"
         ));
     }
     Some(MappingUncertainty { middle: middle.clone(), largest, map: map(&field, &over), undetermined })

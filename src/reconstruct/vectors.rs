@@ -33,7 +33,7 @@ pub mod flag {
 
 /// Residuals beyond this many sigmas are flagged.
 const RESIDUAL_SIGMAS: f64 = 5.0;
-/// Largest ratio of the sigma of w to that of u and v that still is a stereo arrangement.
+/// Largest ratio of the sigmas along the direction that is known worst and best that still is a stereo arrangement.
 const WORST_GAIN: f64 = 1e3;
 
 /// Options of [`reconstruct`].
@@ -369,11 +369,12 @@ pub fn reconstruct(
     let worst = solved
         .iter()
         .flatten()
-        .map(|s| (s.covariance.m33 / s.covariance.m11.max(s.covariance.m22)).sqrt())
+        .map(|s| s.covariance.symmetric_eigenvalues())
+        .map(|v| (v.max() / v.min().max(f64::MIN_POSITIVE)).sqrt())
         .fold(0.0, f64::max);
     if worst > WORST_GAIN {
         let what = format!(
-            "both cameras look at the sheet along nearly one line: the error of w is up to {worst:.0} times that of u and v; w cannot be measured"
+            "both cameras look at the sheet along nearly one line: errors along it are up to {worst:.0} times those across; three components cannot be measured"
         );
         return Err(Insufficient::Degenerate(what).into());
     }

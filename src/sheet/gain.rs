@@ -157,6 +157,15 @@ impl StereoSheet {
         Some((a, places))
     }
 
+    /// How much larger equal noise of both images makes the error of a displacement along the direction that is known worst than along
+    /// the one known best, at a point of the sheet (mm): `sqrt(l_1 / l_3)` of the eigenvalues of `A^T A`; `None` where a camera does not see it.
+    pub fn noise_ratio(&self, point_mm: [f64; 2]) -> Option<f64> {
+        let truth = self.true_point(point_mm)?;
+        let a = truth.by_displacement;
+        let values = a.tr_mul(&a).symmetric_eigenvalues();
+        Some((values.max() / values.min().max(f64::MIN_POSITIVE)).sqrt())
+    }
+
     /// What this calibration makes of displacements at a point of the sheet of `truth` (x, y in its sheet frame, mm); `None` where a
     /// camera does not see the point, or both see it along one line.
     pub fn response(&self, truth: &StereoSheet, point_mm: [f64; 2]) -> Option<Response> {
@@ -428,6 +437,26 @@ mod tests {
         assert!(r.disparity_px.norm() < 1e-9);
         assert!((r.measured_from_true - Matrix3::identity()).norm() < 1e-12);
         assert!((r.relative_gain() - 1.0).abs() < 1e-12);
+    }
+
+    /// Cameras at a to either side: u has twice cos(a)^2, v twice 1, w twice sin(a)^2. Whoever looks along one line, from one side or both,
+    /// sees nothing along it.
+    #[test]
+    fn noise_is_that_of_the_angle_between_the_lines_of_sight() {
+        for a in [0.7_f64, 0.3, 0.01] {
+            let ratio = symmetric(8000.0, a).noise_ratio([0.0, 0.0]).unwrap();
+            assert!((ratio * a.sin() - 1.0).abs() < 1e-9, "{a} {ratio}");
+        }
+        let mut facing = symmetric(8000.0, 0.7);
+        let turn = crate::rigid::rotation_exp(&Vector3::new(0.0, std::f64::consts::PI, 0.0));
+        let first = facing.cam_from_sheet[0];
+        let second = Motion::new(turn * first.rotation, Vector3::new(0.0, 0.0, 1000.0) + turn * first.translation_mm);
+        facing = StereoSheet::placed(
+            facing.cameras,
+            [facing.cam_from_rig[0], second * facing.rig_from_sheet.inverse()],
+            facing.rig_from_sheet,
+        );
+        assert!(facing.noise_ratio([0.0, 0.0]).unwrap() > 1e5);
     }
 
     /// At the centre a camera at the angle a shows u cos a + w sin a: a calibration that believes in the angle b measures
