@@ -98,33 +98,9 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
         .par_iter()
         .map(|p| Moment { samplers: p.images.each_ref().map(|i| Sampler::new(i, Kernel::Cubic)) })
         .collect();
-    let mut current = moved(record, &found.plane, &Matrix6::zeros())?;
     let mut history = vec![];
-    let (mut converged, mut last): (bool, Option<Round>) = (false, None);
-    // Coarse windows first, unless the field holds too few of them.
-    let coarse = 2 * options.window_px;
-    let enough = (grid.width_px / coarse) * (grid.height_px / coarse) >= 2 * FEWEST;
-    for round in 0..ROUNDS {
-        let fine = round > 0;
-        let window_px = if fine || !enough { options.window_px } else { coarse };
-        let result = match &last {
-            Some(before) => {
-                measure(&current, &moments, Looked { window_px, near: true, smear: before.seen_in.smear.as_ref() })?
-            }
-            None => first_round(&current, &moments, window_px)?,
-        };
-        let step_px = plane_step_px(&result);
-        let abc = result.fit.abc;
-        let step_sigmas = result.fit.covariance.try_inverse().map_or(f64::INFINITY, |w| abc.dot(&(w * abc)).sqrt());
-        let next = moved(&current, &result.fit.abc, &cameras_held(&result.fit.covariance))?;
-        history.push(entry(record, &next, &result, options)?);
-        current = next;
-        last = Some(result);
-        converged = fine && (step_px < STILL_PX || step_sigmas < STILL_SIGMAS);
-        if converged || (!options.refine && fine) {
-            break;
-        }
-    }
+    let (mut current, mut last, mut converged) =
+        plane_rounds(record, moved(record, &found.plane, &Matrix6::zeros())?, &moments, &grid, options, &mut history)?;
     if options.refine && !converged {
         flags.push(format!("the plane still moves after {ROUNDS} rounds; more image pairs would hold it"));
     }
@@ -162,6 +138,43 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
         corrected.fit.keep_check_flags(&out.check.flags);
     }
     Ok(out)
+}
+
+/// Rounds for the plane, cameras held, from where it was first found: the record with its sheet there, the last round, and whether it is at rest.
+fn plane_rounds(
+    record: &Record,
+    mut current: Record,
+    moments: &[Moment],
+    grid: &SheetGrid,
+    options: &CheckOptions,
+    history: &mut Vec<CheckRound>,
+) -> Result<(Record, Option<Round>, bool)> {
+    let (mut converged, mut last): (bool, Option<Round>) = (false, None);
+    // Coarse windows first, unless the field holds too few of them.
+    let coarse = 2 * options.window_px;
+    let enough = (grid.width_px / coarse) * (grid.height_px / coarse) >= 2 * FEWEST;
+    for round in 0..ROUNDS {
+        let fine = round > 0;
+        let window_px = if fine || !enough { options.window_px } else { coarse };
+        let result = match &last {
+            Some(before) => {
+                measure(&current, moments, Looked { window_px, near: true, smear: before.seen_in.smear.as_ref() })?
+            }
+            None => first_round(&current, moments, window_px)?,
+        };
+        let step_px = plane_step_px(&result);
+        let abc = result.fit.abc;
+        let step_sigmas = result.fit.covariance.try_inverse().map_or(f64::INFINITY, |w| abc.dot(&(w * abc)).sqrt());
+        let next = moved(&current, &result.fit.abc, &cameras_held(&result.fit.covariance))?;
+        history.push(entry(record, &next, &result, options)?);
+        current = next;
+        last = Some(result);
+        converged = fine && (step_px < STILL_PX || step_sigmas < STILL_SIGMAS);
+        if converged || (!options.refine && fine) {
+            break;
+        }
+    }
+    Ok((current, last, converged))
 }
 
 /// Cameras and plane at rest.
