@@ -173,7 +173,7 @@ fn smoke_behind_a_blur_is_asked_for() {
     let light = Light::Smoke;
     let c = Condition { semi_minor_px: 4.0, ratio: 1.2, blur_px: 1.7, light, bits: 16, noise: 0.015, bright: true };
     let mut all = vec![];
-    c.show_only(40, 11, |spot, disc| {
+    c.show_only(24, 11, |spot, disc| {
         let Some(disc) = disc else { return };
         let e = &disc.ellipse;
         let turned = (e.angle_rad - spot.phi + 0.5 * PI).rem_euclid(PI) - 0.5 * PI;
@@ -184,7 +184,7 @@ fn smoke_behind_a_blur_is_asked_for() {
     let far = all.iter().filter(|z2| **z2 > 4.0).count();
     all.sort_by(f64::total_cmp);
     println!("{} found, z^2 {:.2} in the middle, {far} above 4", all.len(), all[all.len() / 2]);
-    assert!(all.len() > 36 && far < 8 && all[all.len() / 2] < 2.2, "sigmas are not true, z^2 {all:.1?}");
+    assert!(all.len() > 21 && far < 6 && all[all.len() / 2] < 2.2, "sigmas are not true, z^2 {all:.1?}");
 }
 
 /// Smoke that varies slowly over large discs, little and much noise: the slope of the light at the edge must neither be held to that of a surface
@@ -224,7 +224,7 @@ fn large_discs_full_of_slow_smoke_are_as_accurate_as_can_be() {
 /// semi-minor axis with a mean z^2 of 3.
 #[test]
 fn sigmas_are_true_in_bubbles_full_of_smoke() {
-    for (divisor, length_mm) in [(12.0, 1.5), (12.0, 0.5), (1.0, 5.0), (1.0, 2.0), (1.0, 0.7)] {
+    for (divisor, length_mm) in [(12.0, 1.5), (12.0, 0.5), (1.0, 2.0), (1.0, 0.7)] {
         let errors = errors_of_bubbles(&smaller_bubbles(divisor, length_mm), 1);
         let count = errors.len() as f64;
         let z2: [f64; 4] =
@@ -253,7 +253,7 @@ fn bright_smoke_draws_no_contour_outwards() {
 #[test]
 fn sigmas_are_true_in_the_smallest_bubbles() {
     for smoke in [(0.3, 1.0), (0.15, 2.0)] {
-        let errors = errors_of_bubbles(&random_bubbles(52, 16, [0.3, 0.7], smoke), 0);
+        let errors = errors_of_bubbles(&random_bubbles(52, 10, [0.3, 0.7], smoke), 0);
         let z = |e: &[(f64, f64); 4], k: usize| (e[k].0 / e[k].1).abs();
         let z2: [f64; 4] =
             std::array::from_fn(|k| errors.iter().map(|e| z(e, k).powi(2)).sum::<f64>() / errors.len() as f64);
