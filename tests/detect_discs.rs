@@ -318,7 +318,7 @@ fn edges_that_are_no_gaussians_are_found_in_light_without_smoke() {
         }
         println!("means of {side} px: worst {worst:.4} px, mean z^2 {z:.2}, {seconds:.2} s");
         // Smoke took 15 s per disc to be ruled out.
-        assert!(worst < 0.03 && z < 4.0 && seconds < 20.0, "{worst} {z} {seconds}");
+        assert!(worst < 0.03 * side as f64 && z < 4.0 && seconds < 20.0, "{worst} {z} {seconds}");
     }
 }
 

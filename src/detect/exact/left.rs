@@ -172,6 +172,16 @@ impl Exact {
         n >= 12.0 && !alike && 2 * unexplained > seen().count()
     }
 
+    /// Counts what an edge of another profile leaves as noise: it moves contours as much, the axes more than the centre.
+    pub(crate) fn count_misfit_as_noise(&mut self) {
+        let misfit = self.misfit().max(1.0);
+        for share in &mut self.shares {
+            (share.score, share.information, share.squares) =
+                (share.score / misfit, share.information / misfit, share.squares / misfit);
+        }
+        self.dense.covariance *= misfit;
+    }
+
     /// Whether the noise inside is well above that outside, on a disc of too few pixels to show whether they are alike.
     pub(crate) fn louder_inside(&self, state: &State) -> bool {
         let [inner, outer] = self.away.map(|[_, n]| n);

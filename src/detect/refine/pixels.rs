@@ -9,7 +9,7 @@ use crate::detect::light::{Light, Side};
 use crate::detect::quick::Clean;
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::GrayView;
-use nalgebra::SVector;
+use nalgebra::{SMatrix, SVector};
 
 /// Least information of an edge point, of the largest.
 const LEAST_SHARE: f64 = 0.05;
@@ -31,6 +31,8 @@ const SMOKE_LEAVES: f64 = 1.3;
 const ALIKE: f64 = 0.5;
 /// Least part of the semi-minor axis of its line that a disc has where that line tells where it is.
 const LEAST_NEAR: f64 = 0.9;
+/// By how much the variance of a profile that is no Gaussian's differs from that of the Gaussian fitted to it: a quarter for a square of pixels.
+const OTHER_PROFILE: f64 = 0.35;
 /// Longest contour with a field inside, px: its price grows with the area, 0.5 s for discs of 100 px.
 const LONGEST_PX: f64 = 900.0;
 /// Stretches of a quarter of the contour that are left out in turn.
@@ -218,11 +220,23 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
         }
     }
     let (ellipse, change, blur_px) = s.exact.finished(&state)?;
+    let mut covariance = s.exact.covariance();
+    if edge_alone {
+        s.exact.count_misfit_as_noise();
+        covariance = s.exact.covariance() + of_other_profile(&ellipse, blur_px);
+    }
     let edge = edges(&s.fine, &s.exact.shares, Some(&kept), &change);
-    Some(Exactly::Fitted(
-        Box::new(Found { ellipse, blur_px, covariance: s.exact.covariance(), followed: state.field.is_some() }),
-        edge,
-    ))
+    Some(Exactly::Fitted(Box::new(Found { ellipse, blur_px, covariance, followed: state.field.is_some() }), edge))
+}
+
+/// What not knowing the profile of an edge adds to the covariance of the regular coordinates: a bent edge moves inwards by half its curvature times the variance of
+/// the profile, which is known to [`OTHER_PROFILE`] alone.
+fn of_other_profile(e: &Ellipse, blur_px: f64) -> SMatrix<f64, 5, 5> {
+    let size = (e.semi_major_px * e.semi_minor_px).sqrt();
+    let moved_px = 0.5 * OTHER_PROFILE * blur_px * blur_px / size;
+    let larger = Ellipse { semi_major_px: e.semi_major_px + moved_px, semi_minor_px: e.semi_minor_px + moved_px, ..*e };
+    let change = to_regular(&larger) - to_regular(e);
+    change * change.transpose()
 }
 
 /// Whether what polynomials leave looks like smoke. A small disc hardly shows that: there light that rises inside alone is enough to ask; of the
