@@ -31,8 +31,9 @@ const BESIDE: f64 = 5.0;
 const BACKGROUND: [f64; 2] = [6.0, 2.0];
 /// The Gaussian is cut off here, standard deviations.
 const CUT: f64 = 2.5;
-/// Depth that draws peaks out by less is left alone, px.
-const LEAST_PX: f64 = 0.3;
+/// Depth that draws peaks out by less than so many standard deviations of a particle's autocorrelation does not break them into lumps: their tops are
+/// found as they are, for the middle of what hangs together with a top depends on how uneven the light is.
+const APART: f64 = 2.5;
 /// Most of a window that one standard deviation of depth may take.
 const SMALL: f64 = 0.125;
 
@@ -93,11 +94,12 @@ impl Smear {
     /// A map of one window, its particles gathered along the depth, and the covariance of its peak; a peak as expected keeps its height.
     pub(super) fn gathered(&self, map: CorrelationMap, depth_px: Vector2<f64>) -> (CorrelationMap, Matrix2<f64>) {
         let v = self.drawn_px(depth_px);
-        let shape = self.particle_px2 + 2.0 * v * v.transpose();
-        if v.amax() < LEAST_PX {
-            return (map, shape);
+        let along = v.dot(&(self.particle_px2 * v)) / v.norm_squared();
+        if !(v.norm_squared() > APART * APART * along) {
+            return (map, self.particle_px2);
         }
-        let before = v.dot(&(self.particle_px2 * v)) / v.norm_squared() + v.norm_squared();
+        let shape = self.particle_px2 + 2.0 * v * v.transpose();
+        let before = along + v.norm_squared();
         let gain = (1.0 + v.norm_squared() / before).sqrt();
         (folded(&map, v, gain), shape)
     }
