@@ -21,9 +21,8 @@
 //! | s_z | `thickness_mm` / (4 sqrt 2) | mm | Sheet | depth of the particles that make the correlation peak |
 //!
 //! **Thickness.** Particles at different depth have different disparity, so the cross-correlation peak is wider along s_2 - s_1
-//! than the autocorrelation peaks: `s_z^2 |s_2 - s_1|^2 = C_12 - (C_11 + C_22) / 2` (`smear.rs`). Both images carry the light's profile, so the
-//! product falls off as its square: the profile's standard deviation is sqrt(2) s_z, its full width at 1/e^2 four times that. Background, reach
-//! of the fit and distance to the second peak follow that width from round to round. Where it takes more than half of a window, a flag says so.
+//! than the autocorrelation peaks: `s_z^2 |s_2 - s_1|^2 = C_12 - (C_11 + C_22) / 2`. Both images carry the light's profile, so the
+//! product falls off as its square: the profile's standard deviation is sqrt(2) s_z, its full width at 1/e^2 four times that.
 //!
 //! **Displacements.** The same correlation between two exposures of one camera gives planar displacements ([`planar_displacements`]).
 //!
@@ -45,9 +44,7 @@ mod plane;
 mod prepare;
 mod profile;
 mod propagate;
-mod round;
 mod scatter;
-mod smear;
 mod stepped;
 
 pub use check::{CheckOptions, CheckOutput, ParticlePair, check_sheet};

@@ -12,8 +12,6 @@ use rayon::prelude::*;
 
 /// Pixels along the larger side of the coarse field.
 const COARSE_PX: usize = 320;
-/// Half the box of the background, coarse px.
-const BACKGROUND_PX: usize = 8;
 /// Side of a block, coarse px.
 const BLOCK_PX: usize = 16;
 /// Steepest tilt that is tried, mm per mm (8 degrees).
@@ -40,7 +38,7 @@ impl Binned {
                 out[(v / factor) * w + u / factor] += levels[v * size_px[0] + u];
             }
         }
-        particles(&mut out, w, BACKGROUND_PX);
+        particles(&mut out, w);
         let view = GrayView::new(Samples::F32(&out), w, h, w).ok()?;
         Some(Self { sampler: Sampler::new(&view, Kernel::Linear), factor, size_px: [w, h] })
     }

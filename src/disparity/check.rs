@@ -2,22 +2,25 @@
 
 use super::acquire::{Acquired, Binned, SIGNIFICANT, acquire, factor};
 use super::cameras::{Prior, Update, with_sigmas};
+use super::correlate::{Correlator, Dewarped, Sums};
 use super::misalignment::misalignment;
-use super::plane::{Match, cameras_held, moved_sheet, see};
-use super::prepare::{SATURATED, levels, saturated_part};
+use super::plane::{Match, PlaneFit, Seen, cameras_held, fit_plane, moved_sheet, see};
+use super::prepare::{SATURATED, levels, particles, saturated_part};
 use super::profile::Summed;
 use super::propagate::{Propagated, against, against_by_plane, propagate};
-use super::round::{FEWEST, Looked, Moment, Round, fitted, look, maps_of, measure, plane_step_px};
-use super::smear::Smear;
-use crate::dewarp::{Kernel, Sampler, SheetGrid, SheetMap};
+use crate::dewarp::{Kernel, Sampler, SheetGrid, SheetMap, resample};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::frames::{Rig, Sheet};
 use crate::image::GrayView;
 use crate::record::{CheckRound, DisparityMap, Misalignment, Pose, Record, SheetCheck};
 use crate::rigid::Motion;
-use nalgebra::{Matrix3, Matrix6, Vector3};
+use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
 use rayon::prelude::*;
 
+/// A peak must be this much higher than the second.
+const RATIO: f64 = 1.25;
+/// Fewest windows that fix a plane with something to spare.
+const FEWEST: usize = 8;
 /// Rounds at most.
 const ROUNDS: usize = 12;
 /// The rounds end when the plane's disparity changes by less, px.
@@ -72,6 +75,31 @@ pub struct CheckOutput {
     pub record: Option<Record>,
 }
 
+/// Images ready to be dewarped.
+struct Moment {
+    samplers: [Sampler; 2],
+}
+
+/// One round: windows of a sheet, and the plane through them.
+struct Round {
+    matches: Vec<Match>,
+    windows: usize,
+    fit: PlaneFit,
+    grid: SheetGrid,
+    sums: Option<Sums>,
+    slope_apart: Vector2<f64>,
+    /// Median disparity in the sheet of this round, px.
+    median_px: f64,
+}
+
+fn maps_of(record: &Record) -> Result<[SheetMap; 2]> {
+    if record.cameras.len() != 2 {
+        let what = format!("the check needs two cameras, but the calibration holds {}", record.cameras.len());
+        return Err(Invalid::Contradiction(what).into());
+    }
+    Ok([SheetMap::from_record(record, 0)?, SheetMap::from_record(record, 1)?])
+}
+
 /// Checks the record's sheet on particle images, and corrects it where the options ask for it.
 ///
 /// Work is shared by the threads of the pool in which this is called; the bits do not depend on their number.
@@ -98,17 +126,33 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
         .par_iter()
         .map(|p| Moment { samplers: p.images.each_ref().map(|i| Sampler::new(i, Kernel::Cubic)) })
         .collect();
+    let mut current = moved(record, &found.plane, &Matrix6::zeros())?;
     let mut history = vec![];
-    let (mut current, mut last, mut converged) =
-        plane_rounds(record, moved(record, &found.plane, &Matrix6::zeros())?, &moments, &grid, options, &mut history)?;
+    let (mut converged, mut last) = (false, None);
+    // Coarse windows first, unless the field holds too few of them.
+    let coarse = 2 * options.window_px;
+    let enough = (grid.width_px / coarse) * (grid.height_px / coarse) >= 2 * FEWEST;
+    for round in 0..ROUNDS {
+        let fine = round > 0;
+        let window = if fine || !enough { options.window_px } else { coarse };
+        let result = measure(&current, &moments, window, fine)?;
+        let step_px = plane_step_px(&result);
+        let abc = result.fit.abc;
+        let step_sigmas = result.fit.covariance.try_inverse().map_or(f64::INFINITY, |w| abc.dot(&(w * abc)).sqrt());
+        let next = moved(&current, &result.fit.abc, &cameras_held(&result.fit.covariance))?;
+        history.push(entry(record, &next, &result, window, options)?);
+        current = next;
+        last = Some(result);
+        converged = fine && (step_px < STILL_PX || step_sigmas < STILL_SIGMAS);
+        if converged || (!options.refine && fine) {
+            break;
+        }
+    }
     if options.refine && !converged {
         flags.push(format!("the plane still moves after {ROUNDS} rounds; more image pairs would hold it"));
     }
     let refined = match &prior {
-        Some(prior) => {
-            let smear = last.as_ref().and_then(|r| r.seen_in.smear);
-            Some(refine_cameras(record, prior, (current.clone(), smear), &moments, options, &mut history)?)
-        }
+        Some(prior) => Some(refine_cameras(record, prior, current.clone(), &moments, options, &mut history)?),
         None => None,
     };
     let refined = refined.map(|r| {
@@ -140,43 +184,6 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
     Ok(out)
 }
 
-/// Rounds for the plane, cameras held, from where it was first found: the record with its sheet there, the last round, and whether it is at rest.
-fn plane_rounds(
-    record: &Record,
-    mut current: Record,
-    moments: &[Moment],
-    grid: &SheetGrid,
-    options: &CheckOptions,
-    history: &mut Vec<CheckRound>,
-) -> Result<(Record, Option<Round>, bool)> {
-    let (mut converged, mut last): (bool, Option<Round>) = (false, None);
-    // Coarse windows first, unless the field holds too few of them.
-    let coarse = 2 * options.window_px;
-    let enough = (grid.width_px / coarse) * (grid.height_px / coarse) >= 2 * FEWEST;
-    for round in 0..ROUNDS {
-        let fine = round > 0;
-        let window_px = if fine || !enough { options.window_px } else { coarse };
-        let result = match &last {
-            Some(before) => {
-                measure(&current, moments, Looked { window_px, near: true, smear: before.seen_in.smear.as_ref() })?
-            }
-            None => first_round(&current, moments, window_px)?,
-        };
-        let step_px = plane_step_px(&result);
-        let abc = result.fit.abc;
-        let step_sigmas = result.fit.covariance.try_inverse().map_or(f64::INFINITY, |w| abc.dot(&(w * abc)).sqrt());
-        let next = moved(&current, &result.fit.abc, &cameras_held(&result.fit.covariance))?;
-        history.push(entry(record, &next, &result, options)?);
-        current = next;
-        last = Some(result);
-        converged = fine && (step_px < STILL_PX || step_sigmas < STILL_SIGMAS);
-        if converged || (!options.refine && fine) {
-            break;
-        }
-    }
-    Ok((current, last, converged))
-}
-
 /// Cameras and plane at rest.
 struct Refined {
     now: Record,
@@ -191,7 +198,7 @@ struct Refined {
 fn refine_cameras(
     start: &Record,
     prior: &Prior,
-    (mut now, mut smear): (Record, Option<Smear>),
+    mut now: Record,
     moments: &[Moment],
     options: &CheckOptions,
     history: &mut Vec<CheckRound>,
@@ -204,10 +211,8 @@ fn refine_cameras(
     let mut w = prior.start();
     let mut place: Vector3<f64> = Vector3::zeros();
     for k in 1.. {
-        let looked = Looked { window_px: options.window_px, near: true, smear: smear.as_ref() };
-        let mut round = measure(&now, moments, looked)?;
-        smear = round.seen_in.smear;
-        let update = prior.update(start, &now, &round.seen_in.matches, &round.fit, &w).ok_or_else(lost)?;
+        let mut round = measure(&now, moments, options.window_px, true)?;
+        let update = prior.update(start, &now, &round.matches, &round.fit, &w).ok_or_else(lost)?;
         round.fit.abc = update.abc;
         let reference = prior.record_at(start, &update.w).ok_or_else(lost)?;
         let mut next = reference.clone();
@@ -217,7 +222,7 @@ fn refine_cameras(
             s.rig_from_sheet = Pose::from(&sheet);
         }
         now = moved(&next, &update.abc, &cameras_held(&round.fit.covariance))?;
-        history.push(entry(&reference, &now, &round, options)?);
+        history.push(entry(&reference, &now, &round, options.window_px, options)?);
         // At rest when neither cameras nor the light's place change by more than their sigmas allow.
         let sigmas = prior.propagated(start, &reference, &now, &update, options.reference_mm).map(|p| p.against_start);
         let e = against(&pose(&reference)?, &pose(&now)?, options.reference_mm);
@@ -233,16 +238,6 @@ fn refine_cameras(
         }
     }
     Err(crate::Error::Bug("no round of the cameras".into()))
-}
-
-/// The first round: no width of peaks is known yet, and thick light shows too few clear ones until it is.
-fn first_round(record: &Record, moments: &[Moment], window_px: usize) -> Result<Round> {
-    let looked = |smear| Looked { window_px, near: false, smear };
-    let mut windows = look(record, moments, looked(None))?;
-    if let (true, Some(smear)) = (windows.few(), windows.smear) {
-        windows = look(record, moments, looked(Some(&smear)))?;
-    }
-    fitted(record, windows)
 }
 
 fn check_images(pairs: &[ParticlePair], maps: &[SheetMap; 2], flags: &mut Vec<String>) -> Result<()> {
@@ -307,6 +302,92 @@ fn moved(record: &Record, abc: &Vector3<f64>, covariance: &Matrix6<f64>) -> Resu
     moved_sheet(record, abc, covariance).ok_or_else(|| crate::Error::Bug("a sheet was lost on the way".into()))
 }
 
+/// One round in the record's sheet.
+fn measure(record: &Record, moments: &[Moment], window: usize, with_sums: bool) -> Result<Round> {
+    let maps = maps_of(record)?;
+    let maps = [&maps[0], &maps[1]];
+    let grid = SheetGrid::common(&maps, None)?;
+    let dewarped: Vec<Dewarped> = moments
+        .iter()
+        .map(|m| {
+            let [(mut a, sa), (mut b, sb)] = [0, 1].map(|c| resample(&m.samplers[c], maps[c], &grid, 0.0));
+            particles(&mut a, grid.width_px);
+            particles(&mut b, grid.width_px);
+            Dewarped { levels: [a, b], seen: sa.iter().zip(&sb).map(|(a, b)| *a && *b).collect() }
+        })
+        .collect();
+    let [columns, rows] = [grid.width_px / window, grid.height_px / window];
+    // The windows are centred in the field.
+    let (left, top) = ((grid.width_px - columns * window) / 2, (grid.height_px - rows * window) / 2);
+    let correlator = Correlator::new(window);
+    // Once the plane is known, peaks far away are chance.
+    let search = if with_sums { (window / 8).max(6) } else { 2 * window / 5 };
+    let sums: Vec<Option<(Match, Sums)>> = (0..columns * rows)
+        .into_par_iter()
+        .map(|k| {
+            let corner = [left + (k % columns) * window, top + (k / columns) * window];
+            let sums = correlator.window(&dewarped, grid.width_px, corner[0], corner[1])?;
+            let peak = correlator.map(sums.cross.clone()).peak(search, false)?;
+            let middle = corner.map(|c| c as f64 + 0.5 * (window - 1) as f64);
+            // The particle images of both lie half a shift on either side.
+            let raw = |c: usize, side: f64| {
+                let [x, y] = grid.point_mm(middle[0] + side * peak.shift_px.x, middle[1] + side * peak.shift_px.y);
+                maps[c].project(&Vector3::new(x, y, 0.0))
+            };
+            let found = Match { pixels: [raw(0, -0.5)?, raw(1, 0.5)?], correlation: peak.height, ratio: peak.ratio };
+            (peak.ratio > RATIO).then_some((found, sums))
+        })
+        .collect();
+    let mut total: Option<Sums> = None;
+    let mut matches = vec![];
+    for (m, s) in sums.into_iter().flatten() {
+        matches.push(m);
+        if with_sums {
+            add(&mut total, s);
+        }
+    }
+    let seen: Vec<Seen> = matches.iter().filter_map(|m| see(maps, m)).collect();
+    let fit = if matches.len() >= FEWEST && seen.len() == matches.len() { fit_plane(&matches, &seen) } else { None };
+    let fit = fit.ok_or_else(|| {
+        Insufficient::Degenerate(format!(
+            "only {} of {} windows of {window} px show a clear correlation peak, {FEWEST} are needed to fix a plane; give more image pairs, \
+             or larger windows with --window-px",
+            matches.len(),
+            columns * rows
+        ))
+    })?;
+    let middle = 0.5 * Vector2::new((grid.width_px - 1) as f64, (grid.height_px - 1) as f64);
+    let [x, y] = grid.point_mm(middle.x, middle.y);
+    let slope = |m: &SheetMap| m.project(&Vector3::new(x, y, 0.0)).and_then(|q| m.hit(&q, 0.0)).map(|h| h.slope);
+    let slope_apart = slope(maps[1]).zip(slope(maps[0])).map_or(Vector2::zeros(), |(b, a)| b - a);
+    let mut lengths: Vec<f64> = seen.iter().map(|s| s.disparity_mm.norm() / grid.mm_per_px).collect();
+    lengths.sort_by(f64::total_cmp);
+    let median_px = lengths[lengths.len() / 2];
+    Ok(Round { windows: columns * rows, matches, fit, grid, sums: total, slope_apart, median_px })
+}
+
+fn add(total: &mut Option<Sums>, s: Sums) {
+    match total {
+        None => *total = Some(s),
+        Some(t) => {
+            let pairs = [(&mut t.cross, &s.cross)];
+            let autos = t.auto.iter_mut().zip(&s.auto);
+            for (sum, more) in pairs.into_iter().chain(autos) {
+                sum.iter_mut().zip(more).for_each(|(a, b)| *a += b);
+            }
+            t.pairs += s.pairs;
+        }
+    }
+}
+
+/// Largest disparity that the plane's step makes in the field, px.
+fn plane_step_px(r: &Round) -> f64 {
+    let [x0, y0, x1, y1] = r.grid.extent_mm();
+    let z = |x: f64, y: f64| r.fit.abc.dot(&Vector3::new(1.0, x, y)).abs();
+    let z = z(x0, y0).max(z(x1, y0)).max(z(x0, y1)).max(z(x1, y1));
+    z * r.slope_apart.norm() / r.grid.mm_per_px
+}
+
 fn pose(record: &Record) -> Result<Motion<Rig, Sheet>> {
     let sheet = record.sheet.as_ref().ok_or_else(|| crate::Error::Bug("a sheet was lost on the way".into()))?;
     Ok(sheet.rig_from_sheet.motion())
@@ -318,11 +399,11 @@ fn offset_and_tilt(start: &Record, now: &Record, reference_mm: [f64; 2]) -> Resu
     Ok((e.x, [e.y.to_degrees(), e.z.to_degrees()]))
 }
 
-fn entry(start: &Record, next: &Record, r: &Round, options: &CheckOptions) -> Result<CheckRound> {
+fn entry(start: &Record, next: &Record, r: &Round, window: usize, options: &CheckOptions) -> Result<CheckRound> {
     let (offset_mm, tilt_deg) = offset_and_tilt(start, next, options.reference_mm)?;
     Ok(CheckRound {
-        window_px: r.seen_in.window_px,
-        windows: [r.seen_in.matches.len(), r.seen_in.windows],
+        window_px: window,
+        windows: [r.matches.len(), r.windows],
         median_px: r.median_px,
         offset_mm,
         tilt_deg,
@@ -369,14 +450,6 @@ fn told(before: &Misalignment, now: &Misalignment, refine: bool, flags: &mut Vec
     }
 }
 
-/// Windows in which the depth of the light takes too much room.
-fn thick(window_px: usize, side_px: usize) -> String {
-    format!(
-        "the light is thick for windows of {window_px} px: its depth draws the correlation peak out over more than half of them, so that its thickness \
-         is only rough and the sigmas of the sheet may be too small; take --window-px {side_px}"
-    )
-}
-
 #[allow(clippy::too_many_arguments)]
 fn output(
     [start, reference]: [&Record; 2],
@@ -390,18 +463,15 @@ fn output(
     refined: Option<Propagated>,
     mut flags: Vec<String>,
 ) -> Result<CheckOutput> {
-    let seen_in = &last.seen_in;
-    let scale = seen_in.grid.mm_per_px;
-    let before = map_in(start, &seen_in.matches, &last.fit.used, scale)?;
-    let after = map_in(&corrected, &seen_in.matches, &last.fit.used, scale)?;
+    let scale = last.grid.mm_per_px;
+    let before = map_in(start, &last.matches, &last.fit.used, scale)?;
+    let after = map_in(&corrected, &last.matches, &last.fit.used, scale)?;
     let (offset_mm, tilt_deg) = offset_and_tilt(reference, &corrected, options.reference_mm)?;
     // The covariance of the scatter lives in the last frame, which the found one differs from by less than a sigma.
     let by_plane = against_by_plane(&pose(reference)?, &pose(&corrected)?, options.reference_mm);
     let windows = by_plane * last.fit.covariance * by_plane.transpose();
     let shared = match refined {
-        None if !options.refine_cameras => {
-            propagate(start, &corrected, &seen_in.matches, &last.fit, options.reference_mm)
-        }
+        None if !options.refine_cameras => propagate(start, &corrected, &last.matches, &last.fit, options.reference_mm),
         refined => refined,
     };
     let whole = shared.as_ref().map_or(windows, |s| s.against_start);
@@ -419,18 +489,15 @@ fn output(
                 .into(),
         );
     }
-    if let Some(side) = seen_in.too_short() {
-        flags.push(thick(seen_in.window_px, side));
-    }
-    let light = seen_in.sums.as_ref().map(|sums| Summed {
+    let light = last.sums.as_ref().map(|sums| Summed {
         sums,
         window_px: options.window_px,
         mm_per_px: scale,
-        slope_apart: seen_in.slope_apart,
+        slope_apart: last.slope_apart,
     });
     // The sums were taken in the last frame; z counts from the plane found in it.
-    let middle = [0.5 * (seen_in.grid.width_px - 1) as f64, 0.5 * (seen_in.grid.height_px - 1) as f64];
-    let [x, y] = seen_in.grid.point_mm(middle[0], middle[1]);
+    let middle = [0.5 * (last.grid.width_px - 1) as f64, 0.5 * (last.grid.height_px - 1) as f64];
+    let [x, y] = last.grid.point_mm(middle[0], middle[1]);
     let step_mm = last.fit.abc.dot(&Vector3::new(1.0, x, y));
     let profile = light.as_ref().and_then(Summed::profile).map(|mut p| {
         p.z_mm.iter_mut().for_each(|z| *z -= step_mm);
@@ -462,7 +529,7 @@ fn output(
         misalignment_after: options.refine.then_some(misaligned[1]),
         cameras_refined: None,
         profile,
-        thickness_mm: seen_in.smear.map_or(f64::NAN, |s| s.thickness_mm()),
+        thickness_mm: light.map_or(f64::NAN, |l| l.thickness_mm()),
         flags,
     };
     let record = options.refine.then(|| corrected_record(corrected, shared, pairs.len(), options)).transpose()?;

@@ -8,6 +8,8 @@
 //! middle   = sum z L / sum L over the values above a tenth of the largest that hang together with it
 //! ```
 //! Both agree for an even-sided profile. Light whose profile is skewed has no one place: its brightest plane and its middle differ.
+//!
+//! Thickness: the cross-correlation peak is wider than the autocorrelation peaks by the depth of the particles, see [`super`].
 
 use super::correlate::{Correlator, Sums};
 use super::peak::CorrelationMap;
@@ -34,6 +36,23 @@ impl Summed<'_> {
     /// Along the direction of depth in the image, whose rows run down.
     fn along(&self) -> Vector2<f64> {
         Vector2::new(self.slope_apart.x, -self.slope_apart.y) / self.slope_apart.norm()
+    }
+
+    /// Full width of the light at 1/e^2, mm; `NaN` where the cross-correlation peak is no wider than the particle images.
+    pub(super) fn thickness_mm(&self) -> f64 {
+        let widths = || -> Option<f64> {
+            let correlator = Correlator::new(self.window_px);
+            let shape = |values: &Vec<f64>, auto: bool| {
+                correlator.map(values.clone()).peak(self.window_px / 8, auto).map(|p| p.shape_px2)
+            };
+            let [a, b] = [shape(&self.sums.auto[0], true)?, shape(&self.sums.auto[1], true)?];
+            let wider = shape(&self.sums.cross, false)? - 0.5 * (a + b);
+            let along = self.along();
+            let variance_px2 = along.dot(&(wider * along));
+            let sigma_z = self.mm_per_px * variance_px2.max(0.0).sqrt() / self.slope_apart.norm();
+            (variance_px2 > 0.0).then_some(4.0 * std::f64::consts::SQRT_2 * sigma_z)
+        };
+        widths().unwrap_or(f64::NAN)
     }
 
     /// The profile; `None` where nothing stands out.
@@ -77,7 +96,7 @@ impl Summed<'_> {
 }
 
 /// Between four samples; none outside.
-pub(super) fn bilinear(map: &CorrelationMap, d: Vector2<f64>) -> Option<f64> {
+fn bilinear(map: &CorrelationMap, d: Vector2<f64>) -> Option<f64> {
     let (i, j) = (d.x.floor(), d.y.floor());
     let (s, t) = (d.x - i, d.y - j);
     let at = |di: isize, dj: isize| map.at(i as isize + di, j as isize + dj);
@@ -100,11 +119,11 @@ fn parabola_top(points: impl Iterator<Item = (f64, f64)> + Clone) -> Option<f64>
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
 
     /// A correlation peak spread along the direction of depth by a profile of light.
-    pub(in crate::disparity) fn summed(light: impl Fn(f64) -> f64, slope: Vector2<f64>, mm_per_px: f64) -> Sums {
+    fn summed(light: impl Fn(f64) -> f64, slope: Vector2<f64>, mm_per_px: f64) -> Sums {
         let w = 64;
         let mut cross = vec![0.003; w * w];
         for k in -400..=400 {
@@ -132,6 +151,12 @@ pub(super) mod tests {
             let s = Summed { sums: &sums, window_px: 64, mm_per_px, slope_apart: slope };
             let p = s.profile().unwrap();
             assert!((p.top_mm - 0.1).abs() < 0.01 && (p.middle_mm - 0.1).abs() < 0.02, "{} {}", p.top_mm, p.middle_mm);
+            // The squared profile's sigma is 0.2, so the light's is sqrt 2 times that.
+            assert!(
+                (s.thickness_mm() / (4.0 * 0.2 * std::f64::consts::SQRT_2) - 1.0).abs() < 0.05,
+                "{}",
+                s.thickness_mm()
+            );
             let skewed = |z: f64| if z > 0.2 { 0.0 } else { ((z - 0.2) / 0.4).exp() };
             let sums = summed(skewed, slope, mm_per_px);
             let p = Summed { sums: &sums, window_px: 64, mm_per_px, slope_apart: slope }.profile().unwrap();

@@ -50,7 +50,7 @@ fn window(moments: &[Dewarped], width: usize, lattice: &Lattice, k: usize) -> Op
             values(s) / ((w - dx) * (w - dy))
         };
         let map = CorrelationMap { width: SIDE, height: SIDE, values: (0..SIDE * SIDE).map(even).collect() };
-        map.peak(1, None).map(|p| p.shift_px)
+        map.peak(1, false).map(|p| p.shift_px)
     };
     let without: Option<Vec<_>> =
         blocks.iter().filter(|b| b.iter().any(|c| *c != 0.0)).map(|b| place(&|s| whole[s] - b[s])).collect();
