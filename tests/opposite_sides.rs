@@ -230,7 +230,8 @@ fn bubbles_from_both_sides_are_calibrated_rightly() {
         let (chi2, n) = joint::joint_chi2(&record, &truth);
         let fit = record.fit.chi2 / record.fit.degrees_of_freedom as f64;
         println!("all {n} numbers of the cameras {chi2:.1}, fit {fit:.3}");
-        assert!(chi2 < 3.0 * n as f64 && (0.6..1.2).contains(&fit), "{angle_deg}: {chi2} {fit}");
+        // In smoke the fit leaves 0.8 of the noise, as with both cameras on one side (0.78 with this scene).
+        assert!(chi2 < 3.0 * n as f64 && (0.7..1.1).contains(&fit), "{angle_deg}: {chi2} {fit}");
         // z of the sheet towards the first camera: w has the sign of the truth.
         let [sheet, true_sheet] = [&record, &truth].map(|r| r.sheet.as_ref().unwrap());
         let [r, r_truth] = [sheet, true_sheet].map(|s| Matrix3::from_fn(|i, j| s.rig_from_sheet.rotation[i][j]));

@@ -78,6 +78,7 @@ impl Exact {
         self.left.clear();
         self.prepare(state, &frame);
         let mut before: [Option<(usize, f64)>; 2] = [None; 2];
+        let deep = DEEP * state.blur_px + 0.5;
         for start in (0..self.count).step_by(LANES) {
             self.fill(state, &frame, start, 0);
             let mut model = [0.0; LANES];
@@ -105,7 +106,6 @@ impl Exact {
                     if let Some((p1, r1)) = before[1] {
                         self.neighbours[0] += r1 * r2;
                         self.neighbours[1] += 1.0;
-                        let deep = DEEP * state.blur_px + 0.5;
                         if self.band.distance[p1].abs().min(self.band.distance[p].abs()) > deep {
                             let sums = [1.0, r1, r2, r1 * r2];
                             self.within.deep.iter_mut().zip(sums).for_each(|(sum, x)| *sum += x);

@@ -176,8 +176,8 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     s.exact.uncovered();
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
     // Nothing that lies in the light or upon it explains an edge that is no Gaussian's all around.
-    let edge_alone = s.exact.edge_alone(&state);
-    let seen = nodes && large || !edge_alone && (nodes || looks_smoky(&state, &s.exact, large));
+    let edge_alone = !(nodes && large) && s.exact.edge_alone(&state);
+    let seen = !edge_alone && (nodes || looks_smoky(&state, &s.exact, large));
     // Light that only fields explain is not to pass for something hidden.
     let told = !seen && !edge_alone && !large && start.smoke && s.exact.may_be_smoke(&state);
     let smoky = seen || told;
@@ -229,8 +229,8 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     Some(Exactly::Fitted(Box::new(Found { ellipse, blur_px, covariance, followed: state.field.is_some() }), edge))
 }
 
-/// What not knowing the profile of an edge adds to the covariance of the regular coordinates: a bent edge moves inwards by half its curvature times the variance of
-/// the profile, which is known to [`OTHER_PROFILE`] alone.
+/// What not knowing the profile of an edge adds to the covariance of the regular coordinates. A blurred edge of curvature k (1/px) lies `k s^2 / 2` px inside of
+/// the sharp one, s the standard deviation of the profile; s^2 is known to [`OTHER_PROFILE`] alone, and k is taken as 1 / sqrt(a b) all around.
 fn of_other_profile(e: &Ellipse, blur_px: f64) -> SMatrix<f64, 5, 5> {
     let size = (e.semi_major_px * e.semi_minor_px).sqrt();
     let moved_px = 0.5 * OTHER_PROFILE * blur_px * blur_px / size;
