@@ -16,6 +16,7 @@ mod plane;
 mod profile;
 mod quick;
 mod refine;
+mod rejection;
 mod rim;
 mod rough;
 mod rows;
@@ -27,6 +28,7 @@ mod whole;
 
 pub use find::{find_discs, find_discs_with};
 pub(crate) use plane::noise;
+pub use rejection::{Rejection, RejectionReason, counted, counted_words};
 pub use whole::DetectMemory;
 
 use crate::conic::{CommonNoise, ContourNoise, Ellipse};
@@ -129,51 +131,6 @@ pub struct Shape {
     pub radius_px: f64,
     /// What it looks like, where it looks like a mark.
     pub mark: MarkKind,
-}
-
-/// Why a closed contour is not a disc.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
-pub enum RejectionReason {
-    /// It touches the border of the image.
-    CutByBorder,
-    /// Contour and ellipse differ too much: largest gap and limit, px.
-    NotElliptical {
-        /// Root mean square distance of the contour from its ellipse, px.
-        rms_px: f64,
-        /// The limit that it exceeds, px.
-        limit_px: f64,
-    },
-    /// Two discs that touch or overlap.
-    Overlapping,
-    /// Minor semi-axis below the smallest that can be measured.
-    TooSmall {
-        /// Minor semi-axis, px.
-        semi_minor_px: f64,
-    },
-    /// Contrast too close to the noise.
-    LowContrast {
-        /// Grey step over the standard deviation of the noise.
-        contrast_to_noise: f64,
-    },
-    /// Part of the contour is hidden (glare, shadow, another object).
-    Incomplete {
-        /// Part of the contour that was seen, 0 to 1.
-        coverage: f64,
-    },
-    /// A disc, but dark where the image's discs are bright, or bright where they are dark.
-    OtherPolarity,
-}
-
-/// A candidate that was turned down.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Rejection {
-    /// Where it is, px.
-    pub center_px: Pixel,
-    /// Its size: square root of area / pi, px.
-    pub radius_px: f64,
-    /// Why.
-    pub reason: RejectionReason,
 }
 
 /// Everything found in one image.

@@ -41,10 +41,7 @@ mod verdict;
 
 pub use check_page::check_html;
 pub use csv::{csv_field, residuals_csv};
-pub use detection::{
-    DETECTION_FORMAT, contours_csv, detection_json, detection_shapes, discs_csv, features_csv, reason_kind,
-    reason_words,
-};
+pub use detection::{DETECTION_FORMAT, contours_csv, detection_json, detection_shapes, discs_csv, features_csv};
 pub use html::{OverlayInput, write_html};
 pub use overlay::{Label, Marks, OverlayShapes, Polyline, RejectedMark, overlay_png};
 pub use text::text;

@@ -515,3 +515,16 @@ fn one_memory_serves_any_images() {
     all(0);
     std::thread::scope(|s| (0..4).for_each(|k| drop(s.spawn(move || all(k)))));
 }
+
+/// An image made black and white is told to be one, not to be hidden in part; grey discs beside remain what they are.
+#[test]
+fn discs_without_grey_levels_are_told() {
+    for (low, high) in [(0, 255), (20, 230)] {
+        let inside = |u: f64, v: f64, a: f64, b: f64| ((u - 90.3) / a).hypot((v - 80.7) / b) < 1.0;
+        for (a, b) in [(60.0, 48.0), (12.0, 11.0)] {
+            let at = |i: usize| if inside((i % 180) as f64, (i / 180) as f64, a, b) { high } else { low };
+            let d = find_u8(&(0..180 * 160).map(at).collect::<Vec<u8>>(), 180, &DetectOptions::default());
+            assert_eq!(reasons(&d, 90.3, 80.7, 5.0), [RejectionReason::NoGreyLevels], "{:?}", d.discs);
+        }
+    }
+}

@@ -5,12 +5,12 @@ use super::arguments::Detect;
 use super::files::{Output, fault, tell_further_pages};
 use super::progress::Bar;
 use super::threads;
-use crate::detect::{DetectMemory, DetectOptions, Detection, find_discs_with};
+use crate::detect::{DetectMemory, DetectOptions, Detection, counted, counted_words, find_discs_with};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::image::GrayImage;
 use crate::pipeline::load_image;
 use crate::report::{
-    DETECTION_FORMAT, contours_csv, detection_json, detection_shapes, discs_csv, features_csv, overlay_png, reason_kind,
+    DETECTION_FORMAT, contours_csv, detection_json, detection_shapes, discs_csv, features_csv, overlay_png,
 };
 use rayon::prelude::*;
 use serde_json::json;
@@ -22,7 +22,9 @@ use std::path::{Path, PathBuf};
 /// What was found in one image, and the files that say it.
 struct Found {
     discs: usize,
-    rejected: BTreeMap<String, usize>,
+    rejected: BTreeMap<&'static str, usize>,
+    /// The same in words; empty where none was turned down.
+    words: String,
     files: Vec<(String, Vec<u8>)>,
 }
 
@@ -47,7 +49,8 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
     let mut text = String::new();
     let mut images = Vec::new();
     for (path, f) in command.images.iter().zip(found) {
-        let _ = writeln!(text, "{}: {} disc(s){}", path.display(), f.discs, rejected_words(&f.rejected));
+        let turned_down = if f.words.is_empty() { String::new() } else { format!(" (turned down: {})", f.words) };
+        let _ = writeln!(text, "{}: {} disc(s){turned_down}", path.display(), f.discs);
         let files: Vec<&String> = f.files.iter().map(|(n, _)| n).collect();
         images.push(
             json!({ "image": path.display().to_string(), "discs": f.discs, "rejected": f.rejected, "files": files }),
@@ -103,22 +106,16 @@ fn describe(path: &Path, stem: &str, image: &GrayImage, detection: &Detection) -
     if let Some(csv) = features_csv(detection) {
         files.push((format!("{stem}_features.csv"), csv.into_bytes()));
     }
-    let mut rejected = BTreeMap::new();
-    for r in &detection.rejections {
-        *rejected.entry(reason_kind(r.reason).to_string()).or_insert(0) += 1;
-    }
-    Ok(Found { discs: detection.discs.len(), rejected, files })
+    let rejected = counted(&detection.rejections);
+    Ok(Found { discs: detection.discs.len(), rejected, words: counted_words(&detection.rejections), files })
 }
 
 /// Images without discs are named; where no image has any, there is nothing to write.
 fn empty_images(images: &[PathBuf], found: &[Found]) -> Result<Vec<String>> {
     let hint = |f: &Found| {
-        match rejected_words(&f.rejected) {
-        words if words.is_empty() => {
-            "nothing round stands out from its surroundings; check exposure, focus and that the target is in the picture"
-                .to_string()
-        }
-        words => format!("candidates were turned down{words}"),
+        match f.words.as_str() {
+        "" => "nothing round stands out from its surroundings; check exposure, focus and that the target is in the picture".into(),
+        words => format!("candidates were turned down ({words})"),
     }
     };
     if let ([first, ..], [path, ..]) = (found, images)
@@ -129,12 +126,4 @@ fn empty_images(images: &[PathBuf], found: &[Found]) -> Result<Vec<String>> {
     }
     let empty = images.iter().zip(found).filter(|(_, f)| f.discs == 0);
     Ok(empty.map(|(path, f)| format!("{}: no disc was found; {}", path.display(), hint(f))).collect())
-}
-
-fn rejected_words(rejected: &BTreeMap<String, usize>) -> String {
-    if rejected.is_empty() {
-        return String::new();
-    }
-    let words: Vec<String> = rejected.iter().map(|(why, n)| format!("{n} {why}")).collect();
-    format!(" (turned down: {})", words.join(", "))
 }

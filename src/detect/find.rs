@@ -11,6 +11,7 @@ use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::level::Level;
 use crate::detect::plane::{self, Floats, Source, check_finite};
 use crate::detect::refine::{Scratch, Start, refine};
+use crate::detect::rejection::told;
 use crate::detect::rows::ByRow;
 use crate::detect::shared_light::SharedLight;
 use crate::detect::trace::{Line, Tracer};
@@ -133,7 +134,8 @@ fn refine_all<'a>(
             clear: sigma < CLEAR * candidate.contrast * candidate.ellipse.perimeter_px().sqrt(),
             smoke: if *wisp { few(all.len()) } else { smoke },
         };
-        (*candidate, memory.with(|scratch| refine(view, &start, options, scratch)))
+        let disc = memory.with(|scratch| refine(view, &start, options, scratch));
+        (*candidate, disc.map_err(|reason| told(reason, view, &candidate.ellipse)))
     };
     threads::side_by_side(&wanted.into_iter().zip(in_smoke).collect::<Vec<_>>(), one)
 }

@@ -23,7 +23,7 @@ mod lattice;
 mod pair;
 mod plate;
 
-use super::{Detection, LabelledDisc};
+use super::{Detection, LabelledDisc, counted_words};
 use crate::error::{Insufficient, Result};
 use crate::target::{DotId, Target};
 
@@ -142,22 +142,10 @@ fn pattern_error(image: &str, message: String) -> crate::Error {
 
 /// What was turned down, in words, for messages about missing discs.
 fn rejected_in_words(detection: &Detection) -> String {
-    use super::RejectionReason as R;
-    let kinds: [(&str, fn(&R) -> bool); 6] = [
-        ("cut by the image border", |r| matches!(r, R::CutByBorder)),
-        ("not elliptical", |r| matches!(r, R::NotElliptical { .. })),
-        ("overlapping", |r| matches!(r, R::Overlapping)),
-        ("too small", |r| matches!(r, R::TooSmall { .. })),
-        ("too faint", |r| matches!(r, R::LowContrast { .. })),
-        ("partly hidden", |r| matches!(r, R::Incomplete { .. })),
-    ];
-    let counted: Vec<String> = kinds
-        .iter()
-        .map(|(name, is)| (name, detection.rejections.iter().filter(|r| is(&r.reason)).count()))
-        .filter(|(_, n)| *n > 0)
-        .map(|(name, n)| format!("{n} {name}"))
-        .collect();
-    if counted.is_empty() { "nothing else was seen".into() } else { format!("turned down: {}", counted.join(", ")) }
+    match counted_words(&detection.rejections) {
+        words if words.is_empty() => "nothing else was seen".into(),
+        words => format!("turned down: {words}"),
+    }
 }
 
 #[cfg(test)]

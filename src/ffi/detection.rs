@@ -8,7 +8,7 @@ use super::memory::{Out, give, give_text, text_of};
 use super::table::{self, Body, Kind, Object};
 use crate::detect::{DetectOptions, Detection, Disc, find_discs_with};
 use crate::pipeline::Workers;
-use crate::report::{detection_json, reason_words};
+use crate::report::detection_json;
 use crate::target::Polarity;
 use std::ffi::c_char;
 
@@ -158,7 +158,7 @@ pub unsafe extern "C" fn spivcal_detection_text_copy(
             SPIVCAL_TEXT_REJECTION => {
                 let all = &found.detection.rejections;
                 let one = usize::try_from(index).ok().and_then(|i| all.get(i));
-                reason_words(one.ok_or_else(|| Fault::index("rejection", index, all.len()))?.reason)
+                one.ok_or_else(|| Fault::index("rejection", index, all.len()))?.reason.to_string()
             }
             _ => return Err(unknown_key("SPIVCAL_TEXT_*", key)),
         };

@@ -4,7 +4,7 @@ use super::calibrate::Solved;
 use super::images::SeenImage;
 use crate::bitangent::bitangents;
 use crate::bundle::residuals;
-use crate::detect::{Disc, RejectionReason};
+use crate::detect::Disc;
 use crate::error::{Error, Result};
 use crate::record::{FeatureKind, Residual, ResidualTable};
 use crate::report::{Label, OverlayShapes, Polyline, RejectedMark};
@@ -128,7 +128,7 @@ pub(super) fn found_shapes(image: &SeenImage, labels: &[DotId]) -> OverlayShapes
     }
     for r in &image.detection.rejections {
         let at_px = [r.center_px.u_px, r.center_px.v_px];
-        shapes.rejected.push(RejectedMark { at_px, radius_px: r.radius_px, reason: reason(&r.reason) });
+        shapes.rejected.push(RejectedMark { at_px, radius_px: r.radius_px, reason: r.reason.kind().into() });
     }
     shapes
 }
@@ -147,18 +147,5 @@ fn tangent_lines(a: &Disc, b: &Disc, shapes: &mut OverlayShapes) {
                 shapes.marks.push([point.x, point.y], [f64::NAN; 2], FeatureKind::Point, false);
             }
         }
-    }
-}
-
-fn reason(r: &RejectionReason) -> String {
-    match r {
-        RejectionReason::CutByBorder => "cut by the border".into(),
-        RejectionReason::NotElliptical { rms_px, .. } if !rms_px.is_finite() => "not an ellipse".into(),
-        RejectionReason::NotElliptical { rms_px, .. } => format!("not an ellipse ({rms_px:.2} px)"),
-        RejectionReason::Overlapping => "overlapping".into(),
-        RejectionReason::TooSmall { semi_minor_px } => format!("too small ({semi_minor_px:.1} px)"),
-        RejectionReason::LowContrast { contrast_to_noise } => format!("too faint ({contrast_to_noise:.1})"),
-        RejectionReason::Incomplete { coverage } => format!("hidden in part ({:.0} % seen)", 100.0 * coverage),
-        RejectionReason::OtherPolarity => "other polarity".into(),
     }
 }

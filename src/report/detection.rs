@@ -4,7 +4,7 @@
 
 use super::overlay::{Label, Marks, OverlayShapes, Polyline, RejectedMark};
 use crate::bitangent::{Bitangents, EXTERNAL_CROSSING, NAMES, POINTS, bitangents};
-use crate::detect::{Detection, Disc, RejectionReason};
+use crate::detect::{Detection, Disc};
 use crate::record::FeatureKind;
 use crate::target::{MarkKind, Polarity};
 use nalgebra::SMatrix;
@@ -77,7 +77,7 @@ pub fn detection_json(image: &str, size_px: [usize; 2], detection: &Detection) -
             "kind": mark(s.mark), "center_px": [s.center_px.u_px, s.center_px.v_px], "radius_px": s.radius_px,
         })).collect::<Vec<_>>(),
         "rejections": detection.rejections.iter().map(|r| json!({
-            "center_px": [r.center_px.u_px, r.center_px.v_px], "radius_px": r.radius_px, "reason": reason_words(r.reason),
+            "center_px": [r.center_px.u_px, r.center_px.v_px], "radius_px": r.radius_px, "reason": r.reason.to_string(),
         })).collect::<Vec<_>>(),
     });
     format!("{value:#}\n")
@@ -109,42 +109,10 @@ pub fn detection_shapes(detection: &Detection) -> OverlayShapes {
             at_px: [r.center_px.u_px, r.center_px.v_px],
             radius_px: r.radius_px,
             // Numbers would cover the picture; they are in the JSON.
-            reason: reason_kind(r.reason).into(),
+            reason: r.reason.kind().into(),
         })
         .collect();
     shapes
-}
-
-/// Why a candidate was turned down, in two or three words that can be counted.
-pub fn reason_kind(reason: RejectionReason) -> &'static str {
-    match reason {
-        RejectionReason::CutByBorder => "cut by the border",
-        RejectionReason::NotElliptical { .. } => "not elliptical",
-        RejectionReason::Overlapping => "touching another disc",
-        RejectionReason::TooSmall { .. } => "too small",
-        RejectionReason::LowContrast { .. } => "too faint",
-        RejectionReason::Incomplete { .. } => "partly hidden",
-        RejectionReason::OtherPolarity => "of the other polarity",
-    }
-}
-
-/// Why a candidate was turned down, with its numbers.
-pub fn reason_words(reason: RejectionReason) -> String {
-    let kind = reason_kind(reason);
-    match reason {
-        RejectionReason::NotElliptical { rms_px, limit_px } if !rms_px.is_finite() => {
-            format!("{kind}: no ellipse fits, or none is known to {limit_px:.2} px")
-        }
-        RejectionReason::NotElliptical { rms_px, limit_px } => {
-            format!("{kind}: {rms_px:.2} px from its ellipse, at most {limit_px:.2}")
-        }
-        RejectionReason::TooSmall { semi_minor_px } => format!("{kind}: minor semi-axis {semi_minor_px:.1} px"),
-        RejectionReason::LowContrast { contrast_to_noise } => {
-            format!("{kind} (among brighter discs, or for the noise): {contrast_to_noise:.1} times the noise")
-        }
-        RejectionReason::Incomplete { coverage } => format!("{kind}: {:.0} % of its contour seen", 100.0 * coverage),
-        RejectionReason::CutByBorder | RejectionReason::Overlapping | RejectionReason::OtherPolarity => kind.into(),
-    }
 }
 
 fn features(detection: &Detection) -> Option<(Vec<Feature>, Bitangents)> {

@@ -1,0 +1,156 @@
+//! Candidates that are no discs, and why, in words.
+
+use crate::conic::Ellipse;
+use crate::frames::Pixel;
+use crate::image::GrayView;
+use std::collections::BTreeMap;
+use std::fmt;
+
+/// Why a closed contour is not a disc.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum RejectionReason {
+    /// It touches the border of the image.
+    CutByBorder,
+    /// Contour and ellipse differ too much: largest gap and limit, px.
+    NotElliptical {
+        /// Root mean square distance of the contour from its ellipse, px.
+        rms_px: f64,
+        /// The limit that it exceeds, px.
+        limit_px: f64,
+    },
+    /// Two discs that touch or overlap.
+    Overlapping,
+    /// Minor semi-axis below the smallest that can be measured.
+    TooSmall {
+        /// Minor semi-axis, px.
+        semi_minor_px: f64,
+    },
+    /// Contrast too close to the noise.
+    LowContrast {
+        /// Grey step over the standard deviation of the noise.
+        contrast_to_noise: f64,
+    },
+    /// Part of the contour is hidden (glare, shadow, another object).
+    Incomplete {
+        /// Part of the contour that was seen, 0 to 1.
+        coverage: f64,
+    },
+    /// No grey level lies between those of disc and ground: the image was made black and white, and its contour is steps of whole pixels.
+    NoGreyLevels,
+    /// A disc, but dark where the image's discs are bright, or bright where they are dark.
+    OtherPolarity,
+}
+
+impl RejectionReason {
+    /// In two or three words that can be counted.
+    #[must_use]
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::CutByBorder => "cut by the border",
+            Self::NotElliptical { .. } => "not elliptical",
+            Self::Overlapping => "touching another disc",
+            Self::TooSmall { .. } => "too small",
+            Self::LowContrast { .. } => "too faint",
+            Self::Incomplete { .. } => "partly hidden",
+            Self::NoGreyLevels => "without grey levels at the rim",
+            Self::OtherPolarity => "of the other polarity",
+        }
+    }
+}
+
+impl fmt::Display for RejectionReason {
+    /// With its numbers.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.kind())?;
+        match self {
+            Self::NotElliptical { rms_px, limit_px } if !rms_px.is_finite() => {
+                write!(f, ": no ellipse fits, or none is known to {limit_px:.2} px")
+            }
+            Self::NotElliptical { rms_px, limit_px } => {
+                write!(f, ": {rms_px:.2} px from its ellipse, at most {limit_px:.2}")
+            }
+            Self::TooSmall { semi_minor_px } => write!(f, ": minor semi-axis {semi_minor_px:.1} px"),
+            Self::LowContrast { contrast_to_noise } => {
+                write!(f, " (among brighter discs, or for the noise): {contrast_to_noise:.1} times the noise")
+            }
+            Self::Incomplete { coverage } => write!(f, ": {:.0} % of its contour seen", 100.0 * coverage),
+            Self::NoGreyLevels => f.write_str(": the image was made black and white"),
+            Self::CutByBorder | Self::Overlapping | Self::OtherPolarity => Ok(()),
+        }
+    }
+}
+
+/// A candidate that was turned down.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rejection {
+    /// Where it is, px.
+    pub center_px: Pixel,
+    /// Its size: square root of area / pi, px.
+    pub radius_px: f64,
+    /// Why.
+    pub reason: RejectionReason,
+}
+
+/// The reason as it is told: edges between pixels of two levels alone look hidden, bent or too sharp to each test in turn.
+pub(crate) fn told(reason: RejectionReason, view: &GrayView<'_>, around: &Ellipse) -> RejectionReason {
+    use RejectionReason as R;
+    let by_edge = matches!(reason, R::NotElliptical { .. } | R::Incomplete { .. } | R::LowContrast { .. });
+    if by_edge && two_levels(view, around) { R::NoGreyLevels } else { reason }
+}
+
+/// Whether the pixels about an ellipse have two grey levels alone.
+fn two_levels(view: &GrayView<'_>, around: &Ellipse) -> bool {
+    let reach = around.semi_major_px + 2.0;
+    let range = |middle: f64, n: usize| (middle - reach).max(0.0) as usize..((middle + reach).max(0.0) as usize).min(n);
+    let (us, vs) = (range(around.center_px.u_px, view.width()), range(around.center_px.v_px, view.height()));
+    let mut levels: Vec<f32> = vec![];
+    for (u, v) in vs.flat_map(|v| us.clone().map(move |u| (u, v))) {
+        let g = view.get(u, v);
+        if !levels.contains(&g) {
+            levels.push(g);
+        }
+        if levels.len() > 2 {
+            return false;
+        }
+    }
+    levels.len() == 2
+}
+
+/// How many were turned down, by [`RejectionReason::kind`].
+#[must_use]
+pub fn counted(rejections: &[Rejection]) -> BTreeMap<&'static str, usize> {
+    let mut out = BTreeMap::new();
+    rejections.iter().for_each(|r| *out.entry(r.reason.kind()).or_insert(0) += 1);
+    out
+}
+
+/// The same in a line; empty where none was.
+#[must_use]
+pub fn counted_words(rejections: &[Rejection]) -> String {
+    let words: Vec<String> = counted(rejections).iter().map(|(why, n)| format!("{n} {why}")).collect();
+    let advice = match rejections.iter().any(|r| r.reason == RejectionReason::NoGreyLevels) {
+        true => "; give images as the camera took them, not made black and white",
+        false => "",
+    };
+    words.join(", ") + advice
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn candidates_are_counted_and_advice_is_given_once() {
+        let one = |reason| Rejection { center_px: Pixel { u_px: 1.0, v_px: 2.0 }, radius_px: 3.0, reason };
+        let all =
+            [one(RejectionReason::NoGreyLevels), one(RejectionReason::CutByBorder), one(RejectionReason::NoGreyLevels)];
+        assert_eq!(
+            counted_words(&all),
+            "1 cut by the border, 2 without grey levels at the rim; give images as the camera took them, not made black and white"
+        );
+        assert_eq!((counted_words(&[]), counted(&all)["cut by the border"]), (String::new(), 1));
+        let words = RejectionReason::TooSmall { semi_minor_px: 2.06 }.to_string();
+        assert_eq!(words, "too small: minor semi-axis 2.1 px");
+    }
+}
