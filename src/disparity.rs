@@ -21,8 +21,9 @@
 //! | s_z | `thickness_mm` / (4 sqrt 2) | mm | Sheet | depth of the particles that make the correlation peak |
 //!
 //! **Thickness.** Particles at different depth have different disparity, so the cross-correlation peak is wider along s_2 - s_1
-//! than the autocorrelation peaks: `s_z^2 |s_2 - s_1|^2 = C_12 - (C_11 + C_22) / 2`. Both images carry the light's profile, so the
-//! product falls off as its square: the profile's standard deviation is sqrt(2) s_z, its full width at 1/e^2 four times that.
+//! than the autocorrelation peaks: `s_z^2 |s_2 - s_1|^2 = C_12 - (C_11 + C_22) / 2` (`smear.rs`). Both images carry the light's profile, so the
+//! product falls off as its square: the profile's standard deviation is sqrt(2) s_z, its full width at 1/e^2 four times that. Windows and
+//! background in which it is looked at are as large as that width asks for (`light.rs`).
 //!
 //! **Displacements.** The same correlation between two exposures of one camera gives planar displacements ([`planar_displacements`]).
 //!
@@ -37,6 +38,8 @@ mod anchor;
 mod cameras;
 mod check;
 mod correlate;
+mod lattice;
+mod light;
 mod misalignment;
 mod peak;
 mod planar;
@@ -44,7 +47,9 @@ mod plane;
 mod prepare;
 mod profile;
 mod propagate;
+mod round;
 mod scatter;
+mod smear;
 mod stepped;
 
 pub use check::{CheckOptions, CheckOutput, ParticlePair, check_sheet};

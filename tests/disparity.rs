@@ -5,7 +5,7 @@
 mod particle_scene;
 
 use nalgebra::{SVector, Vector3};
-use particle_scene::{pairs, plane, scene, seeded, truth};
+use particle_scene::{Sharpness, pairs, plane, scene, seeded, truth};
 use spivcal::disparity::{CheckOptions, CheckOutput, check_sheet};
 use spivcal::frames::{Cam, Rig, Sheet};
 use spivcal::image::{GrayImage, Pixels};
@@ -212,6 +212,44 @@ fn windows_with_few_particles_scatter_along_depth_and_the_sheet_is_right() {
     // Four times the particles.
     assert!((1.5..2.6).contains(&(scatter[0] / scatter[1])), "{scatter:?}");
     assert!(scatter[0] > 0.5, "{scatter:?}");
+}
+
+/// 90 degrees between the cameras: light draws peaks out by 13 px per mm of its thickness, and twice that at twice the resolution.
+#[test]
+fn thickness_and_place_hold_for_thick_light_and_at_two_resolutions() {
+    // Thickness, times the resolution, window; thickness found within; whether the window is told to be too small.
+    let cases = [
+        (0.2, 1, 64, 0.1, false),
+        (1.0, 1, 64, 0.1, false),
+        (1.0, 2, 128, 0.1, false),
+        (2.0, 1, 128, 0.1, false),
+        (2.0, 1, 64, 0.2, true),
+    ];
+    for (thickness_mm, by, window_px, within, told) in cases {
+        let of = |offset_mm, tilt_deg| Sharpness::oblique(by).scene(71, offset_mm, tilt_deg, thickness_mm, 4, 3.0);
+        let real = of(0.5, [0.3, -0.2]);
+        let (start, images) = (truth(&of(0.0, [0.0; 2])), simulate_particles(&real).unwrap());
+        let options = CheckOptions { refine: true, window_px, ..CheckOptions::default() };
+        let c = check_sheet(&start, &pairs(&images), &options).unwrap().check;
+        let wanted = plane(&start, &truth(&real));
+        let z = [
+            (c.offset_mm - wanted.x) / c.offset_sigma_mm,
+            (c.tilt_deg[0] - wanted.z.atan().to_degrees()) / c.tilt_sigma_deg[0],
+            (c.tilt_deg[1] - (-wanted.y).atan().to_degrees()) / c.tilt_sigma_deg[1],
+        ];
+        println!(
+            "{thickness_mm} mm, {:.4} mm/px, windows of {window_px} px: {:.3} mm; offset +- {:.4} mm, tilts +- {:.4?} deg, z {z:.2?}; windows {:?}",
+            c.mm_per_px,
+            c.thickness_mm,
+            c.offset_sigma_mm,
+            c.tilt_sigma_deg,
+            c.history.iter().map(|h| h.windows).collect::<Vec<_>>()
+        );
+        assert!((c.thickness_mm / thickness_mm - 1.0).abs() < within, "{} of {thickness_mm} mm", c.thickness_mm);
+        assert!(z.iter().all(|z| z.abs() < 3.5), "{z:?}");
+        assert!(told || c.history.iter().all(|h| 4 * h.windows[0] > 3 * h.windows[1]), "{:?}", c.history);
+        assert_eq!(c.flags.iter().any(|f| f.contains("light is thick for windows of 64 px")), told, "{:?}", c.flags);
+    }
 }
 
 /// A record with left steps of the second camera and the sheet, and another image distance of the second camera.

@@ -4,7 +4,7 @@
 //! multiplied. Every block of the field has then a likeness L_b(z); a plane z = z0 + tx X + ty Y is worth `sum_b L_b(z(X_b, Y_b))`.
 //! The best of all planes wins where its sum is beyond what chance gives.
 
-use super::prepare::particles;
+use super::prepare::{BACKGROUND_PX, particles};
 use crate::dewarp::{Kernel, Sampler, SheetGrid, SheetMap};
 use crate::image::{GrayView, Samples};
 use nalgebra::{Vector2, Vector3};
@@ -38,7 +38,7 @@ impl Binned {
                 out[(v / factor) * w + u / factor] += levels[v * size_px[0] + u];
             }
         }
-        particles(&mut out, w);
+        particles(&mut out, w, BACKGROUND_PX);
         let view = GrayView::new(Samples::F32(&out), w, h, w).ok()?;
         Some(Self { sampler: Sampler::new(&view, Kernel::Linear), factor, size_px: [w, h] })
     }

@@ -2,25 +2,21 @@
 
 use super::acquire::{Acquired, Binned, SIGNIFICANT, acquire, factor};
 use super::cameras::{Prior, Update, with_sigmas};
-use super::correlate::{Correlator, Dewarped, Sums};
+use super::light::{Light, light};
 use super::misalignment::misalignment;
-use super::plane::{Match, PlaneFit, Seen, cameras_held, fit_plane, moved_sheet, see};
-use super::prepare::{SATURATED, levels, particles, saturated_part};
-use super::profile::Summed;
+use super::plane::{Match, cameras_held, moved_sheet, see};
+use super::prepare::{SATURATED, levels, saturated_part};
 use super::propagate::{Propagated, against, against_by_plane, propagate};
-use crate::dewarp::{Kernel, Sampler, SheetGrid, SheetMap, resample};
+use super::round::{FEWEST, Moment, Round, maps_of, measure};
+use crate::dewarp::{Kernel, Sampler, SheetGrid, SheetMap};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::frames::{Rig, Sheet};
 use crate::image::GrayView;
 use crate::record::{CheckRound, DisparityMap, Misalignment, Pose, Record, SheetCheck};
 use crate::rigid::Motion;
-use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
+use nalgebra::{Matrix3, Matrix6, Vector3};
 use rayon::prelude::*;
 
-/// A peak must be this much higher than the second.
-const RATIO: f64 = 1.25;
-/// Fewest windows that fix a plane with something to spare.
-const FEWEST: usize = 8;
 /// Rounds at most.
 const ROUNDS: usize = 12;
 /// The rounds end when the plane's disparity changes by less, px.
@@ -75,31 +71,6 @@ pub struct CheckOutput {
     pub record: Option<Record>,
 }
 
-/// Images ready to be dewarped.
-struct Moment {
-    samplers: [Sampler; 2],
-}
-
-/// One round: windows of a sheet, and the plane through them.
-struct Round {
-    matches: Vec<Match>,
-    windows: usize,
-    fit: PlaneFit,
-    grid: SheetGrid,
-    sums: Option<Sums>,
-    slope_apart: Vector2<f64>,
-    /// Median disparity in the sheet of this round, px.
-    median_px: f64,
-}
-
-fn maps_of(record: &Record) -> Result<[SheetMap; 2]> {
-    if record.cameras.len() != 2 {
-        let what = format!("the check needs two cameras, but the calibration holds {}", record.cameras.len());
-        return Err(Invalid::Contradiction(what).into());
-    }
-    Ok([SheetMap::from_record(record, 0)?, SheetMap::from_record(record, 1)?])
-}
-
 /// Checks the record's sheet on particle images, and corrects it where the options ask for it.
 ///
 /// Work is shared by the threads of the pool in which this is called; the bits do not depend on their number.
@@ -136,14 +107,13 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
         let fine = round > 0;
         let window = if fine || !enough { options.window_px } else { coarse };
         let result = measure(&current, &moments, window, fine)?;
-        let step_px = plane_step_px(&result);
         let abc = result.fit.abc;
         let step_sigmas = result.fit.covariance.try_inverse().map_or(f64::INFINITY, |w| abc.dot(&(w * abc)).sqrt());
         let next = moved(&current, &result.fit.abc, &cameras_held(&result.fit.covariance))?;
         history.push(entry(record, &next, &result, window, options)?);
         current = next;
+        converged = fine && (result.step_px < STILL_PX || step_sigmas < STILL_SIGMAS);
         last = Some(result);
-        converged = fine && (step_px < STILL_PX || step_sigmas < STILL_SIGMAS);
         if converged || (!options.refine && fine) {
             break;
         }
@@ -175,7 +145,9 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
         reference = moved;
     }
     let ends = [record, &reference];
-    let mut out = output(ends, current, pairs, result, history, &found, converged, options, shared, flags)?;
+    let light = light(&current, &moments, options.window_px)?;
+    flags.extend(light.flags());
+    let mut out = output(ends, current, pairs, result, history, &found, converged, options, shared, light, flags)?;
     out.check.cameras_refined = cameras_refined;
     if let Some(corrected) = &mut out.record {
         corrected.fit.forget_check_flags();
@@ -302,92 +274,6 @@ fn moved(record: &Record, abc: &Vector3<f64>, covariance: &Matrix6<f64>) -> Resu
     moved_sheet(record, abc, covariance).ok_or_else(|| crate::Error::Bug("a sheet was lost on the way".into()))
 }
 
-/// One round in the record's sheet.
-fn measure(record: &Record, moments: &[Moment], window: usize, with_sums: bool) -> Result<Round> {
-    let maps = maps_of(record)?;
-    let maps = [&maps[0], &maps[1]];
-    let grid = SheetGrid::common(&maps, None)?;
-    let dewarped: Vec<Dewarped> = moments
-        .iter()
-        .map(|m| {
-            let [(mut a, sa), (mut b, sb)] = [0, 1].map(|c| resample(&m.samplers[c], maps[c], &grid, 0.0));
-            particles(&mut a, grid.width_px);
-            particles(&mut b, grid.width_px);
-            Dewarped { levels: [a, b], seen: sa.iter().zip(&sb).map(|(a, b)| *a && *b).collect() }
-        })
-        .collect();
-    let [columns, rows] = [grid.width_px / window, grid.height_px / window];
-    // The windows are centred in the field.
-    let (left, top) = ((grid.width_px - columns * window) / 2, (grid.height_px - rows * window) / 2);
-    let correlator = Correlator::new(window);
-    // Once the plane is known, peaks far away are chance.
-    let search = if with_sums { (window / 8).max(6) } else { 2 * window / 5 };
-    let sums: Vec<Option<(Match, Sums)>> = (0..columns * rows)
-        .into_par_iter()
-        .map(|k| {
-            let corner = [left + (k % columns) * window, top + (k / columns) * window];
-            let sums = correlator.window(&dewarped, grid.width_px, corner[0], corner[1])?;
-            let peak = correlator.map(sums.cross.clone()).peak(search, false)?;
-            let middle = corner.map(|c| c as f64 + 0.5 * (window - 1) as f64);
-            // The particle images of both lie half a shift on either side.
-            let raw = |c: usize, side: f64| {
-                let [x, y] = grid.point_mm(middle[0] + side * peak.shift_px.x, middle[1] + side * peak.shift_px.y);
-                maps[c].project(&Vector3::new(x, y, 0.0))
-            };
-            let found = Match { pixels: [raw(0, -0.5)?, raw(1, 0.5)?], correlation: peak.height, ratio: peak.ratio };
-            (peak.ratio > RATIO).then_some((found, sums))
-        })
-        .collect();
-    let mut total: Option<Sums> = None;
-    let mut matches = vec![];
-    for (m, s) in sums.into_iter().flatten() {
-        matches.push(m);
-        if with_sums {
-            add(&mut total, s);
-        }
-    }
-    let seen: Vec<Seen> = matches.iter().filter_map(|m| see(maps, m)).collect();
-    let fit = if matches.len() >= FEWEST && seen.len() == matches.len() { fit_plane(&matches, &seen) } else { None };
-    let fit = fit.ok_or_else(|| {
-        Insufficient::Degenerate(format!(
-            "only {} of {} windows of {window} px show a clear correlation peak, {FEWEST} are needed to fix a plane; give more image pairs, \
-             or larger windows with --window-px",
-            matches.len(),
-            columns * rows
-        ))
-    })?;
-    let middle = 0.5 * Vector2::new((grid.width_px - 1) as f64, (grid.height_px - 1) as f64);
-    let [x, y] = grid.point_mm(middle.x, middle.y);
-    let slope = |m: &SheetMap| m.project(&Vector3::new(x, y, 0.0)).and_then(|q| m.hit(&q, 0.0)).map(|h| h.slope);
-    let slope_apart = slope(maps[1]).zip(slope(maps[0])).map_or(Vector2::zeros(), |(b, a)| b - a);
-    let mut lengths: Vec<f64> = seen.iter().map(|s| s.disparity_mm.norm() / grid.mm_per_px).collect();
-    lengths.sort_by(f64::total_cmp);
-    let median_px = lengths[lengths.len() / 2];
-    Ok(Round { windows: columns * rows, matches, fit, grid, sums: total, slope_apart, median_px })
-}
-
-fn add(total: &mut Option<Sums>, s: Sums) {
-    match total {
-        None => *total = Some(s),
-        Some(t) => {
-            let pairs = [(&mut t.cross, &s.cross)];
-            let autos = t.auto.iter_mut().zip(&s.auto);
-            for (sum, more) in pairs.into_iter().chain(autos) {
-                sum.iter_mut().zip(more).for_each(|(a, b)| *a += b);
-            }
-            t.pairs += s.pairs;
-        }
-    }
-}
-
-/// Largest disparity that the plane's step makes in the field, px.
-fn plane_step_px(r: &Round) -> f64 {
-    let [x0, y0, x1, y1] = r.grid.extent_mm();
-    let z = |x: f64, y: f64| r.fit.abc.dot(&Vector3::new(1.0, x, y)).abs();
-    let z = z(x0, y0).max(z(x1, y0)).max(z(x0, y1)).max(z(x1, y1));
-    z * r.slope_apart.norm() / r.grid.mm_per_px
-}
-
 fn pose(record: &Record) -> Result<Motion<Rig, Sheet>> {
     let sheet = record.sheet.as_ref().ok_or_else(|| crate::Error::Bug("a sheet was lost on the way".into()))?;
     Ok(sheet.rig_from_sheet.motion())
@@ -461,6 +347,7 @@ fn output(
     converged: bool,
     options: &CheckOptions,
     refined: Option<Propagated>,
+    light: Light,
     mut flags: Vec<String>,
 ) -> Result<CheckOutput> {
     let scale = last.grid.mm_per_px;
@@ -489,21 +376,6 @@ fn output(
                 .into(),
         );
     }
-    let light = last.sums.as_ref().map(|sums| Summed {
-        sums,
-        window_px: options.window_px,
-        mm_per_px: scale,
-        slope_apart: last.slope_apart,
-    });
-    // The sums were taken in the last frame; z counts from the plane found in it.
-    let middle = [0.5 * (last.grid.width_px - 1) as f64, 0.5 * (last.grid.height_px - 1) as f64];
-    let [x, y] = last.grid.point_mm(middle[0], middle[1]);
-    let step_mm = last.fit.abc.dot(&Vector3::new(1.0, x, y));
-    let profile = light.as_ref().and_then(Summed::profile).map(|mut p| {
-        p.z_mm.iter_mut().for_each(|z| *z -= step_mm);
-        (p.top_mm, p.middle_mm) = (p.top_mm - step_mm, p.middle_mm - step_mm);
-        p
-    });
     let check = SheetCheck {
         format: "spivcal-check".into(),
         version: 1,
@@ -528,8 +400,8 @@ fn output(
         misalignment_before: misaligned[0],
         misalignment_after: options.refine.then_some(misaligned[1]),
         cameras_refined: None,
-        profile,
-        thickness_mm: light.map_or(f64::NAN, |l| l.thickness_mm()),
+        thickness_mm: light.thickness_mm(),
+        profile: light.profile,
         flags,
     };
     let record = options.refine.then(|| corrected_record(corrected, shared, pairs.len(), options)).transpose()?;

@@ -28,11 +28,10 @@ pub(super) struct Dewarped {
     pub(super) seen: Vec<bool>,
 }
 
-/// Sums over pairs of the cross-correlation and the two autocorrelations of one window.
+/// Means over pairs of the cross-correlation and the two autocorrelations of one window.
 pub(super) struct Sums {
     pub(super) cross: Vec<f64>,
     pub(super) auto: [Vec<f64>; 2],
-    pub(super) pairs: usize,
 }
 
 impl Correlator {
@@ -106,7 +105,6 @@ impl Correlator {
         Some(Sums {
             cross: list(&spectra[0], |z| z.re),
             auto: [list(&spectra[1], |z| z.re), list(&spectra[1], |z| z.im)],
-            pairs,
         })
     }
 

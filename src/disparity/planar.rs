@@ -22,7 +22,9 @@
 //! bends more than quadratically over one is averaged.
 
 use super::correlate::{Correlator, Dewarped};
-use super::prepare::{levels, particles};
+use super::lattice::Lattice;
+use super::peak::at_most;
+use super::prepare::{BACKGROUND_PX, levels, particles};
 use super::scatter::scatter;
 use crate::dewarp::{Kernel, Sampler};
 use crate::error::{Insufficient, Invalid, Result};
@@ -33,6 +35,8 @@ use rayon::prelude::*;
 const ROUNDS: usize = 4;
 /// A peak must be this much higher than the second.
 const RATIO: f64 = 1.2;
+/// The second lies beyond four of the first one's standard deviations, but these count as no more than this part of the window.
+const WIDEST: f64 = 1.0 / 16.0;
 /// Residual of the normalised median test beyond which a vector is taken out.
 const OUTLIER: f64 = 2.0;
 /// Noise that the test allows in any case, px.
@@ -70,20 +74,7 @@ pub struct PlanarVectors {
     pub sigma_px: [Vec<f64>; 2],
 }
 
-/// Where windows lie.
-pub(super) struct Lattice {
-    pub(super) columns: usize,
-    pub(super) rows: usize,
-    first_px: [usize; 2],
-    pub(super) window_px: usize,
-    step_px: usize,
-}
-
 impl Lattice {
-    pub(super) fn corner(&self, k: usize) -> [usize; 2] {
-        [self.first_px[0] + (k % self.columns) * self.step_px, self.first_px[1] + (k / self.columns) * self.step_px]
-    }
-
     fn neighbours(&self, k: usize) -> impl Iterator<Item = usize> + '_ {
         let (i, j) = ((k % self.columns) as isize, (k / self.columns) as isize);
         let offsets = (-1..=1).flat_map(|dj| (-1..=1).map(move |di| (di, dj)));
@@ -204,11 +195,9 @@ pub fn planar_displacements(
     if step_px == 0 {
         return Err(Invalid::value("distance of the windows", 0.0, "1 px or more").into());
     }
-    let [columns, rows] = [width, height].map(|n| (n - window_px) / step_px + 1);
-    let rest = |n: usize, count: usize| (n - window_px - (count - 1) * step_px) / 2;
-    let lattice = Lattice { columns, rows, first_px: [rest(width, columns), rest(height, rows)], window_px, step_px };
+    let lattice = Lattice::centred([width, height], window_px, step_px);
     let exposed: Vec<Exposed> = pairs.iter().map(|p| prepare(p, width)).collect::<Result<_>>()?;
-    let mut guide = vec![[0.0; 2]; columns * rows];
+    let mut guide = vec![[0.0; 2]; lattice.len()];
     let mut found = vec![];
     for round in 0..ROUNDS {
         found = correlated(&exposed, seen, width, &lattice, &guide, round);
@@ -218,20 +207,19 @@ pub fn planar_displacements(
             let what = format!(
                 "none of {} windows of {window_px} px shows a displacement; check that both exposures are of one moment and camera, take \
                  larger windows, or shorten the time between the exposures",
-                columns * rows
+                lattice.len()
             );
             Insufficient::Degenerate(what)
         })?;
     }
     let sigmas = scatter(&moved(&exposed, seen, width, &lattice, &guide), width, &lattice);
-    let middle = 0.5 * (window_px - 1) as f64;
     let mut out = PlanarVectors::default();
     for k in 0..found.len() {
-        let [x, y] = lattice.corner(k);
+        let [x, y] = lattice.middle(k);
         // A vector whose own scatter cannot be told is none: it stands on too few particles.
         let ([dx, dy], sigma) = lattice.unbent(&found, &sigmas, k).unwrap_or(([f64::NAN; 2], [f64::NAN; 2]));
-        out.x_px.push(x as f64 + middle);
-        out.y_px.push(y as f64 + middle);
+        out.x_px.push(x);
+        out.y_px.push(y);
         out.dx_px.push(dx);
         out.dy_px.push(dy);
         (0..2).for_each(|a| out.sigma_px[a].push(sigma[a]));
@@ -242,7 +230,7 @@ pub fn planar_displacements(
 fn prepare(pair: &[GrayView<'_>; 2], width: usize) -> Result<Exposed> {
     let sampler = |view: &GrayView<'_>| -> Result<Sampler> {
         let mut grey = levels(view);
-        particles(&mut grey, width);
+        particles(&mut grey, width, BACKGROUND_PX);
         Ok(Sampler::new(&GrayView::new(Samples::F32(&grey), width, view.height(), width)?, Kernel::BSpline))
     };
     Ok(Exposed { samplers: [sampler(&pair[0])?, sampler(&pair[1])?] })
@@ -282,11 +270,13 @@ fn correlated(
     let one = |k: usize| {
         let [x, y] = lattice.corner(k);
         let sums = correlator.window(&moments, width, x, y)?;
-        let peak = correlator.map(sums.cross).peak(search, false).filter(|p| p.ratio > RATIO)?;
+        let map = correlator.map(sums.cross);
+        let peak = map.peak(search)?;
+        (map.ratio(&peak, &at_most(&peak.shape_px2, WIDEST * lattice.window_px as f64)) > RATIO).then_some(())?;
         let mean = lattice.mean(guide, k);
         Some([0, 1].map(|a| mean[a] + peak.shift_px[a]))
     };
-    (0..lattice.columns * lattice.rows).into_par_iter().map(one).collect()
+    (0..lattice.len()).into_par_iter().map(one).collect()
 }
 
 fn median(values: &mut [f64]) -> Option<f64> {
@@ -385,6 +375,39 @@ mod tests {
         // Windows overlap by half: one vector in four is independent.
         let sigma = scatter / (0.25 * n).sqrt();
         assert!(mean.iter().all(|m| (m / n).abs() < 4.0 * sigma), "{mean:?} of {n}, {sigma}");
+    }
+
+    /// Left half: the same particles, moved. Right half: others.
+    #[test]
+    fn windows_of_unpaired_particles_show_no_displacement() {
+        let n = 192;
+        let flow = |_: f64, _: f64| [2.3, -1.4];
+        for (window_px, step_px) in [(16, 8), (32, 16), (48, 16)] {
+            let (a, mut b) = (exposure(-0.5, &flow, 5), exposure(0.5, &flow, 5));
+            let other = exposure(0.5, &flow, 77);
+            (0..n * n).filter(|i| i % n >= n / 2).for_each(|i| b[i] = other[i]);
+            let view = |g: &'static [f32]| GrayView::new(Samples::F32(g), n, n, n).unwrap();
+            let pair = [view(a.leak()), view(b.leak())];
+            let options = PlanarOptions { window_px, step_px };
+            let field = planar_displacements(&[pair], &vec![true; n * n], &options).unwrap();
+            let half = 0.5 * window_px as f64;
+            let (mut found, mut all, mut right) = ([0; 2], [0; 2], 0);
+            for k in 0..field.x_px.len() {
+                let side = if field.x_px[k] + half <= 96.0 {
+                    0
+                } else if field.x_px[k] - half >= 96.0 {
+                    1
+                } else {
+                    continue;
+                };
+                all[side] += 1;
+                found[side] += usize::from(field.dx_px[k].is_finite());
+                right += usize::from(side == 0 && (field.dx_px[k] - 2.3).hypot(field.dy_px[k] + 1.4) < 0.3);
+            }
+            println!("{window_px} px: {found:?} of {all:?}, {right} right");
+            assert!(10 * right > 8 * all[0], "{window_px} px: {right} of {}", all[0]);
+            assert!(10 * found[1] <= all[1], "{window_px} px: {found:?} of {all:?}");
+        }
     }
 
     #[test]

@@ -3,8 +3,8 @@
 use crate::error::{Insufficient, Result};
 use crate::image::GrayView;
 
-/// Half width of the box whose mean is the background, px.
-const BACKGROUND_PX: usize = 8;
+/// Half width of the box whose mean is the background of particle images, px.
+pub(super) const BACKGROUND_PX: usize = 8;
 /// Brightness above this quantile is capped: a few large particles would outvote all others.
 const CAP: f64 = 0.998;
 /// More equal brightest pixels than this part of an image are saturation.
@@ -76,9 +76,9 @@ fn box_mean(levels: &[f32], width: usize, half: usize) -> Vec<f32> {
     rows
 }
 
-/// Particles alone: what is above the local mean, capped.
-pub(super) fn particles(levels: &mut [f32], width: usize) {
-    let mean = box_mean(levels, width, BACKGROUND_PX);
+/// Particles alone: what is above the mean of the box that reaches `background_px` to all sides, capped.
+pub(super) fn particles(levels: &mut [f32], width: usize, background_px: usize) {
+    let mean = box_mean(levels, width, background_px);
     levels.iter_mut().zip(&mean).for_each(|(l, m)| *l = (*l - m).max(0.0));
     let step = (levels.len() / 100_000).max(1);
     let mut seen: Vec<f32> = levels.iter().copied().step_by(step).collect();

@@ -8,10 +8,7 @@
 //! middle   = sum z L / sum L over the values above a tenth of the largest that hang together with it
 //! ```
 //! Both agree for an even-sided profile. Light whose profile is skewed has no one place: its brightest plane and its middle differ.
-//!
-//! Thickness: the cross-correlation peak is wider than the autocorrelation peaks by the depth of the particles, see [`super`].
 
-use super::correlate::{Correlator, Sums};
 use super::peak::CorrelationMap;
 use crate::record::LightProfile;
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -23,80 +20,46 @@ const TOP: f64 = 0.8;
 /// Part of the maximum above which there is light.
 const LIGHT: f64 = 0.1;
 
-/// Sums over windows, of one size, and how depth shows in them.
-pub(super) struct Summed<'a> {
-    pub(super) sums: &'a Sums,
-    pub(super) window_px: usize,
-    pub(super) mm_per_px: f64,
-    /// s_2 - s_1 in the middle of the field, y up.
-    pub(super) slope_apart: Vector2<f64>,
-}
-
-impl Summed<'_> {
-    /// Along the direction of depth in the image, whose rows run down.
-    fn along(&self) -> Vector2<f64> {
-        Vector2::new(self.slope_apart.x, -self.slope_apart.y) / self.slope_apart.norm()
-    }
-
-    /// Full width of the light at 1/e^2, mm; `NaN` where the cross-correlation peak is no wider than the particle images.
-    pub(super) fn thickness_mm(&self) -> f64 {
-        let widths = || -> Option<f64> {
-            let correlator = Correlator::new(self.window_px);
-            let shape = |values: &Vec<f64>, auto: bool| {
-                correlator.map(values.clone()).peak(self.window_px / 8, auto).map(|p| p.shape_px2)
-            };
-            let [a, b] = [shape(&self.sums.auto[0], true)?, shape(&self.sums.auto[1], true)?];
-            let wider = shape(&self.sums.cross, false)? - 0.5 * (a + b);
-            let along = self.along();
-            let variance_px2 = along.dot(&(wider * along));
-            let sigma_z = self.mm_per_px * variance_px2.max(0.0).sqrt() / self.slope_apart.norm();
-            (variance_px2 > 0.0).then_some(4.0 * std::f64::consts::SQRT_2 * sigma_z)
-        };
-        widths().unwrap_or(f64::NAN)
-    }
-
-    /// The profile; `None` where nothing stands out.
-    pub(super) fn profile(&self) -> Option<LightProfile> {
-        let map = Correlator::new(self.window_px).map(self.sums.cross.clone());
-        let along = self.along();
-        let across = Vector2::new(-along.y, along.x);
-        let mm = self.mm_per_px / self.slope_apart.norm();
-        // Within the map whatever the direction.
-        let reach = self.window_px as i32 / 2 - BAND_PX - 3;
-        let raw: Vec<f64> = (-2 * reach..=2 * reach)
-            .map(|k| {
-                let at = along * (-0.5 * f64::from(k));
-                (-BAND_PX..=BAND_PX).filter_map(|t| bilinear(&map, at + across * f64::from(t))).sum()
-            })
-            .collect();
-        let z = |i: usize| 0.5 * mm * (i as f64 - 2.0 * f64::from(reach));
-        let n = raw.len();
-        let mut far: Vec<f64> = (0..n).filter(|i| i.abs_diff(n / 2) > n / 4).map(|i| raw[i]).collect();
-        far.sort_by(f64::total_cmp);
-        let baseline = far.get(far.len() / 2)?;
-        let light: Vec<f64> = raw.iter().map(|v| v - baseline).collect();
-        let top = (0..n).max_by(|a, b| light[*a].total_cmp(&light[*b]))?;
-        let largest = light[top];
-        if !(largest > 0.0) {
-            return None;
-        }
-        let hangs = |part: f64| {
-            let above = |i: &usize| light[*i] > part * largest;
-            let from = (0..=top).rev().take_while(above).last().unwrap_or(top);
-            from..=(top..n).take_while(above).last().unwrap_or(top)
-        };
-        let (sum, moment) = hangs(LIGHT).fold((0.0, 0.0), |(s, m), i| (s + light[i], m + z(i) * light[i]));
-        Some(LightProfile {
-            z_mm: (0..n).map(z).collect(),
-            light: light.iter().map(|l| l / largest).collect(),
-            top_mm: parabola_top(hangs(TOP).map(|i| (z(i) - z(top), light[i] / largest))).unwrap_or(0.0) + z(top),
-            middle_mm: moment / sum,
+/// The profile, from the cross-correlation of all windows and what depth moves it by (px per mm, y down); `None` where nothing stands out.
+pub(super) fn profile(map: &CorrelationMap, depth_px: Vector2<f64>) -> Option<LightProfile> {
+    let along = depth_px.normalize();
+    let across = Vector2::new(-along.y, along.x);
+    let mm = 1.0 / depth_px.norm();
+    // Within the map whatever the direction.
+    let reach = map.width.min(map.height) as i32 / 2 - BAND_PX - 3;
+    let raw: Vec<f64> = (-2 * reach..=2 * reach)
+        .map(|k| {
+            let at = along * (-0.5 * f64::from(k));
+            (-BAND_PX..=BAND_PX).filter_map(|t| bilinear(map, at + across * f64::from(t))).sum()
         })
+        .collect();
+    let z = |i: usize| 0.5 * mm * (i as f64 - 2.0 * f64::from(reach));
+    let n = raw.len();
+    let mut far: Vec<f64> = (0..n).filter(|i| i.abs_diff(n / 2) > n / 4).map(|i| raw[i]).collect();
+    far.sort_by(f64::total_cmp);
+    let baseline = far.get(far.len() / 2)?;
+    let light: Vec<f64> = raw.iter().map(|v| v - baseline).collect();
+    let top = (0..n).max_by(|a, b| light[*a].total_cmp(&light[*b]))?;
+    let largest = light[top];
+    if !(largest > 0.0) {
+        return None;
     }
+    let hangs = |part: f64| {
+        let above = |i: &usize| light[*i] > part * largest;
+        let from = (0..=top).rev().take_while(above).last().unwrap_or(top);
+        from..=(top..n).take_while(above).last().unwrap_or(top)
+    };
+    let (sum, moment) = hangs(LIGHT).fold((0.0, 0.0), |(s, m), i| (s + light[i], m + z(i) * light[i]));
+    Some(LightProfile {
+        z_mm: (0..n).map(z).collect(),
+        light: light.iter().map(|l| l / largest).collect(),
+        top_mm: parabola_top(hangs(TOP).map(|i| (z(i) - z(top), light[i] / largest))).unwrap_or(0.0) + z(top),
+        middle_mm: moment / sum,
+    })
 }
 
 /// Between four samples; none outside.
-fn bilinear(map: &CorrelationMap, d: Vector2<f64>) -> Option<f64> {
+pub(super) fn bilinear(map: &CorrelationMap, d: Vector2<f64>) -> Option<f64> {
     let (i, j) = (d.x.floor(), d.y.floor());
     let (s, t) = (d.x - i, d.y - j);
     let at = |di: isize, dj: isize| map.at(i as isize + di, j as isize + dj);
@@ -119,47 +82,33 @@ fn parabola_top(points: impl Iterator<Item = (f64, f64)> + Clone) -> Option<f64>
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
-    /// A correlation peak spread along the direction of depth by a profile of light.
-    fn summed(light: impl Fn(f64) -> f64, slope: Vector2<f64>, mm_per_px: f64) -> Sums {
+    /// Of 64 x 64 px: correlation peaks of particles (variance 2 px^2) spread along the direction of depth by a profile of light, and that of the
+    /// particles alone.
+    pub(in crate::disparity) fn summed(light: impl Fn(f64) -> f64, depth_px: Vector2<f64>) -> [CorrelationMap; 2] {
         let w = 64;
+        let place = |i: usize| Vector2::new((i % w) as f64 - 32.0, (i / w) as f64 - 32.0);
         let mut cross = vec![0.003; w * w];
         for k in -400..=400 {
             let z = 0.005 * f64::from(k);
-            let d = Vector2::new(-z * slope.x, z * slope.y) / mm_per_px;
             for (i, c) in cross.iter_mut().enumerate() {
-                let p = Vector2::new((i % w) as f64 - 32.0, (i / w) as f64 - 32.0);
-                *c += light(z) * (-0.25 * (p - d).norm_squared()).exp();
+                *c += light(z) * (-0.25 * (place(i) + z * depth_px).norm_squared()).exp();
             }
         }
-        let auto = (0..w * w).map(|i| {
-            let p = Vector2::new((i % w) as f64 - 32.0, (i / w) as f64 - 32.0);
-            (-0.25 * p.norm_squared()).exp()
-        });
-        let auto: Vec<f64> = auto.collect();
-        Sums { cross, auto: [auto.clone(), auto], pairs: 1 }
+        let auto = (0..w * w).map(|i| (-0.25 * place(i).norm_squared()).exp()).collect();
+        [cross, auto].map(|values| CorrelationMap { width: w, height: w, values })
     }
 
     #[test]
     fn top_and_middle_of_the_light_are_found_with_its_skew() {
-        for slope in [Vector2::new(0.9, 0.0), Vector2::new(0.1, -0.4), Vector2::new(-0.7, 0.5)] {
-            let mm_per_px = 0.05;
+        for depth_px in [Vector2::new(18.0, 0.0), Vector2::new(2.0, 8.0), Vector2::new(-14.0, -10.0)] {
             let even = |z: f64| (-0.5 * ((z - 0.1) / 0.2).powi(2)).exp();
-            let sums = summed(even, slope, mm_per_px);
-            let s = Summed { sums: &sums, window_px: 64, mm_per_px, slope_apart: slope };
-            let p = s.profile().unwrap();
+            let p = profile(&summed(even, depth_px)[0], depth_px).unwrap();
             assert!((p.top_mm - 0.1).abs() < 0.01 && (p.middle_mm - 0.1).abs() < 0.02, "{} {}", p.top_mm, p.middle_mm);
-            // The squared profile's sigma is 0.2, so the light's is sqrt 2 times that.
-            assert!(
-                (s.thickness_mm() / (4.0 * 0.2 * std::f64::consts::SQRT_2) - 1.0).abs() < 0.05,
-                "{}",
-                s.thickness_mm()
-            );
             let skewed = |z: f64| if z > 0.2 { 0.0 } else { ((z - 0.2) / 0.4).exp() };
-            let sums = summed(skewed, slope, mm_per_px);
-            let p = Summed { sums: &sums, window_px: 64, mm_per_px, slope_apart: slope }.profile().unwrap();
+            let p = profile(&summed(skewed, depth_px)[0], depth_px).unwrap();
             assert!(p.top_mm > -0.05 && p.middle_mm < p.top_mm - 0.05, "{} {}", p.top_mm, p.middle_mm);
         }
     }

@@ -21,8 +21,8 @@
 //! the correlation's own parts). Not valid for windows with a handful of particles: a block without which there is no peak gives none.
 
 use super::correlate::Dewarped;
+use super::lattice::Lattice;
 use super::peak::CorrelationMap;
-use super::planar::Lattice;
 use rayon::prelude::*;
 
 /// Shifts about the peak, px: those that its fit uses, with the maximum one beside the middle.
@@ -36,7 +36,7 @@ const BLOCKS: [usize; 2] = [2, 8];
 
 /// Standard deviations along x and y, px, of every window; none where the peak does not stand without each of its blocks.
 pub(super) fn scatter(moments: &[Dewarped], width: usize, lattice: &Lattice) -> Vec<Option<[f64; 2]>> {
-    (0..lattice.columns * lattice.rows).into_par_iter().map(|k| window(moments, width, lattice, k)).collect()
+    (0..lattice.len()).into_par_iter().map(|k| window(moments, width, lattice, k)).collect()
 }
 
 fn window(moments: &[Dewarped], width: usize, lattice: &Lattice, k: usize) -> Option<[f64; 2]> {
@@ -50,7 +50,7 @@ fn window(moments: &[Dewarped], width: usize, lattice: &Lattice, k: usize) -> Op
             values(s) / ((w - dx) * (w - dy))
         };
         let map = CorrelationMap { width: SIDE, height: SIDE, values: (0..SIDE * SIDE).map(even).collect() };
-        map.peak(1, false).map(|p| p.shift_px)
+        map.peak(1).map(|p| p.shift_px)
     };
     let without: Option<Vec<_>> =
         blocks.iter().filter(|b| b.iter().any(|c| *c != 0.0)).map(|b| place(&|s| whole[s] - b[s])).collect();

@@ -15,20 +15,59 @@ pub fn scene(seed: u64, offset_mm: f64, tilt_deg: [f64; 2], thickness_mm: f64, p
 }
 
 pub fn seeded(seed: u64, offset_mm: f64, tilt_deg: [f64; 2], thickness_mm: f64, pairs: usize, per_mm2: f64) -> Scene {
-    let camera = |name: &str, angle: f64| {
-        format!(
-            "[[camera]]\nname = \"{name}\"\nimage_size_px = [640, 512]\npixel_pitch_mm = 0.0125\nfocal_length_mm = 50.0\nscheimpflug = true\n\
-             k = [-0.05, 0.0, 0.0]\naim = {{ distance_mm = 500.0, viewing_angle_deg = {angle:?} }}\n"
-        )
-    };
-    let text = format!(
-        "seed = {seed}\n{}{}[sheet]\noffset_mm = {offset_mm:?}\ntilt_deg = {tilt_deg:?}\n[target]\nkind = \"two-discs\"\npolarity = \"bright\"\n\
-         radii_mm = [8.0, 6.0]\nspacing_mm = 18.0\n[image]\nbits = 12\nblur_sigma_px = 0.9\nfull_well_e = 20000.0\nread_noise_e = 20.0\n\
-         [[view]]\n[particles]\npairs = {pairs}\nper_mm2 = {per_mm2:?}\nthickness_mm = {thickness_mm:?}\n",
-        camera("left", -42.0),
-        camera("right", 35.0)
-    );
-    Scene::parse(&text, "scene.toml").unwrap()
+    let angles_deg = [-42.0, 35.0];
+    Sharpness { pitch_mm: 0.0125, size_px: [640, 512], blur_px: 0.9, angles_deg }.scene(
+        seed,
+        offset_mm,
+        tilt_deg,
+        thickness_mm,
+        pairs,
+        per_mm2,
+    )
+}
+
+/// How finely both cameras see the sheet, and from where.
+pub struct Sharpness {
+    pub pitch_mm: f64,
+    pub size_px: [usize; 2],
+    pub blur_px: f64,
+    pub angles_deg: [f64; 2],
+}
+
+impl Sharpness {
+    /// 90 degrees between the cameras, px of 0.0556 mm over `by`, the same field and the same particles whatever `by`.
+    pub fn oblique(by: usize) -> Self {
+        let [n, m] = [640, 512].map(|n| n * by);
+        Self { pitch_mm: 0.00618 / by as f64, size_px: [n, m], blur_px: 0.9 * by as f64, angles_deg: [-45.0, 45.0] }
+    }
+
+    pub fn scene(
+        &self,
+        seed: u64,
+        offset_mm: f64,
+        tilt_deg: [f64; 2],
+        thickness_mm: f64,
+        pairs: usize,
+        per_mm2: f64,
+    ) -> Scene {
+        let camera = |name: &str, angle: f64| {
+            format!(
+                "[[camera]]\nname = \"{name}\"\nimage_size_px = {:?}\npixel_pitch_mm = {:?}\nfocal_length_mm = 50.0\nscheimpflug = true\n\
+                 k = [-0.05, 0.0, 0.0]\naim = {{ distance_mm = 500.0, viewing_angle_deg = {angle:?} }}\n",
+                self.size_px, self.pitch_mm
+            )
+        };
+        let [left, right] = self.angles_deg;
+        let text = format!(
+            "seed = {seed}\n{}{}[sheet]\noffset_mm = {offset_mm:?}\ntilt_deg = {tilt_deg:?}\n[target]\nkind = \"two-discs\"\npolarity = \"bright\"\n\
+             radii_mm = [8.0, 6.0]\nspacing_mm = 18.0\n[image]\nbits = 12\nblur_sigma_px = {:?}\nfull_well_e = 20000.0\nread_noise_e = 20.0\n\
+             [[view]]\n[particles]\npairs = {pairs}\nper_mm2 = {per_mm2:?}\nthickness_mm = {thickness_mm:?}\n",
+            camera("left", left),
+            camera("right", right),
+            self.blur_px
+        );
+        Scene::parse(&text, "scene.toml").unwrap()
+    }
 }
 
 pub fn truth(scene: &Scene) -> Record {

@@ -1,0 +1,114 @@
+//! One round of the check: windows of the dewarped images, and the plane through them.
+
+use super::correlate::{Correlator, Dewarped};
+use super::lattice::Lattice;
+use super::plane::{Match, PlaneFit, Seen, fit_plane, see};
+use super::prepare::{BACKGROUND_PX, particles};
+use crate::dewarp::{Sampler, SheetGrid, SheetMap, resample};
+use crate::error::{Insufficient, Invalid, Result};
+use crate::record::Record;
+use nalgebra::{Vector2, Vector3};
+use rayon::prelude::*;
+
+/// A peak must be this much higher than the second.
+const RATIO: f64 = 1.25;
+/// Fewest windows that fix a plane with something to spare.
+pub(super) const FEWEST: usize = 8;
+
+/// Images ready to be dewarped.
+pub(super) struct Moment {
+    pub(super) samplers: [Sampler; 2],
+}
+
+/// Windows of a sheet, and the plane through them.
+pub(super) struct Round {
+    pub(super) matches: Vec<Match>,
+    pub(super) windows: usize,
+    pub(super) fit: PlaneFit,
+    pub(super) grid: SheetGrid,
+    /// Median disparity in the sheet of this round, px.
+    pub(super) median_px: f64,
+    /// Largest disparity that the plane's step makes in the field, px.
+    pub(super) step_px: f64,
+}
+
+pub(super) fn maps_of(record: &Record) -> Result<[SheetMap; 2]> {
+    if record.cameras.len() != 2 {
+        let what = format!("the check needs two cameras, but the calibration holds {}", record.cameras.len());
+        return Err(Invalid::Contradiction(what).into());
+    }
+    Ok([SheetMap::from_record(record, 0)?, SheetMap::from_record(record, 1)?])
+}
+
+/// Particles of all moments in the sheet.
+pub(super) fn dewarped(
+    moments: &[Moment],
+    maps: [&SheetMap; 2],
+    grid: &SheetGrid,
+    background_px: usize,
+) -> Vec<Dewarped> {
+    let one = |m: &Moment| {
+        let [(mut a, sa), (mut b, sb)] = [0, 1].map(|c| resample(&m.samplers[c], maps[c], grid, 0.0));
+        particles(&mut a, grid.width_px, background_px);
+        particles(&mut b, grid.width_px, background_px);
+        Dewarped { levels: [a, b], seen: sa.iter().zip(&sb).map(|(a, b)| *a && *b).collect() }
+    };
+    moments.iter().map(one).collect()
+}
+
+/// What depth moves the second image against the first by in the middle of the field, s_2 - s_1 over the size of a pixel: px per mm, y down.
+pub(super) fn depth_px(maps: [&SheetMap; 2], grid: &SheetGrid) -> Vector2<f64> {
+    let [x, y] = grid.point_mm(0.5 * (grid.width_px - 1) as f64, 0.5 * (grid.height_px - 1) as f64);
+    let slope = |m: &SheetMap| m.project(&Vector3::new(x, y, 0.0)).and_then(|q| m.hit(&q, 0.0)).map(|h| h.slope);
+    let apart = slope(maps[1]).zip(slope(maps[0])).map_or(Vector2::zeros(), |(b, a)| b - a);
+    Vector2::new(apart.x, -apart.y) / grid.mm_per_px
+}
+
+/// One round in the record's sheet. Once the plane is known (`near`), peaks far away are chance.
+pub(super) fn measure(record: &Record, moments: &[Moment], window_px: usize, near: bool) -> Result<Round> {
+    let maps = maps_of(record)?;
+    let maps = [&maps[0], &maps[1]];
+    let grid = SheetGrid::common(&maps, None)?;
+    let dewarped = dewarped(moments, maps, &grid, BACKGROUND_PX);
+    let lattice = Lattice::centred([grid.width_px, grid.height_px], window_px, window_px);
+    let correlator = Correlator::new(window_px);
+    let search = if near { (window_px / 8).max(6) } else { 2 * window_px / 5 };
+    let one = |k: usize| {
+        let [column, row] = lattice.corner(k);
+        let map = correlator.map(correlator.window(&dewarped, grid.width_px, column, row)?.cross);
+        let peak = map.peak(search)?;
+        let ratio = map.ratio_near(&peak, search);
+        let middle = lattice.middle(k);
+        // The particle images of both lie half a shift on either side.
+        let raw = |c: usize, side: f64| {
+            let [x, y] = grid.point_mm(middle[0] + side * peak.shift_px.x, middle[1] + side * peak.shift_px.y);
+            maps[c].project(&Vector3::new(x, y, 0.0))
+        };
+        let found = Match { pixels: [raw(0, -0.5)?, raw(1, 0.5)?], correlation: peak.height, ratio };
+        (ratio > RATIO).then_some(found)
+    };
+    let found: Vec<Option<Match>> = (0..lattice.len()).into_par_iter().map(one).collect();
+    let matches: Vec<Match> = found.into_iter().flatten().collect();
+    let seen: Vec<Seen> = matches.iter().filter_map(|m| see(maps, m)).collect();
+    let fit = if matches.len() >= FEWEST && seen.len() == matches.len() { fit_plane(&matches, &seen) } else { None };
+    let fit = fit.ok_or_else(|| {
+        Insufficient::Degenerate(format!(
+            "only {} of {} windows of {window_px} px show a clear correlation peak, {FEWEST} are needed to fix a plane; give more image pairs, \
+             or larger windows with --window-px",
+            matches.len(),
+            lattice.len()
+        ))
+    })?;
+    let mut lengths: Vec<f64> = seen.iter().map(|s| s.disparity_mm.norm() / grid.mm_per_px).collect();
+    lengths.sort_by(f64::total_cmp);
+    let median_px = lengths[lengths.len() / 2];
+    let step_px = furthest_mm(&fit, &grid) * depth_px(maps, &grid).norm();
+    Ok(Round { windows: lattice.len(), matches, fit, grid, median_px, step_px })
+}
+
+/// How far the plane goes from the sheet in the field, mm.
+fn furthest_mm(fit: &PlaneFit, grid: &SheetGrid) -> f64 {
+    let [x0, y0, x1, y1] = grid.extent_mm();
+    let z = |x: f64, y: f64| fit.abc.dot(&Vector3::new(1.0, x, y)).abs();
+    z(x0, y0).max(z(x1, y0)).max(z(x0, y1)).max(z(x1, y1))
+}
