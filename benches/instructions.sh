@@ -18,7 +18,7 @@ if ! grep -qw avx2 /proc/cpuinfo 2>/dev/null; then
     echo "SKIPPED: instruction counts (recorded on processors with AVX2)"
     exit 0
 fi
-cargo build --quiet --release --example export_problem
+benches/programs.sh
 program=${CARGO_TARGET_DIR:-target}/release/examples/export_problem
 
 out=$(mktemp)

@@ -13,7 +13,7 @@ if [ ! -x /usr/bin/time ]; then
     echo "SKIPPED: peak memory (/usr/bin/time is missing: apt-get install time)"
     exit 0
 fi
-cargo build --quiet --release --bin spivcal
+benches/programs.sh
 program=${CARGO_TARGET_DIR:-target}/release/spivcal
 
 work=$(mktemp -d)
