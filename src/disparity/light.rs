@@ -3,7 +3,7 @@
 //! All windows that both cameras see are summed: those with a clear peak would tell the light where it is thin. The depth of the light sets the size of
 //! the windows and of the background, which the first look does not know: looked at again until they hold it. The *place* of the sheet is not touched.
 
-use super::correlate::{Correlator, Sums};
+use super::correlate::{Correlator, Dewarped, Sums};
 use super::lattice::Lattice;
 use super::prepare::BACKGROUND_PX;
 use super::profile::profile;
@@ -60,13 +60,15 @@ pub(super) fn light(record: &Record, moments: &[Moment], window_px: usize) -> Re
     let largest = LARGEST_PX.min(grid.width_px).min(grid.height_px).max(window_px);
     let (mut window, mut background) = (window_px, BACKGROUND_PX);
     let mut out = Light { profile: None, smear: None, window_px: [window_px; 2] };
+    // Cameras that look along one line see no depth.
+    if !(depth_px.norm() > 0.0) {
+        return Ok(out);
+    }
     for _ in 0..LOOKS {
         let correlator = Correlator::new(window);
         let particles = dewarped(moments, maps, &grid, background);
         let lattice = Lattice::centred([grid.width_px, grid.height_px], window, window);
-        let one = |k: usize| correlator.window(&particles, grid.width_px, lattice.corner(k)[0], lattice.corner(k)[1]);
-        let windows: Vec<Option<Sums>> = (0..lattice.len()).into_par_iter().map(one).collect();
-        let Some(sums) = windows.into_iter().flatten().reduce(added) else { break };
+        let Some(sums) = summed(&correlator, &particles, grid.width_px, &lattice) else { break };
         let (cross, autos) = (correlator.map(sums.cross), sums.auto.map(|a| correlator.map(a)));
         let smear = Smear::of(&cross, &autos, depth_px);
         out = Light { profile: profile(&cross, depth_px), smear, window_px: [window_px, window] };
@@ -78,6 +80,21 @@ pub(super) fn light(record: &Record, moments: &[Moment], window_px: usize) -> Re
         [window, background] = wanted;
     }
     Ok(out)
+}
+
+/// All windows, a row of them at a time: together they would need 24 bytes per pixel of the field.
+fn summed(correlator: &Correlator, particles: &[Dewarped], width_px: usize, lattice: &Lattice) -> Option<Sums> {
+    let one = |k: usize| {
+        let [column, row] = lattice.corner(k);
+        correlator.window(particles, width_px, column, row)
+    };
+    let mut total = None;
+    for row in 0..lattice.rows {
+        let windows: Vec<Option<Sums>> =
+            (row * lattice.columns..(row + 1) * lattice.columns).into_par_iter().map(one).collect();
+        total = total.into_iter().chain(windows.into_iter().flatten()).reduce(added);
+    }
+    total
 }
 
 fn added(mut total: Sums, s: Sums) -> Sums {

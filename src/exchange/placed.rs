@@ -13,6 +13,7 @@
 //! Source: the conventions of `rigid` and `sheet`. Not for frames turned round, whose z would point away from the first camera (refused).
 
 use crate::dewarp::Placement;
+use crate::diagnosis::mapping_of_record;
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::Record;
@@ -78,9 +79,7 @@ pub fn placed(record: &Record, placement: &Placement) -> Result<Record> {
     }
     let mut out = record.clone();
     out.sheet = Some(sheet);
-    if turned {
-        // Told along the former axes.
-        out.mapping_uncertainty = None;
-    }
+    // Told at points of the former frame, along its axes.
+    out.mapping_uncertainty = record.mapping_uncertainty.as_ref().and_then(|_| Some(mapping_of_record(&out)?.0));
     Ok(out)
 }
