@@ -6,7 +6,9 @@
      spivcal_context_create -> spivcal_rig_load (or spivcal_rig_create and setters, images from memory)
      -> spivcal_calibration_run (or spivcal_job_start, spivcal_job_poll, spivcal_job_result)
      -> spivcal_calibration_number, ..._array_copy, ..._text_copy, ..._save
-     -> spivcal_calibration_sheet_from_pixel and its companions -> spivcal_context_destroy.
+     -> spivcal_calibration_sheet_from_pixel and its companions
+     -> spivcal_calibration_sheet_grid, ..._dewarp (both exposures of both cameras; displacements by your own correlation), ..._components
+     -> spivcal_context_destroy.
 
    HANDLES  Objects are named by numbers, not by pointers. 0 names none. A handle that was destroyed, is of another type, or never was
      one gives an error code, never a crash. Handles stay below 2^52. Every object belongs to the context it was made in and ends with
@@ -39,7 +41,7 @@
      reading one image, calibration or job      each other                             -
      setters and reads of one rig or detection  each other: they wait for each other   shortly
      spivcal_calibration_run, ..._run_sheet     anything                               until it is done
-     spivcal_detection_run                      anything                               until it is done
+     spivcal_detection_run, ..._dewarp          anything                               until it is done
      spivcal_job_wait                           anything                               until the job ends or the time is over
      The library keeps no global state but the table of handles. Threads that it starts for a call have ended when the call returns;
      the thread of a job has ended when the job is destroyed. Results do not depend on the number of threads, to the bit. It never
@@ -57,6 +59,7 @@
      SPIVCAL_TEXT_*       spivcal_calibration_text_copy, spivcal_detection_text_copy
      SPIVCAL_JOB_*        states of a job
      SPIVCAL_POINT_*      status of a point
+     SPIVCAL_KERNEL_*     spivcal_calibration_dewarp
      SPIVCAL_RIG_*        spivcal_rig_set_number, spivcal_rig_set_text
      SPIVCAL_PARAMETER_*  spivcal_rig_set_known
      SPIVCAL_SCALE_*      spivcal_rig_set_scale */
@@ -839,6 +842,36 @@
 #define SPIVCAL_POINT_BEFORE_WINDOW 6
 
 /**
+ * Both cameras look along one line there: nothing tells the component across the sheet.
+ */
+#define SPIVCAL_POINT_ONE_LINE 7
+
+/**
+ * The nearest sample.
+ */
+#define SPIVCAL_KERNEL_NEAREST 0
+
+/**
+ * Bilinear.
+ */
+#define SPIVCAL_KERNEL_LINEAR 1
+
+/**
+ * Cubic of four samples along each axis.
+ */
+#define SPIVCAL_KERNEL_CUBIC 2
+
+/**
+ * Lanczos of eight samples along each axis.
+ */
+#define SPIVCAL_KERNEL_LANCZOS 3
+
+/**
+ * Quintic B-spline: the most accurate, and what to take for correlation.
+ */
+#define SPIVCAL_KERNEL_BSPLINE 4
+
+/**
  * Index: camera. Distance of neighbouring pixels, mm.
  */
 #define SPIVCAL_RIG_CAMERA_PIXEL_PITCH_MM 1
@@ -1596,6 +1629,77 @@ int32_t spivcal_calibration_pixel_from_sheet(uint64_t calibration,
                                              double *u_px,
                                              double *v_px,
                                              int32_t *point_status);
+
+/**
+ * Grid of dewarped images: square pixels in the sheet that cover what all cameras see.
+ *
+ * `mm_per_px`: side of a pixel, mm; 0 takes the finest that any of the cameras has there. `x0_mm`, `y0_mm`: receive the centre of the
+ * first (upper left) pixel, mm, sheet frame. `side_mm`: receives the side of a pixel s, mm: pixel (i, j), column and row counted from 0, is
+ * centred on (x0 + s i, y0 - s j). `width`, `height`: receive the size, px. SPIVCAL_ERROR_NOT_AVAILABLE where the calibration has no
+ * sheet, SPIVCAL_ERROR_INSUFFICIENT where the cameras see nothing in common in it.
+ */
+int32_t spivcal_calibration_sheet_grid(uint64_t calibration,
+                                       double mm_per_px,
+                                       double *x0_mm,
+                                       double *y0_mm,
+                                       double *side_mm,
+                                       uint32_t *width,
+                                       uint32_t *height);
+
+/**
+ * An image of a camera as it would look from above the sheet: dewarped.
+ *
+ * `camera`: from 0. `image`: its handle, of the size that the camera was calibrated with. `kernel`: SPIVCAL_KERNEL_*.
+ * `x0_mm`, `y0_mm`, `mm_per_px`, `width`, `height`: the grid, as spivcal_calibration_sheet_grid gives it, or any other; 1 to 32768 px
+ * along a side. `z_mm`: plane parallel to the sheet in which the grid lies, mm, positive towards the first camera; 0: the sheet itself.
+ * `grey`: receives width x height floats, rows from top to bottom without gaps: grey levels as those of the image, not rounded; 0 where the
+ * camera sees nothing. `seen`: receives width x height bytes, 1 where the camera sees the pixel, else 0; may be NULL.
+ * Uses the threads of the context; the result does not depend on their number. SPIVCAL_ERROR_INVALID_INPUT where sizes do not fit,
+ * SPIVCAL_ERROR_NOT_AVAILABLE where the calibration has no sheet.
+ */
+int32_t spivcal_calibration_dewarp(uint64_t calibration,
+                                   uint64_t camera,
+                                   uint64_t image,
+                                   int32_t kernel,
+                                   double x0_mm,
+                                   double y0_mm,
+                                   double mm_per_px,
+                                   double z_mm,
+                                   uint32_t width,
+                                   uint32_t height,
+                                   float *grey,
+                                   uint8_t *seen);
+
+/**
+ * Three components of displacement from the planar displacements that both cameras show at points of the sheet.
+ *
+ * `x_mm`, `y_mm`: `count` doubles each, mm, sheet frame: the middles of the paths, as windows that are shifted symmetrically give them.
+ * `dx1_mm`, `dy1_mm`, `dx2_mm`, `dy2_mm`: `count` doubles each: displacements in the dewarped images of the first and the second
+ * camera along x and y (up) of the sheet frame, mm; of images whose rows run down, dy is minus the displacement along the rows. NaN
+ * where a camera has none.
+ * `u_mm`, `v_mm`, `w_mm`: receive `count` doubles each, mm: displacement along x, y and z of the sheet frame; w is positive towards
+ * the first camera. `residual_mm`: receives `count` doubles: root of the sum of squares of what the four equations leave, one degree of
+ * freedom, about the standard deviation of a planar component where all is well.
+ * `sigma_u`, `sigma_v`, `sigma_w`: receive `count` doubles each: standard deviations of u, v, w for independent planar components of
+ * standard deviation 1; times that of yours they are those of the vector by its noise, without the part of the calibration.
+ * `point_status`: as in spivcal_calibration_project. SPIVCAL_ERROR_NOT_AVAILABLE where the calibration has no sheet or one camera.
+ */
+int32_t spivcal_calibration_components(uint64_t calibration,
+                                       uint64_t count,
+                                       const double *x_mm,
+                                       const double *y_mm,
+                                       const double *dx1_mm,
+                                       const double *dy1_mm,
+                                       const double *dx2_mm,
+                                       const double *dy2_mm,
+                                       double *u_mm,
+                                       double *v_mm,
+                                       double *w_mm,
+                                       double *residual_mm,
+                                       double *sigma_u,
+                                       double *sigma_v,
+                                       double *sigma_w,
+                                       int32_t *point_status);
 
 #ifdef __cplusplus
 }

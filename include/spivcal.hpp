@@ -167,6 +167,20 @@ public:
     }
 };
 
+/* A grid of the sheet: pixel (i, j), column and row from 0, is centred on (x0_mm + mm_per_px i, y0_mm - mm_per_px j). */
+struct SheetGrid {
+    double x0_mm;
+    double y0_mm;
+    double mm_per_px;
+    std::uint32_t width;
+    std::uint32_t height;
+};
+
+/* Three components of displacement and what is known of them: see spivcal_calibration_components. */
+struct Components {
+    std::vector<double> u_mm, v_mm, w_mm, residual_mm, sigma_u, sigma_v, sigma_w;
+};
+
 class Calibration : public detail::Owner<&spivcal_calibration_destroy> {
 public:
     explicit Calibration(std::uint64_t handle, bool flagged = false) noexcept : Owner(handle), flagged_(flagged) {}
@@ -242,6 +256,39 @@ public:
         resize(x_mm.size(), {&u_px, &v_px}, point_status);
         return all(spivcal_calibration_pixel_from_sheet(handle(), camera, n, x_mm.data(), y_mm.data(), u_px.data(),
                                                         v_px.data(), data(point_status)));
+    }
+
+    /* The grid that covers what all cameras see; 0: as fine as the finest of them. */
+    SheetGrid sheet_grid(double mm_per_px = 0.0) const {
+        SheetGrid g = {0.0, 0.0, 0.0, 0, 0};
+        must(spivcal_calibration_sheet_grid(handle(), mm_per_px, &g.x0_mm, &g.y0_mm, &g.mm_per_px, &g.width, &g.height));
+        return g;
+    }
+    /* A dewarped image, rows packed; `seen` (may be null) receives 1 where the camera sees the pixel. */
+    std::vector<float> dewarp(std::uint64_t camera, const Image &image, const SheetGrid &grid,
+                              std::int32_t kernel = SPIVCAL_KERNEL_BSPLINE, std::vector<std::uint8_t> *seen = nullptr,
+                              double z_mm = 0.0) const {
+        const std::size_t n = static_cast<std::size_t>(grid.width) * grid.height;
+        std::vector<float> grey(n);
+        if (seen) seen->resize(n);
+        must(spivcal_calibration_dewarp(handle(), camera, image.handle(), kernel, grid.x0_mm, grid.y0_mm, grid.mm_per_px,
+                                        z_mm, grid.width, grid.height, grey.data(), seen ? seen->data() : nullptr));
+        return grey;
+    }
+    /* Three components at points of the sheet from what both dewarped images show there; false where some points have none. */
+    bool components(const std::vector<double> &x_mm, const std::vector<double> &y_mm, const std::vector<double> &dx1_mm,
+                    const std::vector<double> &dy1_mm, const std::vector<double> &dx2_mm,
+                    const std::vector<double> &dy2_mm, Components &out,
+                    std::vector<std::int32_t> *point_status = nullptr) const {
+        detail::same_size(x_mm.size(), y_mm.size(), dx1_mm.size());
+        detail::same_size(x_mm.size(), dy1_mm.size(), dx2_mm.size());
+        const std::uint64_t n = detail::same_size(x_mm.size(), dy2_mm.size(), dy2_mm.size());
+        resize(x_mm.size(), {&out.u_mm, &out.v_mm, &out.w_mm, &out.residual_mm, &out.sigma_u, &out.sigma_v, &out.sigma_w},
+               point_status);
+        return all(spivcal_calibration_components(
+            handle(), n, x_mm.data(), y_mm.data(), dx1_mm.data(), dy1_mm.data(), dx2_mm.data(), dy2_mm.data(),
+            out.u_mm.data(), out.v_mm.data(), out.w_mm.data(), out.residual_mm.data(), out.sigma_u.data(),
+            out.sigma_v.data(), out.sigma_w.data(), data(point_status)));
     }
 
 private:

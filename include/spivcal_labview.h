@@ -72,6 +72,9 @@ int32 spivcal_calibration_unproject(uInt64 calibration, uInt64 camera, uInt64 co
 int32 spivcal_calibration_sight_from_pixel(uInt64 calibration, uInt64 camera, uInt64 count, const float64 *u_px, const float64 *v_px, float64 *x_mm, float64 *y_mm, float64 *z_mm, float64 *dx, float64 *dy, float64 *dz, int32 *point_status);
 int32 spivcal_calibration_sheet_from_pixel(uInt64 calibration, uInt64 camera, uInt64 count, const float64 *u_px, const float64 *v_px, float64 *x_mm, float64 *y_mm, int32 *point_status);
 int32 spivcal_calibration_pixel_from_sheet(uInt64 calibration, uInt64 camera, uInt64 count, const float64 *x_mm, const float64 *y_mm, float64 *u_px, float64 *v_px, int32 *point_status);
+int32 spivcal_calibration_sheet_grid(uInt64 calibration, float64 mm_per_px, float64 *x0_mm, float64 *y0_mm, float64 *side_mm, uInt32 *width, uInt32 *height);
+int32 spivcal_calibration_dewarp(uInt64 calibration, uInt64 camera, uInt64 image, int32 kernel, float64 x0_mm, float64 y0_mm, float64 mm_per_px, float64 z_mm, uInt32 width, uInt32 height, float32 *grey, uInt8 *seen);
+int32 spivcal_calibration_components(uInt64 calibration, uInt64 count, const float64 *x_mm, const float64 *y_mm, const float64 *dx1_mm, const float64 *dy1_mm, const float64 *dx2_mm, const float64 *dy2_mm, float64 *u_mm, float64 *v_mm, float64 *w_mm, float64 *residual_mm, float64 *sigma_u, float64 *sigma_v, float64 *sigma_w, int32 *point_status);
 #ifdef __cplusplus
 }
 #endif

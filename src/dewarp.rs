@@ -39,7 +39,7 @@ pub use grid::SheetGrid;
 pub use kernel::Kernel;
 pub use map::{NoMeeting, PixelJets, Pixels, SheetJets, SheetMap, SheetPoints, ViewAngles};
 pub use placement::Placement;
-pub(crate) use resample::resample;
 pub use resample::{Dewarped, dewarp, dewarp_into};
+pub(crate) use resample::{dewarped_levels, resample};
 pub use sampler::Sampler;
 pub use soloff::{Soloff, SoloffDegrees, SoloffFit, SoloffVolume};

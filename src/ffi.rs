@@ -29,6 +29,7 @@ mod rig;
 mod rig_document;
 mod rig_keys;
 mod table;
+mod velocity;
 
 #[cfg(test)]
 mod tests;
@@ -43,3 +44,4 @@ pub use keys::*;
 pub use mapping::*;
 pub use rig::*;
 pub use rig_keys::*;
+pub use velocity::*;

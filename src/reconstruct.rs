@@ -41,7 +41,7 @@ mod text;
 mod vectors;
 
 pub use calibration::perturbed_maps;
-pub use components::{Components, PlanarPair, three_components};
+pub use components::{Components, PlanarPair, component_sigmas, three_components};
 pub use grid::PlanarField;
 pub use read::{FieldFormat, FieldTable, FieldUnit, parse_field};
 pub use vectors::{Options, Reference, VectorField, flag, reconstruct};

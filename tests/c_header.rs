@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, Once};
 
 /// Files with exported functions or constants, in the order of the header.
-const FILES: [&str; 9] = [
+const FILES: [&str; 11] = [
     "abi.rs",
     "keys.rs",
     "rig_keys.rs",
@@ -20,8 +20,9 @@ const FILES: [&str; 9] = [
     "rig.rs",
     "job.rs",
     "calibration.rs",
+    "mapping.rs",
+    "velocity.rs",
 ];
-const LAST: &str = "mapping.rs";
 
 /// Types that a signature may have; a pointer to them, one level, is allowed too.
 const TYPES: [&str; 9] = ["int32_t", "uint64_t", "uint32_t", "uint8_t", "uint16_t", "float", "double", "char", "void"];
@@ -88,7 +89,7 @@ fn generate(files: &[PathBuf]) -> (String, Vec<String>) {
 }
 
 fn header() -> String {
-    let files: Vec<PathBuf> = FILES.iter().chain([&LAST]).map(|f| root().join("src/ffi").join(f)).collect();
+    let files: Vec<PathBuf> = FILES.iter().map(|f| root().join("src/ffi").join(f)).collect();
     let (text, warnings) = generate(&files);
     assert!(warnings.is_empty(), "cbindgen warns: {warnings:#?}");
     text
@@ -234,8 +235,9 @@ fn faults(declaration: &str) -> Vec<String> {
 /// Functions that `src/ffi` exports, read from the source without cbindgen.
 fn exported() -> BTreeSet<String> {
     let mut names = BTreeSet::new();
-    for entry in std::fs::read_dir(root().join("src/ffi")).unwrap() {
-        let text = std::fs::read_to_string(entry.unwrap().path()).unwrap();
+    let entries = std::fs::read_dir(root().join("src/ffi")).unwrap().map(|e| e.unwrap().path());
+    for file in entries.filter(|p| p.is_file()) {
+        let text = std::fs::read_to_string(file).unwrap();
         for (at, _) in text.match_indices("#[unsafe(no_mangle)]") {
             let after = text[at..].split_once("extern \"C\" fn ").unwrap().1;
             names.insert(after.split('(').next().unwrap().to_string());

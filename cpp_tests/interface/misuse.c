@@ -70,6 +70,10 @@ static void all_with(uint64_t h, uint64_t other, int32_t wanted, const char *wha
     CHECK(spivcal_calibration_sight_from_pixel(h, 0, 2, x, y, a, b, c, a, b, c, ps) == wanted);
     CHECK(spivcal_calibration_sheet_from_pixel(h, 0, 2, x, y, a, b, ps) == wanted);
     CHECK(spivcal_calibration_pixel_from_sheet(h, 0, 2, x, y, a, b, ps) == wanted);
+    CHECK(spivcal_calibration_sheet_grid(h, 0.0, &value, &value, &sigma, &w, &hh) == wanted);
+    CHECK(spivcal_calibration_dewarp(h, 0, other, 0, 0.0, 0.0, 1.0, 0.0, 1, 1, data32, NULL) == wanted);
+    CHECK(spivcal_calibration_components(h, 2, x, y, x, y, x, y, a, b, c, a, b, c, a, ps) == wanted);
+    CHECK(data32[0] == 0);
     CHECK(out == 77 && state == 77 && value == 77 && sigma == 77);
     if (check_failures != before) fprintf(stderr, "... with %s\n", what);
 }
@@ -169,6 +173,9 @@ static void null_pointers(uint64_t context, uint64_t calibration) {
     CHECK(spivcal_calibration_sight_from_pixel(calibration, 0, 2, x, y, x, x, x, x, NULL, x, NULL) == null);
     CHECK(spivcal_calibration_sheet_from_pixel(calibration, 0, 2, x, y, NULL, y, NULL) == null);
     CHECK(spivcal_calibration_pixel_from_sheet(calibration, 0, 2, x, y, y, NULL, NULL) == null);
+    CHECK(spivcal_calibration_sheet_grid(calibration, 0.0, x, y, NULL, &w, &w) == null);
+    CHECK(spivcal_calibration_sheet_grid(calibration, 0.0, x, y, x, &w, NULL) == null && w == 5);
+    CHECK(spivcal_calibration_components(calibration, 2, x, y, x, y, x, y, x, x, x, x, NULL, x, x, NULL) == null);
     /* Nothing to do needs no memory. */
     CHECK(spivcal_calibration_project(calibration, 0, 0, NULL, NULL, NULL, NULL, NULL, NULL) == SPIVCAL_OK);
     CHECK(n == 5);
@@ -246,6 +253,15 @@ static void numbers_without_meaning(uint64_t context, uint64_t calibration) {
     CHECK(spivcal_calibration_sight_from_pixel(calibration, 1, N, bad, bad, x, y, z, x, y, z, status) == SPIVCAL_WARNING_POINTS);
     CHECK(spivcal_calibration_sheet_from_pixel(calibration, 1, N, bad, bad, x, y, status) == SPIVCAL_WARNING_POINTS);
     CHECK(spivcal_calibration_pixel_from_sheet(calibration, 1, N, bad, bad, x, y, NULL) == SPIVCAL_WARNING_POINTS);
+    CHECK(spivcal_calibration_components(calibration, N, bad, bad, bad, bad, bad, bad, x, y, z, x, y, z, x, status) ==
+          SPIVCAL_WARNING_POINTS);
+    for (i = 0; i < 3; i++) CHECK(status[i] == SPIVCAL_POINT_NOT_FINITE && isnan(y[i]));
+    for (i = 0; i < N; i++) {
+        uint32_t w = 5, h = 5;
+        if (bad[i] == 0.0) continue;
+        CHECK(spivcal_calibration_sheet_grid(calibration, bad[i], x, y, z, &w, &h) == SPIVCAL_ERROR_INVALID_INPUT ||
+              (bad[i] > 1 && isfinite(bad[i]) && w == 1 && h == 1));
+    }
     CHECK(spivcal_calibration_project(calibration, 2, 1, x, x, x, x, x, NULL) == SPIVCAL_ERROR_INDEX);
     CHECK(spivcal_calibration_project(calibration, ~(uint64_t)0, 1, x, x, x, x, x, NULL) == SPIVCAL_ERROR_INDEX);
     for (i = 0; i < 4; i++) {

@@ -26,6 +26,23 @@ pub struct SheetGrid {
 }
 
 impl SheetGrid {
+    /// The grid whose first pixel is centred on `origin_mm`.
+    ///
+    /// # Errors
+    /// [`Invalid::Value`] where a number is none, the pixel has no size, or there are no or too many pixels.
+    pub fn at(origin_mm: [f64; 2], mm_per_px: f64, size_px: [usize; 2]) -> Result<Self> {
+        if let Some(x) = origin_mm.iter().find(|x| !x.is_finite()) {
+            return Err(Invalid::value("place of the first pixel", *x, "a number in mm of the sheet frame").into());
+        }
+        if !(mm_per_px > 0.0 && mm_per_px.is_finite()) {
+            return Err(Invalid::value("mm per px", mm_per_px, "a positive number").into());
+        }
+        if let Some(n) = size_px.iter().find(|n| !(1..=LARGEST_PX).contains(*n)) {
+            return Err(Invalid::value("pixels along a side", *n as f64, format!("1 to {LARGEST_PX}")).into());
+        }
+        Ok(Self { origin_mm, mm_per_px, width_px: size_px[0], height_px: size_px[1] })
+    }
+
     /// The grid over `[x_min, y_min, x_max, y_max]`, mm.
     ///
     /// # Errors

@@ -74,6 +74,33 @@ pub(crate) fn resample(sampler: &Sampler, map: &SheetMap, grid: &SheetGrid, z_mm
     (levels, valid)
 }
 
+/// Grey levels between those of the image, and validity, on a grid in the plane z = `z_mm` of the sheet frame, rows packed.
+///
+/// # Errors
+/// As [`dewarp`].
+pub(crate) fn dewarped_levels(
+    view: &GrayView<'_>,
+    map: &SheetMap,
+    grid: &SheetGrid,
+    kernel: Kernel,
+    z_mm: f64,
+) -> Result<(Vec<f32>, Vec<bool>)> {
+    check(view, map, z_mm)?;
+    Ok(resample(&Sampler::new(view, kernel), map, grid, z_mm))
+}
+
+fn check(view: &GrayView<'_>, map: &SheetMap, z_mm: f64) -> Result<()> {
+    let size_px = [view.width(), view.height()];
+    if let Some(a) = (0..2).find(|a| size_px[*a] != map.size_px()[*a]) {
+        let what = format!("{} px, as at the calibration", map.size_px()[a]);
+        return Err(Invalid::value(["image width", "image height"][a], size_px[a] as f64, what).into());
+    }
+    if !z_mm.is_finite() {
+        return Err(Invalid::value("z_mm", z_mm, "a finite number of mm").into());
+    }
+    Ok(())
+}
+
 /// An image on a grid in the plane z = `z_mm` of the sheet frame.
 ///
 /// Depth is kept: 8 and 16 bit are rounded and kept within their limits, floats stay as they come.
@@ -118,14 +145,8 @@ pub fn dewarp_into(
     z_mm: f64,
     out: &mut Dewarped,
 ) -> Result<()> {
+    check(view, map, z_mm)?;
     let size_px = [view.width(), view.height()];
-    if let Some(a) = (0..2).find(|a| size_px[*a] != map.size_px()[*a]) {
-        let what = format!("{} px, as at the calibration", map.size_px()[a]);
-        return Err(Invalid::value(["image width", "image height"][a], size_px[a] as f64, what).into());
-    }
-    if !z_mm.is_finite() {
-        return Err(Invalid::value("z_mm", z_mm, "a finite number of mm").into());
-    }
     let valid = &mut out.valid;
     valid.resize(grid.width_px * grid.height_px, false);
     let pixels = out.image.renew(&view.samples(), grid.width_px, grid.height_px);

@@ -298,3 +298,18 @@ pub const SPIVCAL_POINT_NOT_FINITE: i32 = 4;
 pub const SPIVCAL_POINT_OFF_SHEET: i32 = 5;
 /// The camera looks through a window, and the point does not lie beyond it.
 pub const SPIVCAL_POINT_BEFORE_WINDOW: i32 = 6;
+/// Both cameras look along one line there: nothing tells the component across the sheet.
+pub const SPIVCAL_POINT_ONE_LINE: i32 = 7;
+
+// How grey levels between pixels are found (spivcal_calibration_dewarp).
+
+/// The nearest sample.
+pub const SPIVCAL_KERNEL_NEAREST: i32 = 0;
+/// Bilinear.
+pub const SPIVCAL_KERNEL_LINEAR: i32 = 1;
+/// Cubic of four samples along each axis.
+pub const SPIVCAL_KERNEL_CUBIC: i32 = 2;
+/// Lanczos of eight samples along each axis.
+pub const SPIVCAL_KERNEL_LANCZOS: i32 = 3;
+/// Quintic B-spline: the most accurate, and what to take for correlation.
+pub const SPIVCAL_KERNEL_BSPLINE: i32 = 4;

@@ -4,7 +4,7 @@ use super::abi::{SPIVCAL_ERROR_NOT_AVAILABLE, SPIVCAL_OK, SPIVCAL_WARNING_POINTS
 use super::door::{Fault, Outcome, enter};
 use super::keys::*;
 use super::memory::{Filled, length_of};
-use super::results::state_of;
+use super::results::{CalibrationState, state_of};
 use super::table::Kind;
 use crate::camera::Refusal;
 use crate::dewarp::{NoMeeting, SheetMap};
@@ -179,7 +179,7 @@ fn in_sheet(count: usize) -> Column<'static> {
 }
 
 /// The caller's arrays: N that are read, M that are written, and one for the status of each point.
-struct Lists<'a, const N: usize, const M: usize> {
+pub(super) struct Lists<'a, const N: usize, const M: usize> {
     count: usize,
     from: [Column<'a>; N],
     to: [ColumnMut<'a>; M],
@@ -189,7 +189,7 @@ struct Lists<'a, const N: usize, const M: usize> {
 impl<const N: usize, const M: usize> Lists<'_, N, M> {
     /// # Safety
     /// All that is not null can be read or written for `count` elements.
-    unsafe fn new(
+    pub(super) unsafe fn new(
         count: u64,
         from: [(*const f64, &str); N],
         to: [(*mut f64, &str); M],
@@ -212,7 +212,7 @@ impl<const N: usize, const M: usize> Lists<'_, N, M> {
 
     /// Maps all points, block by block: `all` is quick, leaves what is not finite where a point has no result, and says whether there is none;
     /// `one` says why, or has the result where the two differ in rounding.
-    fn map(
+    pub(super) fn map(
         mut self,
         all: impl Fn([Column; N], [ColumnMut; M]) -> bool,
         one: impl Fn([f64; N]) -> Result<[f64; M], i32>,
@@ -254,7 +254,7 @@ impl<const N: usize, const M: usize> Lists<'_, N, M> {
     }
 }
 
-fn refusal(refusal: Refusal) -> i32 {
+pub(super) fn refusal(refusal: Refusal) -> i32 {
     match refusal {
         Refusal::BehindCamera { .. } => SPIVCAL_POINT_BEHIND_CAMERA,
         Refusal::BeforeWindow { .. } => SPIVCAL_POINT_BEFORE_WINDOW,
@@ -276,12 +276,14 @@ fn on(calibration: u64, camera: u64, call: impl FnOnce(&PlacedCamera) -> Outcome
 }
 
 fn on_sheet(calibration: u64, camera: u64, call: impl FnOnce(&SheetMap) -> Outcome) -> i32 {
-    enter(calibration, Kind::Calibration, |object| {
-        let state = state_of(object)?;
-        one(&state.cameras, camera)?;
-        let none = "the calibration has no sheet: no view was recorded in it (sheet = true)";
-        call(one(&state.maps, camera).map_err(|_| Fault::new(SPIVCAL_ERROR_NOT_AVAILABLE, none))?)
-    })
+    enter(calibration, Kind::Calibration, |object| call(map_of(state_of(object)?, camera)?))
+}
+
+/// The map of a camera on the sheet.
+pub(super) fn map_of(state: &CalibrationState, camera: u64) -> Result<&SheetMap, Fault> {
+    one(&state.cameras, camera)?;
+    let none = "the calibration has no sheet: no view was recorded in it (sheet = true)";
+    one(&state.maps, camera).map_err(|_| Fault::new(SPIVCAL_ERROR_NOT_AVAILABLE, none))
 }
 
 fn one<T>(all: &[T], camera: u64) -> Result<&T, Fault> {

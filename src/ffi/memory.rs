@@ -75,6 +75,12 @@ impl<T: Plain> Filled<T> {
         // SAFETY: inside the array by the contract of `new`.
         unsafe { self.to.add(i).write_unaligned(value) }
     }
+
+    /// Fills the array, which has as many elements.
+    pub(super) fn fill(self, values: impl ExactSizeIterator<Item = T>) {
+        assert_eq!(values.len(), self.count);
+        values.enumerate().for_each(|(i, value)| self.set(i, value));
+    }
 }
 
 /// Copies `values` to a caller's buffer of `capacity` elements and says in `needed` how many there are.

@@ -13,6 +13,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Barrier};
 use std::time::Duration;
 
+mod velocity;
+
 fn context() -> u64 {
     let mut handle = 0;
     assert_eq!(unsafe { spivcal_context_create(1, &mut handle) }, SPIVCAL_OK);

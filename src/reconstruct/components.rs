@@ -67,6 +67,15 @@ pub fn three_components(slopes: PlanarPair<'_>, planar: PlanarPair<'_>, out: &mu
     Ok(())
 }
 
+/// Standard deviations of u, v, w for planar components of standard deviation 1 that are independent; `NaN` where both cameras look along one line.
+pub fn component_sigmas(slopes: [[f64; 2]; 2]) -> [f64; 3] {
+    let [s1, s2] = slopes;
+    let apart = (s2[0] - s1[0]).hypot(s2[1] - s1[1]);
+    let by_w = |a: usize| 0.5 * (s1[a] + s2[a]) / apart;
+    let in_plane = |a: usize| (0.5 + 2.0 * by_w(a).powi(2)).sqrt();
+    if apart > 0.0 { [in_plane(0), in_plane(1), std::f64::consts::SQRT_2 / apart] } else { [f64::NAN; 3] }
+}
+
 struct All<'a> {
     slopes: PlanarPair<'a>,
     planar: PlanarPair<'a>,
@@ -197,6 +206,11 @@ mod tests {
             }
             let x = (a.transpose() * a).try_inverse().unwrap() * a.transpose() * b;
             let left: SVector<f64, 4> = a * x - b;
+            let sigmas = component_sigmas([0, 1].map(|c| [0, 1].map(|k| slopes[2 * c + k][i])));
+            let inverse = (a.transpose() * a).try_inverse().unwrap();
+            for k in 0..3 {
+                assert!((sigmas[k] / inverse[(k, k)].sqrt() - 1.0).abs() < 1e-9, "{i}: {sigmas:?} {inverse}");
+            }
             let got = [0, 1, 2, 3].map(|k| f64::from_bits(all[0][k][i]));
             for k in 0..3 {
                 assert!((got[k] - x[k]).abs() < 1e-10 * (1.0 + x.norm()), "{i}: {got:?} {x}");
@@ -207,6 +221,7 @@ mod tests {
         let p = |l: &'static [f64]| [[l, l], [l, l]];
         three_components(p(&[0.5]), p(&[1.0]), &mut out).unwrap();
         assert!(out.w[0].is_nan() && out.u[0].is_nan(), "both look along one line");
+        assert!(component_sigmas([[0.5, 0.5]; 2]).iter().all(|s| s.is_nan()));
         let mut short = p(&[0.5]);
         short[1][1] = &[];
         assert!(three_components(short, p(&[1.0]), &mut out).is_err());

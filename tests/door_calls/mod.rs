@@ -161,6 +161,7 @@ fn calibration(data: &[u8]) {
         |c: u64, key| text(|b, n, needed| unsafe { call!(spivcal_calibration_text_copy(c, key, 0, b, n, needed)) });
     if let Some(handle) = parse(&json) {
         read_all(handle);
+        dewarped(context, handle);
         let once = written(handle, SPIVCAL_TEXT_JSON).expect("what was read can be written");
         let again = parse(&CString::new(once.clone()).unwrap()).expect("what was written can be read");
         assert_eq!(written(again, SPIVCAL_TEXT_JSON).as_ref(), Some(&once));
@@ -197,6 +198,57 @@ fn read_all(handle: u64) {
             judged(call!(spivcal_calibration_sight_from_pixel(handle, camera, 4, u, v, x, y, w, a, b, c, s)));
             judged(call!(spivcal_calibration_sheet_from_pixel(handle, camera, 4, u, v, a, b, s)));
             judged(call!(spivcal_calibration_pixel_from_sheet(handle, camera, 4, u, v, a, b, s)));
+            judged(call!(spivcal_calibration_components(handle, 4, u, v, u, v, v, u, x, y, w, a, b, c, x, s)));
+        }
+    }
+}
+
+/// An image of each camera's size, where that is not too large, on a small grid of the sheet.
+fn dewarped(context: u64, calibration: u64) {
+    let (mut x, mut y, mut side, mut grid_width, mut grid_height) = (0.0, 0.0, 0.0, 0, 0);
+    // SAFETY: outputs can be written.
+    let status = unsafe {
+        let (w, h) = (&mut grid_width, &mut grid_height);
+        judged(call!(spivcal_calibration_sheet_grid(calibration, 0.0, &mut x, &mut y, &mut side, w, h)))
+    };
+    if status != SPIVCAL_OK {
+        return;
+    }
+    for camera in 0..3 {
+        let size = [SPIVCAL_CAMERA_WIDTH_PX, SPIVCAL_CAMERA_HEIGHT_PX].map(|key| {
+            let (mut value, mut sigma) = (0.0, 0.0);
+            // SAFETY: outputs can be written.
+            unsafe { judged(call!(spivcal_calibration_number(calibration, key, camera, &mut value, &mut sigma))) };
+            value as u32
+        });
+        if !size.iter().all(|n| (1..=2000).contains(n)) {
+            continue;
+        }
+        let grey = vec![3_u8; (size[0] * size[1]) as usize];
+        // SAFETY: images and grids have as many pixels as is said.
+        unsafe {
+            let (w, h) = (size[0], size[1]);
+            let image =
+                made(|n| call!(spivcal_image_create_u8(context, grey.as_ptr(), w, h, u64::from(w), n))).unwrap();
+            let (mut out, mut seen) = (vec![0.0_f32; 36], vec![0_u8; 36]);
+            let (out, seen) = (out.as_mut_ptr(), seen.as_mut_ptr());
+            let side = side * f64::from(grid_width.max(grid_height)) / 6.0;
+            for kernel in 0..6 {
+                judged(call!(spivcal_calibration_dewarp(
+                    calibration,
+                    camera,
+                    image,
+                    kernel,
+                    x,
+                    y,
+                    side,
+                    0.5,
+                    6,
+                    6,
+                    out,
+                    seen
+                )));
+            }
         }
     }
 }
