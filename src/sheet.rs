@@ -167,5 +167,5 @@ fn plane_geometry(
 
 /// Square roots of a diagonal; `NaN` where the covariance is.
 fn sigmas(covariance: &SMatrix<f64, 10, 10>) -> SVector<f64, 10> {
-    covariance.diagonal().map(|v| v.max(0.0).sqrt())
+    covariance.diagonal().map(|v| if v.is_nan() { f64::NAN } else { v.max(0.0).sqrt() })
 }

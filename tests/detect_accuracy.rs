@@ -282,7 +282,7 @@ fn sigmas_are_true_in_the_smallest_bubbles() {
 /// ends of the contour, and the mean z^2 of the semi-major axis was 1.5.
 #[test]
 fn light_that_hardly_bends_moves_no_contour() {
-    let errors: Vec<[(f64, f64); 4]> = (100..100 + share(6) as u32)
+    let errors: Vec<[(f64, f64); 4]> = (100..100 + share(6) as u64)
         .flat_map(|seed| errors_of_bubbles(&bubbles_in(seed, [0.0, 6.0, 0.05]), 0))
         .collect();
     let count = errors.len() as f64;

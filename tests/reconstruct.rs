@@ -417,3 +417,29 @@ fn fields_of_another_calibration_or_camera_are_told() {
         "{said}"
     );
 }
+
+/// Positions that count from a corner of the image, as OpenPIV scales them, are not those of the sheet frame: told, not taken for vectors elsewhere.
+#[test]
+fn positions_that_no_camera_sees_are_no_vectors() {
+    let moved = |text: &str, by: [f64; 2]| -> String {
+        let row = |line: &str| {
+            let cells: Vec<f64> = line.split(',').map(|c| c.parse().unwrap()).collect();
+            format!("{},{},{},{}\n", cells[0] + by[0], cells[1] + by[1], cells[2], cells[3])
+        };
+        text.lines().enumerate().map(|(i, l)| if i == 0 { format!("{l}\n") } else { row(l) }).collect()
+    };
+    let texts = [0, 1].map(|c| dewarped_field(c, None, 0.0, 9));
+    let solve = |by: [f64; 2]| {
+        let fields = texts.each_ref().map(|t| PlanarField::new(&parse_field(&moved(t, by), "f.csv").unwrap()).unwrap());
+        let m = maps();
+        let unit = options(FieldUnit::Millimetres);
+        reconstruct([&m[0], &m[1]], [&fields[0], &fields[1]], ["left", "right"], &unit)
+    };
+    assert!(solve([0.0; 2]).unwrap().filled().0 > 700);
+    let said = solve([38.0, 21.0]).unwrap_err().to_string();
+    assert!(said.contains("does not see") && said.contains("dewarp.json"), "{said}");
+    // Some columns beyond the images.
+    let some = solve([9.0, 0.0]).unwrap();
+    let (filled, all) = some.filled();
+    assert!(filled > all / 2 && filled < all, "{filled} of {all}");
+}

@@ -70,6 +70,7 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         corrected.fit.keep_check_flags(&told);
         found.check.flags.extend(told);
     }
+    found.check.flags.extend(mispaired(&files));
     let mut out = Output::default();
     let value = serde_json::to_value(&found.check).map_err(|e| Error::Bug(format!("check.json: {e}")))?;
     out.add("check.json", format!("{value:#}\n"));
@@ -222,6 +223,34 @@ fn paired(left: Vec<PathBuf>, right: Vec<PathBuf>, a: &str, b: &str) -> Result<V
     Ok(left.into_iter().zip(right).map(|(l, r)| [l, r]).collect())
 }
 
+/// The last number in each name that is not the same in all of them; none where no number changes.
+fn running_numbers<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Option<Vec<u64>> {
+    let numbers = |p: &PathBuf| -> Vec<u64> {
+        let name = p.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        name.split(|c: char| !c.is_ascii_digit()).rev().filter_map(|d| d.parse().ok()).collect()
+    };
+    let all: Vec<Vec<u64>> = files.map(numbers).collect();
+    let fewest = all.iter().map(Vec::len).min()?;
+    let running = (0..fewest).find(|k| all.iter().any(|n| n[*k] != all[0][*k]))?;
+    Some(all.iter().map(|n| n[running]).collect())
+}
+
+/// What must be said of pairs whose names count differently although both series have the same numbers.
+fn mispaired(files: &[[PathBuf; 2]]) -> Option<String> {
+    let left = running_numbers(files.iter().map(|p| &p[0]))?;
+    let right = running_numbers(files.iter().map(|p| &p[1]))?;
+    let pair = files.iter().zip(left.iter().zip(&right)).find(|(_, (l, r))| l != r)?.0;
+    let name = |p: &PathBuf| p.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    left.iter().any(|l| right.contains(l)).then(|| {
+        format!(
+            "{} is paired with {}: files are paired in the order of their names, and their numbers differ; where they are not of the same \
+             moment, remove images that have no partner",
+            name(&pair[0]),
+            name(&pair[1])
+        )
+    })
+}
+
 /// Whether a name matches a pattern of `*` (any characters) and `?` (one).
 fn matches(pattern: &str, name: &str) -> bool {
     let (p, n): (Vec<char>, Vec<char>) = (pattern.chars().collect(), name.chars().collect());
@@ -242,6 +271,22 @@ fn matches(pattern: &str, name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn pairs_whose_numbers_differ_are_told_unless_both_cameras_count_on_their_own() {
+        let said = |pairs: &[[&str; 2]]| mispaired(&pairs.iter().map(|p| p.map(PathBuf::from)).collect::<Vec<_>>());
+        let told = said(&[["l_1.png", "r_2.png"], ["l_2.png", "r_3.png"]]).unwrap();
+        assert!(told.starts_with("l_1.png is paired with r_2.png"), "{told}");
+        for right in [
+            [["c1_f01.tif", "c2_f01.tif"], ["c1_f02.tif", "c2_f02.tif"]],
+            [["a100.tif", "b700.tif"], ["a101.tif", "b701.tif"]],
+            [["left.tif", "right.tif"], ["left_b.tif", "right_b.tif"]],
+            [["E_1_frame_50.png", "E_3_frame_50.png"], ["E_1_frame_51.png", "E_3_frame_51.png"]],
+        ] {
+            assert_eq!(said(&right), None);
+        }
+        assert_eq!(said(&[["l_1.png", "r_2.png"]]), None);
+    }
 
     #[test]
     fn patterns_are_those_of_a_shell() {

@@ -61,7 +61,7 @@ pub(super) fn run(command: &Dewarp, threads: Option<NonZeroUsize>, progress: &Ba
         let camera_name = &record.cameras[camera].name;
         let note = json!({ "format": "spivcal-dewarped", "version": 1, "camera": camera_name, "grid": grid, "z_mm": command.z_mm });
         let scale = ImageScale { mm_per_px: grid.mm_per_px, description: note.to_string() };
-        out.add(&name, tiff_bytes(&image, Some(&scale))?);
+        out.add_to_series(&command.output, &name, tiff_bytes(&image, Some(&scale))?)?;
         if share == 0.0 {
             flags.push(format!("camera \"{camera_name}\" sees nothing of this grid; look at --extent-mm and --z-mm"));
         }

@@ -1,7 +1,7 @@
 //! Tables of everything: one number per row with its name, unit and standard deviation, and the covariance.
 
 use super::Conversion;
-use crate::record::{Pose, Record};
+use crate::record::{Pose, Radial, Record};
 use crate::report::csv_field as field;
 use std::fmt::Write;
 
@@ -38,6 +38,7 @@ fn cameras(record: &Record) -> String {
         let (o, s) = (c.name.as_str(), &c.sigma);
         t.row(o, "image_width", c.image_size_px[0] as f64, f64::NAN, "px");
         t.row(o, "image_height", c.image_size_px[1] as f64, f64::NAN, "px");
+        t.row(o, "pixel_pitch", c.pixel_pitch_mm.unwrap_or(f64::NAN), f64::NAN, "mm");
         t.row(o, "f", c.f_px, s.f_px, "px");
         t.row(o, "aspect", c.aspect, s.aspect, "1");
         t.row(o, "cx", c.cx_px, s.cx_px, "px");
@@ -47,6 +48,8 @@ fn cameras(record: &Record) -> String {
         for (name, x, sigma) in [("k1", c.k1, s.k1), ("k2", c.k2, s.k2), ("k3", c.k3, s.k3)] {
             t.row(o, name, x, sigma, "1");
         }
+        let from_ideal = c.radial == Radial::default();
+        t.row(o, "k_from_ideal_to_distorted", f64::from(u8::from(from_ideal)), f64::NAN, "1");
         t.row(o, "pupil_ratio", c.pupil_ratio, s.pupil_ratio, "1");
         t.row(o, "effective.f", c.effective.f_px, s.effective.f_px, "px");
         t.row(o, "effective.cx", c.effective.cx_px, s.effective.cx_px, "px");
@@ -55,7 +58,11 @@ fn cameras(record: &Record) -> String {
         t.pose(o, "cam_from_rig", &c.cam_from_rig);
         if let Some(w) = &c.window {
             for (i, name) in ["x", "y", "z"].iter().enumerate() {
-                t.row(o, &format!("window.normal_{name}"), w.normal_in_cam[i], w.sigma.normal_rad[i], "1");
+                t.row(o, &format!("window.normal_{name}"), w.normal_in_cam[i], f64::NAN, "1");
+            }
+            // What is known of the normal: turns about the axes of the camera, by which it is off.
+            for (i, name) in ["x", "y", "z"].iter().enumerate() {
+                t.row(o, &format!("window.turn_{name}"), 0.0, w.sigma.normal_rad[i], "rad");
             }
             t.row(o, "window.distance", w.distance_mm, w.sigma.distance_mm, "mm");
             t.row(o, "window.thickness", w.thickness_mm, w.sigma.thickness_mm, "mm");

@@ -183,6 +183,10 @@ pub(super) fn import(files: &[NamedText], options: &ImportOptions) -> Result<Fou
         return Err(Invalid::Contradiction(what.into()).into());
     }
     let s = Source::read(files)?;
+    if s.storage.numbers.get("fisheye_model").is_some_and(|f| *f != 0.0) {
+        let what = "the camera is of OpenCV's fisheye model, which this library does not have; calibrate without it (CALIB_* of calib3d)";
+        return Err(s.refusal("fisheye_model", what.into()));
+    }
     let keys: Vec<[&str; 3]> = if s.matrix("M1").is_some() {
         [["M1", "D1", "1"], ["M2", "D2", "2"]].into_iter().filter(|k| s.matrix(k[0]).is_some()).collect()
     } else if s.matrix("camera_matrix").is_some() {

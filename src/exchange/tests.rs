@@ -463,6 +463,8 @@ fn impossible_calibrations_are_refused_on_import() {
     }
     let record = record_of(lens(6.34, 0.0), lens(-6.34, 0.0));
     let mut text = texts(&export(&record, ExportFormat::OpenCv).unwrap().result).remove(0);
+    let fisheye = NamedText { text: text.text.replace("---\n", "---\nfisheye_model: 1\n"), ..text.clone() };
+    refused(&[fisheye], ImportFormat::OpenCv, &["fisheye model"]);
     text.text = text.text.replace("right, far", "left");
     refused(&[text], ImportFormat::OpenCv, &["opencv.yml: ", "two cameras are called \"left\""]);
 }

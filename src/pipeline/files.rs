@@ -19,23 +19,39 @@ fn fault(path: &Path, message: impl Into<String>) -> Error {
     Invalid::File { path: path.display().to_string(), message: message.into() }.into()
 }
 
+/// Results of more bytes than this do not wait in memory.
+const MOST_HELD: usize = if cfg!(test) { 1000 } else { 256 << 20 };
+
 /// Results on their way to a folder.
 ///
-/// Nothing is seen under its name until [`Output::commit`]: it writes every file under a temporary name beside its
-/// place, and only then renames them all. An error or a crash before leaves the old files.
+/// Nothing is seen under its name until [`Output::commit`]: every file is written under a temporary name beside its
+/// place, and only then are they all renamed. An error or a crash before leaves the old files.
 #[derive(Default)]
 pub struct Output {
-    files: Vec<(String, Vec<u8>)>,
+    names: Vec<String>,
+    held: Vec<(String, Vec<u8>)>,
+    staged: Option<Staged>,
 }
 
 impl Output {
     /// Adds a file; `name` is relative to the folder.
     pub fn add(&mut self, name: impl Into<String>, bytes: impl Into<Vec<u8>>) {
-        self.files.push((name.into(), bytes.into()));
+        let name = name.into();
+        self.names.push(name.clone());
+        self.held.push((name, bytes.into()));
+    }
+    /// One of a series that may be long: what memory should not hold waits in `folder` under temporary names.
+    ///
+    /// # Errors
+    /// [`Invalid::File`] where a file cannot be written; nothing is left then.
+    pub fn add_to_series(&mut self, folder: &Path, name: impl Into<String>, bytes: impl Into<Vec<u8>>) -> Result<()> {
+        self.add(name, bytes);
+        let held: usize = self.held.iter().map(|(_, b)| b.len()).sum();
+        if held > MOST_HELD { self.stage(folder) } else { Ok(()) }
     }
     /// Names of the files added so far.
     pub fn names(&self) -> Vec<&str> {
-        self.files.iter().map(|(n, _)| n.as_str()).collect()
+        self.names.iter().map(String::as_str).collect()
     }
     /// [`Output::commit`], but never over one of the files that were read.
     ///
@@ -43,7 +59,7 @@ impl Output {
     /// [`Invalid::File`] as there, and where a file would take the place of one of the `inputs`; nothing is written then.
     pub fn commit_beside(self, folder: &Path, inputs: &[&Path]) -> Result<()> {
         let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
-        for (name, _) in &self.files {
+        for name in &self.names {
             if let Some(input) = inputs.iter().find(|input| same(input, &folder.join(name))) {
                 return Err(fault(
                     input,
@@ -57,17 +73,26 @@ impl Output {
     ///
     /// # Errors
     /// [`Invalid::File`] where a file cannot be written; what was there before is unchanged then.
-    pub fn commit(self, folder: &Path) -> Result<()> {
-        for (i, (name, _)) in self.files.iter().enumerate() {
-            if self.files[..i].iter().any(|(other, _)| other == name) {
+    pub fn commit(mut self, folder: &Path) -> Result<()> {
+        for (i, name) in self.names.iter().enumerate() {
+            if self.names[..i].contains(name) {
                 return Err(fault(&folder.join(name), "two results would be written to this one file"));
             }
         }
-        let mut staged = Staged::new(folder)?;
-        for (name, bytes) in &self.files {
-            staged.write(name, bytes)?;
+        self.stage(folder)?;
+        self.staged.map_or(Ok(()), Staged::publish)
+    }
+    /// Writes what is held under temporary names; they vanish with `self` unless they are published.
+    fn stage(&mut self, folder: &Path) -> Result<()> {
+        let mut staged = match self.staged.take() {
+            Some(staged) => staged,
+            None => Staged::new(folder)?,
+        };
+        for (name, bytes) in self.held.drain(..) {
+            staged.write(&name, &bytes)?;
         }
-        staged.publish()
+        self.staged = Some(staged);
+        Ok(())
     }
 }
 
@@ -290,6 +315,31 @@ mod tests {
         assert!(staged.publish().unwrap_err().to_string().contains("z.txt"));
         assert_eq!(listing(folder), ["x.txt", "z.txt"]);
         assert_eq!(fs::read_to_string(folder.join("x.txt")).unwrap(), "old");
+    }
+
+    #[test]
+    fn a_long_series_waits_under_temporary_names_and_leaves_nothing_where_it_fails() {
+        let scratch = tempfile::tempdir().unwrap();
+        let folder = scratch.path().join("new");
+        let series = || {
+            let mut out = Output::default();
+            for k in 0..5 {
+                out.add_to_series(&folder, format!("{k}.tif"), vec![k; 400]).unwrap();
+            }
+            out
+        };
+        let out = series();
+        let waiting = listing(&folder);
+        assert!(waiting.len() == 3 && waiting.iter().all(|n| n.starts_with('.') && n.ends_with(".tmp")), "{waiting:?}");
+        drop(out);
+        assert!(!folder.exists());
+        series().commit(&folder).unwrap();
+        assert_eq!(listing(&folder), ["0.tif", "1.tif", "2.tif", "3.tif", "4.tif"]);
+        assert_eq!(fs::read(folder.join("3.tif")).unwrap(), vec![3; 400]);
+        let mut twice = series();
+        twice.add("1.tif", "again");
+        assert!(twice.commit(&folder).unwrap_err().to_string().contains("two results"));
+        assert_eq!(listing(&folder).len(), 5);
     }
 
     #[test]

@@ -48,6 +48,10 @@ fn moved_numbers(record: &Record) -> Option<(Vec<Moved>, DMatrix<f64>)> {
             }
         }
     }
+    // Of cameras that another program found nothing is known; where images were adjusted, the second one's place is always a number.
+    if moved.is_empty() {
+        return None;
+    }
     let mut own = vec![0.0; rows.len()];
     let named: Vec<Option<usize>> = STEP_NAMES.iter().map(|s| c.index(&format!("{SHEET}{s}"))).collect();
     if named.iter().all(Option::is_some) {

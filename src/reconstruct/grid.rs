@@ -121,6 +121,14 @@ impl PlanarField {
         (self.vectors.iter().filter(|v| v.is_some()).count(), self.vectors.len())
     }
 
+    /// Positions of the vectors that are there.
+    pub(super) fn positions(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
+        let filled = (0..self.vectors.len()).filter(|i| self.vectors[*i].is_some());
+        filled.map(|i| {
+            [0, 1].map(|a| self.origin[a] + self.spacing[a] * [i % self.count[0], i / self.count[0]][a] as f64)
+        })
+    }
+
     /// Whether the file has standard deviations.
     pub(super) fn has_sigmas(&self) -> bool {
         self.sigmas.is_some()

@@ -124,7 +124,9 @@ pub fn parse_field(text: &str, file: &str) -> Result<FieldTable> {
     let Some((first, head)) = lines.peek().copied() else {
         return Err(fault(file, 1, format!("the file is empty; {expected}")));
     };
-    let pivlab = head.trim_start_matches(['#', ' ', '"']).starts_with("PIVlab");
+    // With its lines about the file, or without them.
+    let bare = head.trim_start_matches(['#', ' ', '"']);
+    let pivlab = bare.starts_with("PIVlab") || bare.starts_with("x [");
     if pivlab {
         while lines.peek().is_some_and(|(_, l)| !l.trim_matches('"').starts_with("x [")) {
             lines.next();
@@ -138,10 +140,12 @@ pub fn parse_field(text: &str, file: &str) -> Result<FieldTable> {
         ));
     };
     let separator = separator_of(head);
-    let names: Vec<String> = cells(head.trim_start_matches(['#', ' ']), separator)
-        .iter()
-        .map(|n| n.trim_matches('"').trim().to_lowercase())
-        .collect();
+    let head_cells = match (pivlab, separator) {
+        // Names hold blanks themselves: each ends with its unit.
+        (true, ' ') => head.split_inclusive(']').map(|n| n.trim().to_string()).filter(|n| !n.is_empty()).collect(),
+        _ => cells(head.trim_start_matches(['#', ' ']), separator),
+    };
+    let names: Vec<String> = head_cells.iter().map(|n| n.trim_matches('"').trim().to_lowercase()).collect();
     let (format, unit, columns) = header(&names, head.starts_with('#'), pivlab, file, line, expected)?;
     let mut table =
         FieldTable { file: file.into(), format, unit, x: vec![], y: vec![], dx: vec![], dy: vec![], sigma: None };
@@ -344,7 +348,12 @@ mod tests {
         let pivlab = "PIVlab by W.Th. & E.J.S., ASCII chart output - 09-Jun-2015 14:02:30\n\
                       FRAME: 1, filenames: A.tif & B.tif, conversion factor xy (px -> m): 1, conversion factor uv (px/frame -> m/s): 1\n\
                       x [px],y [px],u [px/frame],v [px/frame],Vector type [-]\n16,16,1.5,0.5,1\n32,16,1.6,0.4,2\n16,32,1.7,0.3,1\n32,32,1.8,0.2,1\n";
-        for (text, format) in [(openpiv, FieldFormat::OpenPiv), (pivlab, FieldFormat::PivLab)] {
+        // Options of PIVlab's export: without the lines about the file, with blanks or tabs between the cells.
+        let table = pivlab.split_once("\nx [").map(|(_, rest)| format!("x [{rest}")).unwrap();
+        let (blanks, tabs) = (table.replace(',', " "), pivlab.replace(',', "\t"));
+        let texts = [openpiv, pivlab, &table, &blanks, &tabs];
+        for (text, format) in texts.into_iter().zip([FieldFormat::OpenPiv].into_iter().chain([FieldFormat::PivLab; 4]))
+        {
             let f = parse_field(text, "a").unwrap();
             assert_eq!((f.format, &f.x, &f.y), (format, &ours.x, &ours.y));
             for i in 0..4 {

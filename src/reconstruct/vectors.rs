@@ -36,6 +36,9 @@ const RESIDUAL_SIGMAS: f64 = 5.0;
 /// Largest ratio of the sigmas along the direction that is known worst and best that still is a stereo arrangement.
 const WORST_GAIN: f64 = 1e3;
 
+/// Part of a field's vectors that its camera may not see (the corners of a dewarped image).
+const UNSEEN: f64 = 0.3;
+
 /// Options of [`reconstruct`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
@@ -134,6 +137,12 @@ impl Measured<'_> {
         }
     }
 
+    /// Whether a pixel lies on the sensor, outer halves of the border pixels included.
+    fn on_sensor(&self, q: &Vector2<f64>) -> bool {
+        let [w, h] = self.nominal.size_px().map(|n| n as f64);
+        (-0.5..=w - 0.5).contains(&q.x) && (-0.5..=h - 0.5).contains(&q.y)
+    }
+
     /// From raw px at a place (derivative of the sheet by the pixel there, where the field is in the sheet) to unit variance.
     fn white(&self, between: &Between, by_pixel: Option<(Matrix2<f64>, Vector2<f64>)>) -> Matrix2<f64> {
         let own = between.sigma.filter(|_| self.options.sigma.is_none());
@@ -149,6 +158,9 @@ impl Measured<'_> {
 
     /// The planar vector at a raw pixel.
     fn at(&self, q: &Vector2<f64>) -> Option<Here> {
+        if !self.on_sensor(q) {
+            return None;
+        }
         let [x, y] = self.place(q)?;
         let between = self.field.at(x, y)?;
         let scale = match self.options.unit {
@@ -249,12 +261,16 @@ fn coverage(m: &Measured, camera: &str) -> Result<([f64; 4], f64)> {
     let step =
         |dx: f64, dy: f64| Some((to_sheet(middle[0] + dx, middle[1] + dy)? - to_sheet(middle[0], middle[1])?).norm());
     let spacing = step(field.spacing[0], 0.0).zip(step(0.0, field.spacing[1])).map(|(a, b)| a.min(b));
-    let seen = m.nominal.project(&Vector3::new(0.5 * (out[0] + out[2]), 0.5 * (out[1] + out[3]), 0.0));
-    let on_sensor = |q: Vector2<f64>| q.x > -w && q.x < 2.0 * w && q.y > -h && q.y < 2.0 * h;
-    match (spacing, seen) {
-        (Some(spacing), Some(q)) if spacing > 0.0 && on_sensor(q) => Ok((out, spacing)),
+    let all = field.filled().0;
+    let seen = |p: &[f64; 2]| {
+        to_sheet(p[0], p[1]).and_then(|p| m.nominal.project(&p.push(0.0))).is_some_and(|q| m.on_sensor(&q))
+    };
+    let unseen = all - field.positions().filter(seen).count();
+    match spacing {
+        Some(spacing) if spacing > 0.0 && unseen as f64 <= UNSEEN * all as f64 => Ok((out, spacing)),
         _ => Err(fault(format!(
-            "positions run from ({}, {}) to ({}, {}), which camera \"{camera}\" does not see; check the unit and the origin of the field",
+            "positions run from ({}, {}) to ({}, {}); camera \"{camera}\" does not see {unseen} of the {all} vectors. Check unit and origin: mm count from \
+             the origin of the sheet frame (dewarp.json: origin_mm of the first pixel), px of dewarped images from their first pixel (--dewarped dewarp.json)",
             e[0], e[1], e[2], e[3]
         ))),
     }

@@ -7,6 +7,9 @@ use crate::record::{Record, SHEET_ALONE, View};
 
 /// Residuals this many times the noise they were given say that the model or the noise is wrong.
 const MISFIT: f64 = 1.5;
+/// Sigmas enlarged more often than this, with residuals beyond those of the second line, are no printer's error.
+const SCATTERED: f64 = 30.0;
+const SCATTERED_PX: f64 = 0.05;
 /// Residuals of more than so many px and of so many times what the noise explains are no measure of anything.
 const CONTRADICTED_PX: f64 = 1.0;
 const CONTRADICTED_SIGMAS: f64 = 10.0;
@@ -67,7 +70,13 @@ fn level(r: &Record) -> Level {
     let f = &r.fit;
     if !f.converged || !f.rms_px.is_finite() || contradicted(r) || sheet_elsewhere(r).is_some() {
         Level::Bad
-    } else if imported(r) || f.nullity > 0 || !f.undetermined.is_empty() || !f.flags.is_empty() || misfit(r) > MISFIT {
+    } else if imported(r)
+        || f.nullity > 0
+        || !f.undetermined.is_empty()
+        || !f.flags.is_empty()
+        || misfit(r) > MISFIT
+        || scattered(r)
+    {
         Level::Care
     } else {
         Level::Good
@@ -124,6 +133,11 @@ fn sheet_elsewhere(r: &Record) -> Option<f64> {
 fn misfit(r: &Record) -> f64 {
     let dof = r.fit.degrees_of_freedom;
     if dof == 0 || !r.fit.chi2.is_finite() { 1.0 } else { (r.fit.chi2 / dof as f64).sqrt() }
+}
+
+/// Whether discs lie where neither noise nor a common printer's error explains them, though sigmas allow for it.
+fn scattered(r: &Record) -> bool {
+    r.fit.sigma_scale > SCATTERED && r.fit.rms_px > SCATTERED_PX
 }
 
 /// How the residuals compare with what the images' noise explains.
@@ -278,6 +292,15 @@ fn next_steps(r: &Record) -> Vec<String> {
              target is not what the rig file says (adjust = \"points\") or the lens needs another term; if they are \
              random, the images are noisier than they look.",
             plain(misfit, 3)
+        ));
+    }
+    if scattered(r) {
+        out.push(format!(
+            "Whole discs scatter {} times more than noise explains ({} px rms), and the sigmas were enlarged for it, but a wrong model moves results, too. \
+             Look at the arrows: discs whose arrows point outwards or inwards in all views are of another size than stated; dots that lie elsewhere are \
+             adjusted with adjust = \"points\".",
+            plain(r.fit.sigma_scale, 3),
+            plain(r.fit.rms_px, 3)
         ));
     }
     let said = r.fit.flags.iter().any(|f| f.contains("outlier"));

@@ -36,6 +36,16 @@ fn cameras(out: &mut String, setup: &Setup) -> std::fmt::Result {
         if c.camera.intrinsics().radial == Radial::DistortedToIdeal {
             writeln!(out, "radial = \"distorted-to-ideal\"")?;
         }
+        // Of the camera's and the lens's data sheet: images alone hardly tell them.
+        let i = c.camera.intrinsics();
+        let known: Vec<_> =
+            [("aspect", i.aspect), ("pupil_ratio", i.pupil_ratio)].into_iter().filter(|k| k.1 != 1.0).collect();
+        if !known.is_empty() {
+            writeln!(out, "\n[camera.known]")?;
+        }
+        for (name, value) in known {
+            writeln!(out, "{name} = {{ fixed = {value:?} }}")?;
+        }
         writeln!(out)?;
     }
     Ok(())

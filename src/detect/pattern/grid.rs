@@ -70,7 +70,9 @@ pub(super) fn label(image: &str, detection: &Detection, target: &Grid) -> Result
         ));
     }
     out.alternatives = placements[1..].iter().map(|p| best.to(*p)).collect();
-    for (cell, k) in &lattice.nodes {
+    // What makes a dot a mark, its size or the hole in it, makes its contour another than that of the others.
+    let marked = |cell: &Cell| sightings.iter().any(|s| s.cell == *cell);
+    for (cell, k) in lattice.nodes.iter().filter(|(cell, _)| !marked(cell)) {
         let (column, row) = best.id(*cell);
         out.discs.push(LabelledDisc { disc: *k, id: DotId { column, row, level: 0 } });
     }
