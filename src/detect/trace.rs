@@ -76,18 +76,17 @@ impl<'a, L: Level> Tracer<'a, L> {
         }
     }
 
-    /// Whether the crossing between (u, v) and (u + 1, v) was not followed yet.
+    /// Whether the crossing between a pixel `(u, v)` and the next of its row was not followed yet; its place is `v * width + u`.
     #[inline]
-    pub(crate) fn fresh(&self, u: usize, v: usize) -> bool {
-        let i = v * self.level.width() + u;
-        (self.visited[i / 64] >> (i % 64)) & 1 == 0
+    pub(crate) fn fresh(&self, place: usize) -> bool {
+        (self.visited[place / 64] >> (place % 64)) & 1 == 0
     }
 
     /// Follows the line through the crossing between (u, v) and (u + 1, v) into `line`.
     pub(crate) fn follow(&mut self, u: usize, v: usize, line: &mut Line) {
         line.u.clear();
         line.v.clear();
-        self.push_crossing((u, v), TOP, &self.level.corners(u, v), line);
+        self.cross((u, v), line, between(self.level.field(u, v), self.level.field(u + 1, v)));
         line.closed = self.walk((u, v), TOP, (u, v), line);
         if !line.closed {
             line.u.reverse();
@@ -104,81 +103,113 @@ impl<'a, L: Level> Tracer<'a, L> {
     /// Walks from cell to cell; true where it comes back to the top side of the cell `home`.
     fn walk(&mut self, start: (usize, usize), entry: u8, home: (usize, usize), line: &mut Line) -> bool {
         let (mut u, mut v) = start;
-        let mut entry = entry;
+        let level = self.level;
+        let (last_u, last_v) = (level.width() - 1, level.height() - 1);
+        if u >= last_u || v >= last_v {
+            return false;
+        }
+        // Corners clockwise from the side of the entry on; the line runs between the first two.
+        let (mut entry, mut corner) = (entry, level.corners(u, v));
+        corner.rotate_left(entry as usize);
         loop {
-            if u + 1 >= self.level.width() || v + 1 >= self.level.height() {
-                return false;
-            }
-            let corner = self.level.corners(u, v);
-            let exit = exit(&corner, entry);
+            let turn = turn(&corner, entry);
+            let (before, behind) = (corner[turn as usize], corner[(turn as usize + 1) % 4]);
+            let exit = (entry + turn) % 4;
+            // The next cell has those two, in turns, and two others.
+            let (third, fourth);
             match exit {
-                TOP if (u, v) == home => return true,
-                BOTTOM if (u, v + 1) == home => return true,
-                _ => self.push_crossing((u, v), exit, &corner, line),
+                TOP => {
+                    if (u, v) == home {
+                        return true;
+                    }
+                    self.cross((u, v), line, between(before, behind));
+                    if v == 0 {
+                        return false;
+                    }
+                    v -= 1;
+                    (third, fourth) = (level.field(u, v), level.field(u + 1, v));
+                }
+                RIGHT => {
+                    line.push((u + 1) as f32, v as f32 + between(before, behind));
+                    u += 1;
+                    if u == last_u {
+                        return false;
+                    }
+                    (third, fourth) = (level.field(u + 1, v), level.field(u + 1, v + 1));
+                }
+                BOTTOM => {
+                    v += 1;
+                    if (u, v) == home {
+                        return true;
+                    }
+                    self.cross((u, v), line, between(behind, before));
+                    if v == last_v {
+                        return false;
+                    }
+                    (third, fourth) = (level.field(u + 1, v + 1), level.field(u, v + 1));
+                }
+                _ => {
+                    line.push(u as f32, v as f32 + between(behind, before));
+                    if u == 0 {
+                        return false;
+                    }
+                    u -= 1;
+                    (third, fourth) = (level.field(u, v + 1), level.field(u, v));
+                }
             }
-            match exit {
-                TOP if v > 0 => v -= 1,
-                RIGHT => u += 1,
-                BOTTOM => v += 1,
-                LEFT if u > 0 => u -= 1,
-                _ => return false,
-            }
+            corner = [behind, before, third, fourth];
             entry = (exit + 2) % 4;
         }
     }
 
-    /// Appends the crossing of a side of the cell (u, v), whose corners have these values.
-    #[inline]
-    fn push_crossing(&mut self, (u, v): (usize, usize), side: u8, corner: &[f32; 4], line: &mut Line) {
-        let [top_left, top_right, bottom_right, bottom_left] = *corner;
-        let between = |a: f32, b: f32| a / (a - b);
-        let (x, y) = (u as f32, v as f32);
-        let (at, lattice_row) = match side {
-            TOP => ((x + between(top_left, top_right), y), Some(v)),
-            RIGHT => ((x + 1.0, y + between(top_right, bottom_right)), None),
-            BOTTOM => ((x + between(bottom_left, bottom_right), y + 1.0), Some(v + 1)),
-            _ => ((x, y + between(top_left, bottom_left)), None),
-        };
-        if let Some(row) = lattice_row {
-            let i = row * self.level.width() + u;
-            self.visited[i / 64] |= 1 << (i % 64);
-        }
-        line.u.push(at.0);
-        line.v.push(at.1);
+    /// Appends the crossing so far behind the pixel (u, v) of its row.
+    #[inline(always)]
+    fn cross(&mut self, (u, v): (usize, usize), line: &mut Line, behind: f32) {
+        let i = v * self.level.width() + u;
+        self.visited[i / 64] |= 1 << (i % 64);
+        line.push(u as f32 + behind, v as f32);
     }
 }
 
-/// The side of a cell with these corners through which the line that came in by `entry` leaves.
-#[inline]
-fn exit(corner: &[f32; 4], entry: u8) -> u8 {
-    let positive = corner.map(|x| x > 0.0);
-    let crossed = |side: u8| positive[side as usize] != positive[(side as usize + 1) % 4];
-    if (0..4).all(crossed) {
-        // A saddle: the mean decides which diagonal is connected.
-        let top_left_cut_off = positive[0] != (corner.iter().sum::<f32>() > 0.0);
-        return match (top_left_cut_off, entry) {
-            (true, TOP) => LEFT,
-            (true, LEFT) => TOP,
-            (true, RIGHT) => BOTTOM,
-            (true, _) => RIGHT,
-            (false, TOP) => RIGHT,
-            (false, RIGHT) => TOP,
-            (false, BOTTOM) => LEFT,
-            (false, _) => BOTTOM,
-        };
+impl Line {
+    #[inline(always)]
+    fn push(&mut self, u: f32, v: f32) {
+        self.u.push(u);
+        self.v.push(v);
     }
-    (0..4).find(|side| *side != entry && crossed(*side)).unwrap_or(entry)
+}
+
+/// Where between two values the zero is.
+#[inline(always)]
+fn between(a: f32, b: f32) -> f32 {
+    a / (a - b)
+}
+
+/// How many sides after the `entry` the line leaves a cell with these corners, clockwise from the entry on. Branches on few numbers: they are foretold
+/// better than tables are read.
+#[inline(always)]
+fn turn(corner: &[f32; 4], entry: u8) -> u8 {
+    let second = corner[1] > 0.0;
+    match ((corner[2] > 0.0) == second, (corner[3] > 0.0) == second) {
+        (true, true) => 3,
+        (true, false) => 2,
+        (false, false) => 1,
+        (false, true) => {
+            // A saddle: the mean decides which diagonal is connected.
+            let mut own = *corner;
+            own.rotate_right(entry as usize);
+            let top_left_cut_off = (own[0] > 0.0) != (own.iter().sum::<f32>() > 0.0);
+            if top_left_cut_off == (entry % 2 == 0) { 3 } else { 1 }
+        }
+    }
 }
 
 /// Twice the signed area of a closed line, px^2.
 fn doubled_area(line: &Line) -> f64 {
-    let n = line.u.len();
-    (0..n)
-        .map(|i| {
-            let j = (i + 1) % n;
-            f64::from(line.u[i]) * f64::from(line.v[j]) - f64::from(line.u[j]) * f64::from(line.v[i])
-        })
-        .sum()
+    let [u, v] = [&line.u, &line.v];
+    let term = |i: usize, j: usize| f64::from(u[i]) * f64::from(v[j]) - f64::from(u[j]) * f64::from(v[i]);
+    let last = u.len() - 1;
+    (0..last).map(|i| term(i, i + 1)).sum::<f64>() + term(last, 0)
 }
 
 #[cfg(test)]
@@ -207,7 +238,7 @@ mod tests {
                 let within = |d: f64| a + d > 0.0 && b + d > 0.0 && (x / (a + d)).hypot(y / (b + d)) < 1.0;
                 // A crossing lies up to half a pixel from the middle.
                 let (surely, perhaps) = (within(0.65) && !within(-0.65), within(1.9) && !within(-1.9));
-                let fresh = tracer.fresh(u, v);
+                let fresh = tracer.fresh(v * width + u);
                 assert!(!(surely && fresh && b > 2.5), "({u}, {v}) beside {a} x {b} px");
                 assert!(fresh || perhaps, "({u}, {v}) far from {a} x {b} px");
                 passed += usize::from(!fresh);
