@@ -88,15 +88,13 @@ impl Contour {
             lanes::run(Gaps { contour: self, neighbours });
         }
         let count = self.len();
-        let cells = 4 * count;
         self.cells.clear();
-        let mut k = 0;
-        for cell in 0..=cells {
-            while k + 1 < count && self.end[k] <= 4.0 * cell as f64 / cells as f64 {
-                k += 1;
-            }
-            self.cells.push(Cell { first: k, end: self.end[k] });
+        for (first, end) in self.end[..count - 1].iter().enumerate() {
+            // Cells are 1/n long and begin before the end of their first sector.
+            let before = (end * count as f64).ceil() as usize;
+            self.cells.resize(before.max(self.cells.len()), Cell { first, end: *end });
         }
+        self.cells.resize(4 * count + 1, Cell { first: count - 1, end: self.end[count - 1] });
     }
 
     /// Sector of an angle on the diamond.

@@ -14,6 +14,13 @@ pub(super) const BLOCK: usize = 128;
 const FIRST: [f32; SINGLES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
 /// Newton steps of a foot point at most.
 const STEPS: usize = 6;
+/// A step below this, times the square of the ratio of the axes, is the last: what it leaves is the square of it times the inverse of that
+/// square, and moves a foot point along the contour, its distance not by 1e-6 px.
+const LAST_STEP: f64 = 0.02;
+/// Ratio of the axes up to which foot points are guessed as if the contour were one of a family of similar ones.
+const ROUND: f64 = 1.4;
+/// Pixels that are collected together.
+pub(super) const EIGHT: usize = 8;
 
 /// Pixels near the edge, in the frame of the axes. The lists only ever grow: what follows the pixels that count is of no meaning, and
 /// finite.
@@ -31,18 +38,18 @@ impl Near {
         self.count = 0;
     }
 
-    /// Room for `more` pixels, which count from now on: `x`, `y`, grey value.
+    /// Room for `more` pixels, which count from now on: `x`, `y`, grey value, in whole eights, of which what is too much is of no meaning.
     #[inline(always)]
-    pub(super) fn take(&mut self, more: usize) -> [&mut [f32]; 3] {
-        let (old, new) = (self.count, self.count + more);
-        if self.grey.len() < new {
-            let room = (2 * new).div_ceil(SINGLES) * SINGLES;
+    pub(super) fn take(&mut self, more: usize) -> [&mut [[f32; EIGHT]]; 3] {
+        let (old, end) = (self.count, self.count + more.next_multiple_of(EIGHT));
+        if self.grey.len() < end {
+            let room = (2 * end).div_ceil(SINGLES) * SINGLES;
             for list in [&mut self.x, &mut self.y, &mut self.grey] {
                 list.resize(room, 0.0);
             }
         }
-        self.count = new;
-        [&mut self.x[old..new], &mut self.y[old..new], &mut self.grey[old..new]]
+        self.count += more;
+        [&mut self.x, &mut self.y, &mut self.grey].map(|list| list[old..end].as_chunks_mut().0)
     }
 
     /// Fills up to a multiple of [`SINGLES`] with pixels on the contour at `(a, 0)`.
@@ -85,13 +92,17 @@ pub(super) struct Columns {
     pub(super) cell: Vec<u32>,
     /// What is left of the grey value, over the noise, once [`super::shares::ShareOut`] has run.
     pub(super) left: Vec<f32>,
+    /// What each pixel adds to the sums of its sector, and these.
+    pub(super) terms: Vec<[f32; 4]>,
+    pub(super) sums: Vec<[f32; 4]>,
     /// Sums of products of two columns.
     pub(super) gram: [f64; PRODUCTS],
 }
 
 impl Default for Columns {
     fn default() -> Self {
-        Self { values: vec![], response: vec![], diamond: vec![], cell: vec![], left: vec![], gram: [0.0; PRODUCTS] }
+        let (response, diamond, cell, left) = (vec![], vec![], vec![], vec![]);
+        Self { values: vec![], response, diamond, cell, left, terms: vec![], sums: vec![], gram: [0.0; PRODUCTS] }
     }
 }
 
@@ -242,6 +253,9 @@ struct Seen<S> {
     sin: S,
     cos2: S,
     sin2: S,
+    /// Where Newton's steps for foot points begin, and which of them is the last.
+    guess: [[S; 2]; 2],
+    last_step: S,
     blur: S,
     inverse_blur: S,
     variance: [S; 2],
@@ -267,6 +281,23 @@ struct Edge<S> {
     kappa: S,
 }
 
+/// Where to begin the search for the foot point of `(x, y)`, which lies `d` off the contour: with `N` of [`Foot::inverse`]
+///
+/// ```text
+/// x = c (a + d b / N),  y = s (b + d a / N);   d / N about 2 (q^2 - 1) / (q^2 + 3),  q^2 = (x/a)^2 + (y/b)^2
+/// c ~ x (3 b - 2 a + (b + 2 a) q^2),  s ~ y (3 a - 2 b + (a + 2 b) q^2)
+/// ```
+///
+/// or, of contours that are not round, `d` taken as none: factors of `q^0` and `q^2` for `c` and `s`.
+fn guess(frame: &Frame) -> [[f64; 2]; 2] {
+    let (a, b) = (frame.a, frame.b);
+    if a < ROUND * b {
+        [[3.0 * b - 2.0 * a, b + 2.0 * a], [3.0 * a - 2.0 * b, a + 2.0 * b]]
+    } else {
+        [[b, 0.0], [a, 0.0]]
+    }
+}
+
 impl<S: Singles> Seen<S> {
     #[inline(always)]
     fn new(frame: &Frame, lens: &Lens) -> Self {
@@ -286,6 +317,8 @@ impl<S: Singles> Seen<S> {
             sin: one(frame.sin),
             cos2: one(frame.cos2),
             sin2: one(frame.sin2),
+            guess: guess(frame).map(|g| g.map(one)),
+            last_step: one(LAST_STEP * (frame.b * frame.b) / (frame.a * frame.a)),
             blur: one(lens.blur_px),
             inverse_blur: one(1.0 / lens.blur_px),
             variance: [one(lens.variance[0]), one(lens.variance[1])],
@@ -375,7 +408,11 @@ impl<S: Singles> Seen<S> {
         let m = x.len().min(BLOCK);
         let [cos, sin, left] = feet;
         for i in (0..m).step_by(S::N) {
-            let (p, q) = (S::load(&x[i..]) * self.b, S::load(&y[i..]) * self.a);
+            let (x, y) = (S::load(&x[i..]), S::load(&y[i..]));
+            let (px, py) = (x * self.inverse_a, y * self.inverse_b);
+            let square = px.fused(px, py * py);
+            let [[c0, c2], [s0, s2]] = self.guess;
+            let (p, q) = (x * square.fused(c2, c0), y * square.fused(s2, s0));
             let scale = one / p.fused(p, q * q).sqrt().at_least(S::splat(1e-30));
             (p * scale).store(&mut cos[i..]);
             (q * scale).store(&mut sin[i..]);
@@ -411,7 +448,7 @@ impl<S: Singles> Seen<S> {
         let inverse = t2.fused(t2.fused(S::splat(0.375), -half), one);
         let (c, s) = ((-t).fused(s, c) * inverse, t.fused(c, s) * inverse);
         let length = left.fused((-half).fused(c.fused(c, s * s), half), one);
-        [c * length, s * length, S::select(t.size().below(S::splat(1e-3)), zero, left)]
+        [c * length, s * length, S::select(t.size().below(self.last_step), zero, left)]
     }
 
     /// The foot point at a unit vector.
