@@ -1,6 +1,6 @@
 //! The edge along a line: smoothed grey levels on either side of it, along the normal.
 
-use super::Strength;
+use super::{Strength, evenly};
 use crate::detect::level::Level;
 use crate::detect::trace::Line;
 use crate::lanes::{self, Kernel, Lanes};
@@ -49,8 +49,7 @@ impl<T: Level> Kernel for Looks<'_, T> {
         let looks = n.min(LOOKS);
         // Place and tangent.
         let mut along = [[0.0_f32; LOOKS]; 4];
-        for k in 0..looks {
-            let i = k * n / looks;
+        for (k, i) in evenly(n, looks).enumerate() {
             let (before, after) = match line.closed {
                 true => (if i < 2 { i + n - 2 } else { i - 2 }, if i + 2 < n { i + 2 } else { i + 2 - n }),
                 false => (i.saturating_sub(2), (i + 2).min(n - 1)),

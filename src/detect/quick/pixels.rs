@@ -1,8 +1,10 @@
 //! The pixels of one disc: those near its edge one by one, those beside it as sums over rows.
 
 use super::columns::{EIGHT, Near};
+use super::whole::{PLACES, Whole};
 use crate::conic::Frame;
 use crate::detect::correlation::Allowance;
+use crate::detect::level::ROUND;
 use crate::image::{GrayView, Samples};
 use crate::lanes::{self, Kernel, Lanes};
 use nalgebra::{Matrix3, Vector3};
@@ -10,14 +12,8 @@ use std::ops::{Range, RangeInclusive};
 
 /// What memory hands out at a time, bytes; where it is more some are asked for twice.
 const LINE_BYTES: usize = 64;
-/// Added to a whole number below 2^31 it leaves that in the lower half of the bits.
-const ROUND: f64 = 6_755_399_441_055_744.0;
 /// Rows whose ends are found side by side.
 const ROWS: usize = 16;
-
-/// Places among eight; one for those that count, then none.
-const PLACES: [f64; EIGHT] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
-const COUNTED: [f64; 2 * EIGHT] = [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 
 /// A stretch of one row on one side of the edge; places relative to the reference pixel.
 #[derive(Debug, Clone, Copy)]
@@ -112,14 +108,6 @@ impl Sums {
     pub(super) fn count(&self) -> f64 {
         self.n
     }
-}
-
-/// Sums over rows of integer samples, a place for each of eight neighbours, until they go into [`Sums`]: whole numbers, so that none is rounded.
-#[derive(Debug, Clone, Copy, Default)]
-struct Whole {
-    gu: [f64; EIGHT],
-    gg: [f64; EIGHT],
-    dd: [f64; EIGHT],
 }
 
 /// The pixels of one disc, buffers reused from disc to disc.
@@ -400,107 +388,45 @@ impl Pixels {
         let (x, y) = (frame.cos * du + frame.sin * dv, frame.cos * dv - frame.sin * du);
         let ground = self.ground;
         let [xs, ys, greys] = self.near.take(to - from);
-        let [x, y, cos, sin] = lanes::splats::<L, 4>([x, y, frame.cos, frame.sin]);
-        for (k, (xs, ys)) in xs.iter_mut().zip(ys).enumerate() {
-            for part in (0..EIGHT).step_by(L::N) {
-                let i = L::splat((k * EIGHT) as f64) + L::load(&PLACES[part..]);
-                (x + cos * i).narrow(&mut xs[part..]);
-                (y - sin * i).narrow(&mut ys[part..]);
-            }
-        }
-        // Differences of whole numbers that single precision holds.
-        let whole = ground as f32;
+        let line = [x, y, frame.cos, frame.sin];
         match view.samples() {
-            Samples::U8(s) => copy(&s[at + from..], greys, |x| f32::from(x) - whole),
-            Samples::U16(s) => copy(&s[at + from..], greys, |x| f32::from(x) - whole),
-            Samples::F32(s) => copy(&s[at + from..], greys, |x| (f64::from(x) - ground) as f32),
+            Samples::U8(s) => copy::<L, _>(&s[at + from..], [xs, ys, greys], line, ground),
+            Samples::U16(s) => copy::<L, _>(&s[at + from..], [xs, ys, greys], line, ground),
+            Samples::F32(s) => copy::<L, _>(&s[at + from..], [xs, ys, greys], line, ground),
         }
     }
 }
 
-/// Copies the samples of a row from one on, eight at a time wherever the row ends, but for the last of an image.
+/// Copies the samples of a row from one on, eight at a time wherever the row ends, and the places `x`, `y` of their pixels, which begin at the first two
+/// numbers of the `line` and go on by the others.
 #[inline(always)]
-fn copy<T: Copy>(from: &[T], to: &mut [[f32; EIGHT]], less: impl Fn(T) -> f32) {
-    if let Some(from) = from.get(..to.len() * EIGHT) {
-        for (from, to) in from.as_chunks::<EIGHT>().0.iter().zip(to) {
-            for i in 0..EIGHT {
-                to[i] = less(from[i]);
-            }
-        }
-    } else {
-        for (from, to) in from.iter().zip(to.as_flattened_mut()) {
-            *to = less(*from);
-        }
-    }
-}
-
-impl Whole {
-    /// Takes in a stretch of the samples, whose first column is `first`; returns the sum of their grey values, and nothing of what is summed up here.
-    #[inline(always)]
-    fn take_of<L: Lanes, T: Copy + Default + Into<f64>>(
-        &mut self,
-        samples: &[T],
-        stretch: Range<usize>,
-        first: f64,
-        ground: f64,
-    ) -> [f64; 4] {
-        let n = stretch.len();
-        let end = stretch.start + n.next_multiple_of(EIGHT);
-        let all = [samples.get(stretch.start - 1..end - 1), samples.get(stretch.start..end)];
-        let g = if let [Some(before), Some(here)] = all {
-            self.take::<L, T>([before, here], n, first, ground)
-        } else {
+fn copy<L: Lanes, T: Copy + Default + Into<f64>>(
+    from: &[T],
+    [xs, ys, greys]: [&mut [[f32; EIGHT]]; 3],
+    line: [f64; 4],
+    ground: f64,
+) {
+    let ([x, y, cos, sin], ground) = (lanes::splats::<L, 4>(line), L::splat(ground));
+    for (k, ((xs, ys), greys)) in xs.iter_mut().zip(ys).zip(greys).enumerate() {
+        let mut own = [T::default(); EIGHT];
+        match from[k * EIGHT..].first_chunk::<EIGHT>() {
+            Some(eight) => own = *eight,
             // The last of the image.
-            let mut last = samples[stretch.start - 1..stretch.end].to_vec();
-            last.resize(1 + n.next_multiple_of(EIGHT), T::default());
-            self.take::<L, T>([&last[..last.len() - 1], &last[1..]], n, first, ground)
-        };
-        [g, 0.0, 0.0, 0.0]
-    }
-
-    /// Takes in the first `n` of the pixels `here`, which are whole eights; `before` are those to the left of them, `first` is the column of the first.
-    /// Returns the sum of their grey values.
-    #[inline(always)]
-    fn take<L: Lanes, T: Copy + Into<f64>>(
-        &mut self,
-        [before, here]: [&[T]; 2],
-        n: usize,
-        first: f64,
-        ground: f64,
-    ) -> f64 {
-        let mut sum = [0.0; EIGHT];
-        let eights = before.as_chunks::<EIGHT>().0.iter().zip(here.as_chunks::<EIGHT>().0);
-        for (k, (before, here)) in eights.enumerate() {
-            let (mut grey, mut beside) = ([0.0; EIGHT], [0.0; EIGHT]);
-            for i in 0..EIGHT {
-                grey[i] = here[i].into();
-            }
-            for i in 0..EIGHT {
-                beside[i] = before[i].into();
-            }
-            let counted = &COUNTED[EIGHT.saturating_sub(n - k * EIGHT)..][..EIGHT];
-            let (column, ground) = (L::splat(first + (k * EIGHT) as f64), L::splat(ground));
-            let mut part = 0;
-            while part < EIGHT {
-                let (counts, grey) = (L::load(&counted[part..]), L::load(&grey[part..]));
-                let (x, step) = ((grey - ground) * counts, (grey - L::load(&beside[part..])) * counts);
-                add(&mut sum[part..], x);
-                add(&mut self.gu[part..], x * (column + L::load(&PLACES[part..])));
-                add(&mut self.gg[part..], x * x);
-                add(&mut self.dd[part..], step * step);
-                part += L::N;
-            }
+            None => own[..from.len() - k * EIGHT].copy_from_slice(&from[k * EIGHT..]),
         }
-        // The first of them has no neighbour that counts.
-        let step = here[0].into() - before[0].into();
-        self.dd[0] -= step * step;
-        lanes::sum(&sum)
+        let mut grey = [0.0; EIGHT];
+        for i in 0..EIGHT {
+            grey[i] = own[i].into();
+        }
+        let mut part = 0;
+        while part < EIGHT {
+            let i = L::splat((k * EIGHT) as f64) + L::load(&PLACES[part..]);
+            (x + cos * i).narrow(&mut xs[part..]);
+            (y - sin * i).narrow(&mut ys[part..]);
+            (L::load(&grey[part..]) - ground).narrow(&mut greys[part..]);
+            part += L::N;
+        }
     }
-}
-
-#[inline(always)]
-fn add<L: Lanes>(sum: &mut [f64], x: L) {
-    (L::load(sum) + x).store(sum);
 }
 
 /// Sums of the grey value, of it times its column, which begin with `first`, of its squares, and of the squared differences of neighbours.

@@ -49,8 +49,9 @@ impl Kernel for ShareOut<'_> {
         }
         sums.clear();
         sums.resize(shares.len(), [0.0; 4]);
+        let (cells, of_sectors) = (contour.cells(), &mut sums[..]);
         let mut add = |cell: u32, diamond: f32, term: &[f32; 4]| {
-            let sum = &mut sums[contour.sector_from(cell as usize, f64::from(diamond))];
+            let sum = &mut of_sectors[cells.sector(cell as usize, f64::from(diamond))];
             for k in 0..4 {
                 sum[k] += term[k];
             }

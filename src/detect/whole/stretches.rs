@@ -145,12 +145,12 @@ fn find_steep(row: &[u16], least: u16, steep: &mut [bool]) {
     for (k, steep) in steep.iter_mut().enumerate() {
         let mut border = [0; STRETCH + 1];
         let x = pixels(row, k, &mut border);
-        // A plain loop, for vectors.
-        let mut most = 0;
+        // A plain loop, for vectors; whether one bit of all is set is asked more easily than what the largest is.
+        let mut more = 0;
         for i in 0..STRETCH {
-            most = most.max(x[i].max(x[i + 1]) - x[i].min(x[i + 1]));
+            more |= (x[i].max(x[i + 1]) - x[i].min(x[i + 1])).saturating_sub(least);
         }
-        *steep = most > least;
+        *steep = more != 0;
     }
 }
 
