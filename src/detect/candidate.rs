@@ -91,7 +91,8 @@ pub(crate) fn judge(
         return Verdict::Nothing;
     }
     let turn = m.doubled_area.signum();
-    let bright = line.encloses_positive;
+    // The region enclosed is the positive one.
+    let bright = (m.doubled_area < 0.0) == line.rising;
     if known(&scaled(&rough, scale), bright) {
         return Verdict::Nothing;
     }

@@ -109,7 +109,8 @@ impl Contour {
         self.cells.clear();
         for (first, end) in self.end[..count - 1].iter().enumerate() {
             // Cells are 1/n long and begin before the end of their first sector.
-            let before = (end * count as f64).ceil() as usize;
+            let whole = (end * count as f64) as usize;
+            let before = whole + usize::from((whole as f64) < end * count as f64);
             self.cells.resize(before.max(self.cells.len()), Cell { first, end: *end });
         }
         self.cells.resize(4 * count + 1, Cell { first: count - 1, end: self.end[count - 1] });

@@ -18,8 +18,8 @@ pub(crate) struct Line {
     pub(crate) v: Vec<f32>,
     /// Whether the line closes.
     pub(crate) closed: bool,
-    /// Whether the region enclosed is the positive one (closed lines only).
-    pub(crate) encloses_positive: bool,
+    /// Whether the field rises along the row of the first crossing.
+    pub(crate) rising: bool,
 }
 
 /// Follows zero lines of the field of a level; remembers which lattice edges it has used.
@@ -86,7 +86,9 @@ impl<'a, L: Level> Tracer<'a, L> {
     pub(crate) fn follow(&mut self, u: usize, v: usize, line: &mut Line) {
         line.u.clear();
         line.v.clear();
-        self.cross((u, v), line, between(self.level.field(u, v), self.level.field(u + 1, v)));
+        let [here, beside] = [u, u + 1].map(|u| self.level.field(u, v));
+        line.rising = beside > 0.0;
+        self.cross((u, v), line, between(here, beside));
         line.closed = self.walk((u, v), TOP, (u, v), line);
         if !line.closed {
             line.u.reverse();
@@ -94,10 +96,7 @@ impl<'a, L: Level> Tracer<'a, L> {
             if v > 0 {
                 self.walk((u, v - 1), BOTTOM, (u, v), line);
             }
-            return;
         }
-        let rising = self.level.field(u + 1, v) > 0.0;
-        line.encloses_positive = (doubled_area(line) < 0.0) == rising;
     }
 
     /// Walks from cell to cell; true where it comes back to the top side of the cell `home`.
@@ -202,14 +201,6 @@ fn turn(corner: &[f32; 4], entry: u8) -> u8 {
             if top_left_cut_off == (entry % 2 == 0) { 3 } else { 1 }
         }
     }
-}
-
-/// Twice the signed area of a closed line, px^2.
-fn doubled_area(line: &Line) -> f64 {
-    let [u, v] = [&line.u, &line.v];
-    let term = |i: usize, j: usize| f64::from(u[i]) * f64::from(v[j]) - f64::from(u[j]) * f64::from(v[i]);
-    let last = u.len() - 1;
-    (0..last).map(|i| term(i, i + 1)).sum::<f64>() + term(last, 0)
 }
 
 #[cfg(test)]

@@ -116,7 +116,7 @@ mod tests {
         for (count, closed) in [(90, true), (40, false), (20, true)] {
             let angle = |i: usize| std::f32::consts::TAU * i as f32 / count as f32;
             let (u, v) = (0..count).map(|i| (30.0 + 12.0 * angle(i).cos(), 25.0 + 12.0 * angle(i).sin())).unzip();
-            let line = Line { u, v, closed, encloses_positive: true };
+            let line = Line { u, v, closed, rising: true };
             let all = lanes::run_all(&Looks { line: &line, smooth: &Ramp, turn: 1.0 });
             assert!(all.iter().all(|one| one.map(|x| x.map(f64::to_bits)) == all[0].map(|x| x.map(f64::to_bits))));
             let looks = count.min(LOOKS);

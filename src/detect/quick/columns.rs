@@ -8,8 +8,9 @@ use super::{ALL, BENDS, LIGHTS, M, N, PLAIN, PRODUCTS, place};
 use crate::conic::Frame;
 use crate::lanes::{Kernel, Lanes, SINGLES, Singles, sum_of_singles};
 
-/// Pixels whose columns are stored before their products are taken; a multiple of [`SINGLES`].
-pub(super) const BLOCK: usize = 128;
+/// Pixels whose columns are stored before their products are taken; a multiple of [`SINGLES`]. As many as the nearest cache holds: the sums are put
+/// away after each block.
+pub(super) const BLOCK: usize = 256;
 /// Places in a group.
 const FIRST: [f32; SINGLES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
 /// Newton steps of a foot point at most.
@@ -147,22 +148,24 @@ impl<const BENT: bool> SumUp<'_, BENT> {
             let from = block * BLOCK;
             let m = (n - from).min(BLOCK);
             let values = &mut self.out.values[block];
-            seen.feet([&self.near.x[from..from + m], &self.near.y[from..from + m]], &mut feet);
+            let [xs, ys, greys] = [&self.near.x, &self.near.y, &self.near.grey].map(|list| &list[from..from + m]);
+            let [responses, diamonds] =
+                [&mut self.out.response, &mut self.out.diamond].map(|list| &mut list[from..from + m]);
+            seen.feet([xs, ys], &mut feet);
             let mut i = 0;
-            while i < m {
-                let at = from + i;
-                let (x, y) = (S::load(&self.near.x[at..]), S::load(&self.near.y[at..]));
-                let grey = S::load(&self.near.grey[at..]);
+            // Said so that no place needs to be checked.
+            while i + S::N <= m && m <= BLOCK {
+                let (x, y, grey) = (S::load(&xs[i..]), S::load(&ys[i..]), S::load(&greys[i..]));
                 // Single precision counts up to 16 million pixels.
-                let index = S::splat(at as f32) + S::load(&FIRST);
+                let index = S::splat((from + i) as f32) + S::load(&FIRST);
                 let shown = S::select(index.below(count), S::splat(1.0), S::splat(0.0));
                 let foot = seen.foot(x, y, S::load(&feet[0][i..]), S::load(&feet[1][i..]));
                 let (columns, response, diamond) = seen.pixel::<BENT>(&foot, [x, y], grey, shown);
                 for k in 0..used {
                     columns[k].store(&mut values[k][i..]);
                 }
-                response.store(&mut self.out.response[at..]);
-                diamond.store(&mut self.out.diamond[at..]);
+                response.store(&mut responses[i..]);
+                diamond.store(&mut diamonds[i..]);
                 i += S::N;
             }
             products::<S>(values, m, &mut sums);
@@ -216,7 +219,7 @@ fn tile<S: Singles, const A: usize, const B: usize>(
     while part < SINGLES {
         let mut sum = [[S::splat(0.0); B]; A];
         let mut at = part;
-        while at < m {
+        while at + S::N <= m {
             let mut b = [S::splat(0.0); B];
             for l in 0..B {
                 b[l] = S::load(&values[second + l][at..]);
@@ -405,9 +408,10 @@ impl<S: Singles> Seen<S> {
     #[inline(always)]
     fn feet(&self, [x, y]: [&[f32]; 2], feet: &mut [[f32; BLOCK]; 3]) {
         let one = S::splat(1.0);
-        let m = x.len().min(BLOCK);
+        let m = x.len().min(y.len()).min(BLOCK);
         let [cos, sin, left] = feet;
-        for i in (0..m).step_by(S::N) {
+        let mut i = 0;
+        while i + S::N <= m {
             let (x, y) = (S::load(&x[i..]), S::load(&y[i..]));
             let (px, py) = (x * self.inverse_a, y * self.inverse_b);
             let square = px.fused(px, py * py);
@@ -417,16 +421,18 @@ impl<S: Singles> Seen<S> {
             (p * scale).store(&mut cos[i..]);
             (q * scale).store(&mut sin[i..]);
             one.store(&mut left[i..]);
+            i += S::N;
         }
         for _ in 0..STEPS {
-            let mut moving = S::splat(0.0);
-            for i in (0..m).step_by(S::N) {
+            let (mut moving, mut i) = (S::splat(0.0), 0);
+            while i + S::N <= m {
                 let at = [S::load(&cos[i..]), S::load(&sin[i..]), S::load(&left[i..])];
                 let [c, s, more] = self.turned(at, S::load(&x[i..]), S::load(&y[i..]));
                 c.store(&mut cos[i..]);
                 s.store(&mut sin[i..]);
                 more.store(&mut left[i..]);
                 moving = moving.at_least(more);
+                i += S::N;
             }
             if S::all(moving.below(one)) {
                 break;
