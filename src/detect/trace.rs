@@ -129,7 +129,7 @@ impl<'a, L: Level> Tracer<'a, L> {
                     (third, fourth) = (level.field(u, v), level.field(u + 1, v));
                 }
                 RIGHT => {
-                    line.push((u + 1) as f32, v as f32 + between(before, behind));
+                    line.push(number(u + 1), number(v) + between(before, behind));
                     u += 1;
                     if u == last_u {
                         return false;
@@ -148,7 +148,7 @@ impl<'a, L: Level> Tracer<'a, L> {
                     (third, fourth) = (level.field(u + 1, v + 1), level.field(u, v + 1));
                 }
                 _ => {
-                    line.push(u as f32, v as f32 + between(behind, before));
+                    line.push(number(u), number(v) + between(behind, before));
                     if u == 0 {
                         return false;
                     }
@@ -166,7 +166,7 @@ impl<'a, L: Level> Tracer<'a, L> {
     fn cross(&mut self, (u, v): (usize, usize), line: &mut Line, behind: f32) {
         let i = v * self.level.width() + u;
         self.visited[i / 64] |= 1 << (i % 64);
-        line.push(u as f32 + behind, v as f32);
+        line.push(number(u) + behind, number(v));
     }
 }
 
@@ -176,6 +176,12 @@ impl Line {
         self.u.push(u);
         self.v.push(v);
     }
+}
+
+/// A place of an image, below 2^31: as a signed number it is converted at once.
+#[inline(always)]
+fn number(x: usize) -> f32 {
+    x as i32 as f32
 }
 
 /// Where between two values the zero is.

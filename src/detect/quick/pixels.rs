@@ -1,7 +1,7 @@
 //! The pixels of one disc: those near its edge one by one, those beside it as sums over rows.
 
 use super::columns::{EIGHT, Near};
-use super::whole::{PLACES, Whole};
+use super::whole::{PLACES, Whole, number};
 use crate::conic::Frame;
 use crate::detect::correlation::Allowance;
 use crate::detect::level::ROUND;
@@ -235,7 +235,7 @@ impl Kernel for Collect<'_> {
 fn spans_of_rows<const N: usize>(frame: &Frame, cuts: &[Cut; N], first: usize, thin: usize) -> [[[i32; ROWS]; 2]; N] {
     let mut dv = [0.0; ROWS];
     for k in 0..ROWS {
-        dv[k] = (first + k * thin) as f64 - frame.v0;
+        dv[k] = number(first + k * thin) - frame.v0;
     }
     let mut spans = [[[0; ROWS]; 2]; N];
     for k in 0..N {
@@ -349,8 +349,8 @@ impl Pixels {
             return;
         }
         let at = v * view.stride();
-        let (n, count) = ((to - from) as f64, (to - from) as u64);
-        let (first, v) = (from as f64 - self.reference.0, v as f64 - self.reference.1);
+        let (n, count) = (number(to - from), (to - from) as i64);
+        let (first, v) = (number(from) - self.reference.0, number(v) - self.reference.1);
         let own = &mut self.whole[side];
         let [g, gu, gg, dd] = match view.samples() {
             Samples::U8(s) => own.take_of::<L, _>(s, at + from..at + to, first, self.ground),
@@ -358,7 +358,7 @@ impl Pixels {
             Samples::F32(s) => sums_of(&s[at + from..at + to], first, self.ground),
         };
         // Sums of i and i^2 from the first column on.
-        let pairs = count * (count - 1) / 2;
+        let pairs = (count * (count - 1)) >> 1;
         let (s1, s2) = (pairs as f64, (pairs * (2 * count - 1) / 3) as f64);
         let u = s1 + n * first;
         let sums = &mut self.sums[side];
@@ -384,7 +384,7 @@ impl Pixels {
             return;
         }
         let at = v * view.stride();
-        let (du, dv) = (from as f64 - frame.u0, v as f64 - frame.v0);
+        let (du, dv) = (number(from) - frame.u0, number(v) - frame.v0);
         let (x, y) = (frame.cos * du + frame.sin * dv, frame.cos * dv - frame.sin * du);
         let ground = self.ground;
         let [xs, ys, greys] = self.near.take(to - from);
@@ -420,7 +420,7 @@ fn copy<L: Lanes, T: Copy + Default + Into<f64>>(
         }
         let mut part = 0;
         while part < EIGHT {
-            let i = L::splat((k * EIGHT) as f64) + L::load(&PLACES[part..]);
+            let i = L::splat(number(k * EIGHT)) + L::load(&PLACES[part..]);
             (x + cos * i).narrow(&mut xs[part..]);
             (y - sin * i).narrow(&mut ys[part..]);
             (L::load(&grey[part..]) - ground).narrow(&mut greys[part..]);

@@ -8,6 +8,12 @@ use std::ops::Range;
 pub(super) const PLACES: [f64; EIGHT] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
 const COUNTED: [f64; 2 * EIGHT] = [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 
+/// A place of an image, below 2^31: as a signed number it is converted at once.
+#[inline(always)]
+pub(super) fn number(x: usize) -> f64 {
+    f64::from(x as i32)
+}
+
 /// Sums over rows of integer samples, a place for each of eight neighbours, until they go into [`Sums`]: whole numbers, so that none is rounded.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Whole {
@@ -61,7 +67,7 @@ impl Whole {
                 beside[i] = before[i].into();
             }
             let counted = &COUNTED[EIGHT.saturating_sub(n - k * EIGHT)..][..EIGHT];
-            let (column, ground) = (L::splat(first + (k * EIGHT) as f64), L::splat(ground));
+            let (column, ground) = (L::splat(first + number(k * EIGHT)), L::splat(ground));
             let mut part = 0;
             while part < EIGHT {
                 let (counts, grey) = (L::load(&counted[part..]), L::load(&grey[part..]));
