@@ -29,11 +29,10 @@ pub(crate) struct Tracer<'a, L> {
     visited: Vec<u64>,
 }
 
-/// Sides of a cell, clockwise from the top; the cell (u, v) has the pixel (u, v) as its top left corner.
+/// Sides of a cell, clockwise from the top, the left one being 3; the cell (u, v) has the pixel (u, v) as its top left corner.
 const TOP: u8 = 0;
 const RIGHT: u8 = 1;
 const BOTTOM: u8 = 2;
-const LEFT: u8 = 3;
 
 impl<'a, L: Level> Tracer<'a, L> {
     pub(crate) fn new(level: &'a L) -> Self {
