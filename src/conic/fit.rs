@@ -81,31 +81,56 @@ const fn degree(d: usize) -> usize {
     d * (d + 1) / 2
 }
 
+#[inline(always)]
+fn add_point<L: Lanes>(sums: &mut [L; MOMENTS], x: L, y: L) {
+    let (xx, xy, yy, one) = (x * x, x * y, y * y, L::splat(1.0));
+    let factors = [
+        [one, one],
+        [x, one],
+        [y, one],
+        [x, x],
+        [x, y],
+        [y, y],
+        [xx, x],
+        [xx, y],
+        [yy, x],
+        [yy, y],
+        [xx, xx],
+        [xx, xy],
+        [xx, yy],
+        [xy, yy],
+        [yy, yy],
+    ];
+    for k in degree(1)..MOMENTS {
+        sums[k] = factors[k][0].fused(factors[k][1], sums[k]);
+    }
+}
+
 impl Kernel for Moments<'_> {
     type Output = [f64; MOMENTS];
     #[inline(always)]
     fn run<L: Lanes>(self) -> [f64; MOMENTS] {
         let n = self.u_px.len();
+        let whole = n / GROUP * GROUP;
+        // What only fills the last group lies at the mean.
+        let (mut u, mut v) = ([self.mean[0]; GROUP], [self.mean[1]; GROUP]);
+        u[..n - whole].copy_from_slice(&self.u_px[whole..]);
+        v[..n - whole].copy_from_slice(&self.v_px[whole..]);
+        let mean = lanes::splats::<L, 2>(self.mean);
         let mut sums = [[0.0; GROUP]; MOMENTS];
-        for from in (0..n).step_by(GROUP) {
-            let (mut u, mut v) = ([self.mean[0]; GROUP], [self.mean[1]; GROUP]);
-            let here = from..n.min(from + GROUP);
-            u[..here.len()].copy_from_slice(&self.u_px[here.clone()]);
-            v[..here.len()].copy_from_slice(&self.v_px[here]);
-            let mut part = 0;
-            while part < GROUP {
-                let x = L::load(&u[part..]) - L::splat(self.mean[0]);
-                let y = L::load(&v[part..]) - L::splat(self.mean[1]);
-                let (xx, xy, yy) = (x * x, x * y, y * y);
-                let products = [[x, L::splat(1.0)], [y, L::splat(1.0)], [x, x], [x, y], [y, y]];
-                let cubes = [[xx, x], [xx, y], [yy, x], [yy, y]];
-                let fourths = [[xx, xx], [xx, xy], [xx, yy], [xy, yy], [yy, yy]];
-                let all = products.into_iter().chain(cubes).chain(fourths);
-                for (sum, [a, b]) in sums[degree(1)..].iter_mut().zip(all) {
-                    a.fused(b, L::load(&sum[part..])).store(&mut sum[part..]);
-                }
-                part += L::N;
+        // Part by part of the groups, so that the sums stay in registers.
+        let mut part = 0;
+        while part < GROUP {
+            let mut of_part = [L::splat(0.0); MOMENTS];
+            for from in (0..whole).step_by(GROUP) {
+                let (u, v) = (L::load(&self.u_px[from + part..]), L::load(&self.v_px[from + part..]));
+                add_point(&mut of_part, u - mean[0], v - mean[1]);
             }
+            add_point(&mut of_part, L::load(&u[part..]) - mean[0], L::load(&v[part..]) - mean[1]);
+            for k in degree(1)..MOMENTS {
+                of_part[k].store(&mut sums[k][part..]);
+            }
+            part += L::N;
         }
         let mut out = [n as f64; MOMENTS];
         for k in degree(1)..MOMENTS {
@@ -243,7 +268,10 @@ fn check_points(u_px: &[f64], v_px: &[f64], needed: usize) -> Result<()> {
     if u_px.len() != v_px.len() {
         return Err(Invalid::value("points", v_px.len() as f64, format!("as many v as u ({})", u_px.len())).into());
     }
-    if let Some(bad) = u_px.iter().chain(v_px).find(|x| !x.is_finite()) {
+    // All at once first: a search ends at every point.
+    let finite = |x: &[f64]| x.iter().fold(true, |all, x| all & x.is_finite());
+    if !(finite(u_px) && finite(v_px)) {
+        let bad = u_px.iter().chain(v_px).find(|x| !x.is_finite()).unwrap_or(&f64::NAN);
         return Err(Invalid::value("edge point (px)", *bad, "a finite number").into());
     }
     if u_px.len() < needed {

@@ -91,7 +91,8 @@ pub(crate) fn judge(
         return Verdict::Nothing;
     }
     let turn = m.doubled_area.signum();
-    let bright = line.encloses_positive;
+    // The region enclosed is the positive one.
+    let bright = (m.doubled_area < 0.0) == line.rising;
     if known(&scaled(&rough, scale), bright) {
         return Verdict::Nothing;
     }
@@ -212,25 +213,86 @@ pub(super) fn scaled(e: &Ellipse, scale: f64) -> Ellipse {
 fn thinned(line: &Line, most: usize) -> (Vec<f64>, Vec<f64>) {
     let n = line.u.len();
     let take = n.min(most);
-    (0..take).map(|k| k * n / take).map(|i| (f64::from(line.u[i]), f64::from(line.v[i]))).unzip()
+    let at: Vec<usize> = evenly(n, take).collect();
+    let of = |x: &[f32]| at.iter().map(|i| f64::from(x[*i])).collect();
+    (of(&line.u), of(&line.v))
+}
+
+/// `k n / take` for each `k` below `take`, without dividing each.
+fn evenly(n: usize, take: usize) -> impl Iterator<Item = usize> {
+    let (step, more) = (n / take.max(1), n % take.max(1));
+    let (mut at, mut rest) = (0, 0);
+    (0..take).map(move |_| {
+        let own = at;
+        (at, rest) = (at + step, rest + more);
+        if rest >= take {
+            (at, rest) = (at + 1, rest - take);
+        }
+        own
+    })
+}
+
+/// Sums over the triangles of a closed line and its first point: of their doubled areas, and of these times what makes moments of them.
+#[derive(Clone)]
+struct Triangles<'a> {
+    u: &'a [f32],
+    v: &'a [f32],
+}
+
+impl Kernel for Triangles<'_> {
+    type Output = [f64; 6];
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> [f64; 6] {
+        let Self { u, v } = self;
+        let (u0, v0) = (f64::from(u[0]), f64::from(v[0]));
+        let mut sums = [[0.0; GROUP]; 6];
+        // From each point to the next; the first and the last lie on the line from the first point. What only fills the last group has no area.
+        for from in (0..u.len()).step_by(GROUP) {
+            let last = u.len() - 1;
+            let (mut x, mut y) = ([u[last]; GROUP + 1], [v[last]; GROUP + 1]);
+            let count = (GROUP + 1).min(u.len() - from);
+            x[..count].copy_from_slice(&u[from..from + count]);
+            y[..count].copy_from_slice(&v[from..from + count]);
+            let mut ends = [[0.0; GROUP]; 4];
+            for i in 0..GROUP {
+                ends[0][i] = f64::from(x[i]) - u0;
+                ends[1][i] = f64::from(y[i]) - v0;
+            }
+            for i in 0..GROUP {
+                ends[2][i] = f64::from(x[i + 1]) - u0;
+                ends[3][i] = f64::from(y[i + 1]) - v0;
+            }
+            let mut part = 0;
+            while part < GROUP {
+                let (x, y) = (L::load(&ends[0][part..]), L::load(&ends[1][part..]));
+                let (x1, y1) = (L::load(&ends[2][part..]), L::load(&ends[3][part..]));
+                let w = x * y1 - x1 * y;
+                let (xy, yx, two) = (x * y1, x1 * y, L::splat(2.0));
+                let of = [
+                    w,
+                    w * (x + x1),
+                    w * (y + y1),
+                    w * (x * x + x * x1 + x1 * x1),
+                    w * (two * x * y + xy + yx + two * x1 * y1),
+                    w * (y * y + y * y1 + y1 * y1),
+                ];
+                for k in 0..6 {
+                    (L::load(&sums[k][part..]) + of[k]).store(&mut sums[k][part..]);
+                }
+                part += L::N;
+            }
+        }
+        let mut out = [0.0; 6];
+        for k in 0..6 {
+            out[k] = lanes::sum(&sums[k]);
+        }
+        out
+    }
 }
 
 fn moments(line: &Line) -> Moments {
-    let n = line.u.len();
     let (u0, v0) = (f64::from(line.u[0]), f64::from(line.v[0]));
-    let (mut a2, mut su, mut sv, mut suu, mut suv, mut svv) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-    let (mut x, mut y) = (f64::from(line.u[n - 1]) - u0, f64::from(line.v[n - 1]) - v0);
-    for i in 0..n {
-        let (x1, y1) = (f64::from(line.u[i]) - u0, f64::from(line.v[i]) - v0);
-        let w = x * y1 - x1 * y;
-        a2 += w;
-        su += w * (x + x1);
-        sv += w * (y + y1);
-        suu += w * (x * x + x * x1 + x1 * x1);
-        svv += w * (y * y + y * y1 + y1 * y1);
-        suv += w * (2.0 * x * y + x * y1 + x1 * y + 2.0 * x1 * y1);
-        (x, y) = (x1, y1);
-    }
+    let [a2, su, sv, suu, suv, svv] = lanes::run(Triangles { u: &line.u, v: &line.v });
     let area = 0.5 * a2;
     let (cu, cv) = (su / (6.0 * area), sv / (6.0 * area));
     let (muu, mvv, muv) = (suu / (12.0 * area) - cu * cu, svv / (12.0 * area) - cv * cv, suv / (24.0 * area) - cu * cv);

@@ -54,6 +54,24 @@ struct Cell {
     end: f64,
 }
 
+/// The cells of a contour.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Cells<'a> {
+    all: &'a [Cell],
+    last: usize,
+}
+
+impl Cells<'_> {
+    /// Sector of an angle on the diamond, whose cell is known.
+    #[inline(always)]
+    pub(crate) fn sector(&self, cell: usize, at: f64) -> usize {
+        let cell = &self.all[cell.min(self.last)];
+        // No cell, 1/n long for n sectors, reaches into a third sector. A sector has the arc L/n with L >= 4 a, so the eccentric angle
+        // turns by L/(n a) >= 4/n at least, and the angle on the diamond by half of that, its slope being (|c| + |s|)^-2 >= 1/2.
+        cell.first + usize::from(at > cell.end)
+    }
+}
+
 /// Angle on the diamond, 0 to 4.
 #[inline(always)]
 pub(crate) fn diamond(c: f64, s: f64) -> f64 {
@@ -88,35 +106,30 @@ impl Contour {
             lanes::run(Gaps { contour: self, neighbours });
         }
         let count = self.len();
-        let cells = 4 * count;
         self.cells.clear();
-        let mut k = 0;
-        for cell in 0..=cells {
-            while k + 1 < count && self.end[k] <= 4.0 * cell as f64 / cells as f64 {
-                k += 1;
-            }
-            self.cells.push(Cell { first: k, end: self.end[k] });
+        for (first, end) in self.end[..count - 1].iter().enumerate() {
+            // Cells are 1/n long and begin before the end of their first sector.
+            let whole = (end * count as f64) as usize;
+            let before = whole + usize::from((whole as f64) < end * count as f64);
+            self.cells.resize(before.max(self.cells.len()), Cell { first, end: *end });
         }
+        self.cells.resize(4 * count + 1, Cell { first: count - 1, end: self.end[count - 1] });
     }
 
     /// Sector of an angle on the diamond.
     #[inline(always)]
     pub(crate) fn sector(&self, at: f64) -> usize {
-        self.sector_from((at * self.cells_per_angle()) as usize, at)
+        self.cells().sector((at * self.cells_per_angle()) as usize, at)
+    }
+
+    /// The cells, for angles whose cell is known.
+    pub(crate) fn cells(&self) -> Cells<'_> {
+        Cells { all: &self.cells, last: self.cells.len() - 1 }
     }
 
     /// Equal cells of the diamond in a unit of the angle.
     pub(crate) fn cells_per_angle(&self) -> f64 {
         0.25 * (self.cells.len() - 1) as f64
-    }
-
-    /// Sector of an angle on the diamond, whose cell is known.
-    #[inline(always)]
-    pub(crate) fn sector_from(&self, cell: usize, at: f64) -> usize {
-        let cell = &self.cells[cell.min(self.cells.len() - 1)];
-        // No cell, 1/n long for n sectors, reaches into a third sector. A sector has the arc L/n with L >= 4 a, so the eccentric angle
-        // turns by L/(n a) >= 4/n at least, and the angle on the diamond by half of that, its slope being (|c| + |s|)^-2 >= 1/2.
-        cell.first + usize::from(at > cell.end)
     }
 
     /// Arc length up to equal steps of the eccentric angle, px.
@@ -127,18 +140,17 @@ impl Contour {
         }
         let (a, b) = (e.semi_major_px, e.semi_minor_px);
         let mut sum = 0.0;
-        self.arc.clear();
-        self.arc.push(0.0);
+        self.arc.resize(ARC_STEPS + 1, 0.0);
         // The quarters are alike, or mirrored.
         const QUARTER: usize = ARC_STEPS / 4;
         let mut length = [0.0; QUARTER];
         for (length, (s, c)) in length.iter_mut().zip(&self.unit) {
             *length = ((a * s) * (a * s) + (b * c) * (b * c)).sqrt();
         }
-        for quarter in 0..4 {
+        for (quarter, arc) in self.arc[1..].as_chunks_mut::<QUARTER>().0.iter_mut().enumerate() {
             for i in 0..QUARTER {
                 sum += length[if quarter % 2 == 0 { i } else { QUARTER - 1 - i }];
-                self.arc.push(sum);
+                arc[i] = sum;
             }
         }
         self.perimeter_px = sum * TAU / ARC_STEPS as f64;

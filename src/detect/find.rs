@@ -253,11 +253,10 @@ fn follow(on: &(impl Level + Sync), gradient: f32, level: u32, options: &DetectO
     finer.iter().for_each(|(e, _)| tracer.pass_over(&scaled(e, scale)));
     let judged = |line: &Line| judge(line, on, strength, level, options, &known);
     for start in on.starts() {
-        let (u, v) = (start as usize % on.width(), start as usize / on.width());
-        if !tracer.fresh(u, v) {
+        if !tracer.fresh(start as usize) {
             continue;
         }
-        tracer.follow(u, v, &mut line);
+        tracer.follow(start as usize % on.width(), start as usize / on.width(), &mut line);
         if threads::several() {
             lines.push(line.clone());
         } else {
@@ -411,11 +410,11 @@ fn drop_repeats(seen: &mut Seen) {
 
 /// A disc around a region of the other polarity is a ring; the hole itself is no disc.
 fn mark_rings(discs: &mut Vec<Disc>, candidates: &[Candidate]) {
+    let holes = [false, true].map(|bright| candidates.iter().filter(|c| c.bright == bright).collect::<Vec<_>>());
     for d in discs.iter_mut() {
         let e = &d.ellipse;
-        let bright = d.polarity == Polarity::Bright;
-        let hole = candidates.iter().any(|c| {
-            if c.bright == bright || !within(c.ellipse.center_px, e.center_px, 0.1 * e.semi_minor_px + 0.5) {
+        let hole = holes[usize::from(d.polarity != Polarity::Bright)].iter().any(|c| {
+            if !within(c.ellipse.center_px, e.center_px, 0.1 * e.semi_minor_px + 0.5) {
                 return false;
             }
             let ratio = c.ellipse.semi_minor_px / e.semi_minor_px;

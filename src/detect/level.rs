@@ -1,5 +1,8 @@
 //! One size of the image, as lines are followed and judged on it.
 
+/// Added to a number below 2^31 it leaves the nearest whole one in the lower half of the bits.
+pub(crate) const ROUND: f64 = 6_755_399_441_055_744.0;
+
 /// Smoothed grey levels and the field whose zero lines are the first guess of contours.
 pub(crate) trait Level {
     /// Places `v * width + u`, row by row, where a line runs between `u` and `u + 1` and the grey level changes by more than the least gradient.
@@ -18,7 +21,8 @@ pub(crate) trait Level {
         for (axis, x) in [u_px, v_px].into_iter().enumerate() {
             for k in 0..K {
                 let x = x[k].max(0.0).min(last[axis]);
-                first[axis][k] = x as i32;
+                // The whole number at or below, several at a time; of a whole number perhaps the one before, which comes to the same.
+                first[axis][k] = (x - 0.5 + ROUND).to_bits() as i32;
                 part[axis][k] = x - f64::from(first[axis][k]);
             }
         }

@@ -23,6 +23,7 @@ mod few;
 mod pixels;
 mod shares;
 mod start;
+mod whole;
 
 use crate::conic::{Ellipse, Frame, from_regular, to_regular};
 use crate::detect::contour::Contour;

@@ -97,12 +97,18 @@ impl Polynomial {
             scale_px: 0.5 * width.max(height),
         };
         let mut kept: Vec<(Pixel, f64)> = levels.to_vec();
+        let mut equations: Option<(usize, usize, _)> = None;
         for _ in 0..ROUNDS {
             if kept.len() < LEAST_DISCS {
                 return None;
             }
             fitted.count = if kept.len() < MANY_DISCS { PLANE } else { N };
-            let (matrix, right) = fitted.normal_equations(&kept);
+            // Nothing left out, nothing to sum up anew.
+            let (matrix, right) = match equations {
+                Some((count, of, sums)) if (count, of) == (fitted.count, kept.len()) => sums,
+                _ => fitted.normal_equations(&kept),
+            };
+            equations = Some((fitted.count, kept.len(), (matrix, right)));
             // Discs in a row, say, fix no polynomial; what they leave open is no gradient.
             let ridge = 1e-9 * matrix.trace();
             fitted.coefficients = (matrix + SMatrix::identity() * ridge).cholesky()?.solve(&right);

@@ -18,8 +18,8 @@ pub(crate) struct Line {
     pub(crate) v: Vec<f32>,
     /// Whether the line closes.
     pub(crate) closed: bool,
-    /// Whether the region enclosed is the positive one (closed lines only).
-    pub(crate) encloses_positive: bool,
+    /// Whether the field rises along the row of the first crossing.
+    pub(crate) rising: bool,
 }
 
 /// Follows zero lines of the field of a level; remembers which lattice edges it has used.
@@ -29,11 +29,10 @@ pub(crate) struct Tracer<'a, L> {
     visited: Vec<u64>,
 }
 
-/// Sides of a cell, clockwise from the top; the cell (u, v) has the pixel (u, v) as its top left corner.
+/// Sides of a cell, clockwise from the top, the left one being 3; the cell (u, v) has the pixel (u, v) as its top left corner.
 const TOP: u8 = 0;
 const RIGHT: u8 = 1;
 const BOTTOM: u8 = 2;
-const LEFT: u8 = 3;
 
 impl<'a, L: Level> Tracer<'a, L> {
     pub(crate) fn new(level: &'a L) -> Self {
@@ -76,18 +75,19 @@ impl<'a, L: Level> Tracer<'a, L> {
         }
     }
 
-    /// Whether the crossing between (u, v) and (u + 1, v) was not followed yet.
+    /// Whether the crossing between a pixel `(u, v)` and the next of its row was not followed yet; its place is `v * width + u`.
     #[inline]
-    pub(crate) fn fresh(&self, u: usize, v: usize) -> bool {
-        let i = v * self.level.width() + u;
-        (self.visited[i / 64] >> (i % 64)) & 1 == 0
+    pub(crate) fn fresh(&self, place: usize) -> bool {
+        (self.visited[place / 64] >> (place % 64)) & 1 == 0
     }
 
     /// Follows the line through the crossing between (u, v) and (u + 1, v) into `line`.
     pub(crate) fn follow(&mut self, u: usize, v: usize, line: &mut Line) {
         line.u.clear();
         line.v.clear();
-        self.push_crossing((u, v), TOP, &self.level.corners(u, v), line);
+        let [here, beside] = [u, u + 1].map(|u| self.level.field(u, v));
+        line.rising = beside > 0.0;
+        self.cross((u, v), line, between(here, beside));
         line.closed = self.walk((u, v), TOP, (u, v), line);
         if !line.closed {
             line.u.reverse();
@@ -95,90 +95,117 @@ impl<'a, L: Level> Tracer<'a, L> {
             if v > 0 {
                 self.walk((u, v - 1), BOTTOM, (u, v), line);
             }
-            return;
         }
-        let rising = self.level.field(u + 1, v) > 0.0;
-        line.encloses_positive = (doubled_area(line) < 0.0) == rising;
     }
 
     /// Walks from cell to cell; true where it comes back to the top side of the cell `home`.
     fn walk(&mut self, start: (usize, usize), entry: u8, home: (usize, usize), line: &mut Line) -> bool {
         let (mut u, mut v) = start;
-        let mut entry = entry;
+        let level = self.level;
+        let (last_u, last_v) = (level.width() - 1, level.height() - 1);
+        if u >= last_u || v >= last_v {
+            return false;
+        }
+        // Corners clockwise from the side of the entry on; the line runs between the first two.
+        let (mut entry, mut corner) = (entry, level.corners(u, v));
+        corner.rotate_left(entry as usize);
         loop {
-            if u + 1 >= self.level.width() || v + 1 >= self.level.height() {
-                return false;
-            }
-            let corner = self.level.corners(u, v);
-            let exit = exit(&corner, entry);
+            let turn = turn(&corner, entry);
+            let (before, behind) = (corner[turn as usize], corner[(turn as usize + 1) % 4]);
+            let exit = (entry + turn) % 4;
+            // The next cell has those two, in turns, and two others.
+            let (third, fourth);
             match exit {
-                TOP if (u, v) == home => return true,
-                BOTTOM if (u, v + 1) == home => return true,
-                _ => self.push_crossing((u, v), exit, &corner, line),
+                TOP => {
+                    if (u, v) == home {
+                        return true;
+                    }
+                    self.cross((u, v), line, between(before, behind));
+                    if v == 0 {
+                        return false;
+                    }
+                    v -= 1;
+                    (third, fourth) = (level.field(u, v), level.field(u + 1, v));
+                }
+                RIGHT => {
+                    line.push(number(u + 1), number(v) + between(before, behind));
+                    u += 1;
+                    if u == last_u {
+                        return false;
+                    }
+                    (third, fourth) = (level.field(u + 1, v), level.field(u + 1, v + 1));
+                }
+                BOTTOM => {
+                    v += 1;
+                    if (u, v) == home {
+                        return true;
+                    }
+                    self.cross((u, v), line, between(behind, before));
+                    if v == last_v {
+                        return false;
+                    }
+                    (third, fourth) = (level.field(u + 1, v + 1), level.field(u, v + 1));
+                }
+                _ => {
+                    line.push(number(u), number(v) + between(behind, before));
+                    if u == 0 {
+                        return false;
+                    }
+                    u -= 1;
+                    (third, fourth) = (level.field(u, v + 1), level.field(u, v));
+                }
             }
-            match exit {
-                TOP if v > 0 => v -= 1,
-                RIGHT => u += 1,
-                BOTTOM => v += 1,
-                LEFT if u > 0 => u -= 1,
-                _ => return false,
-            }
+            corner = [behind, before, third, fourth];
             entry = (exit + 2) % 4;
         }
     }
 
-    /// Appends the crossing of a side of the cell (u, v), whose corners have these values.
-    #[inline]
-    fn push_crossing(&mut self, (u, v): (usize, usize), side: u8, corner: &[f32; 4], line: &mut Line) {
-        let [top_left, top_right, bottom_right, bottom_left] = *corner;
-        let between = |a: f32, b: f32| a / (a - b);
-        let (x, y) = (u as f32, v as f32);
-        let (at, lattice_row) = match side {
-            TOP => ((x + between(top_left, top_right), y), Some(v)),
-            RIGHT => ((x + 1.0, y + between(top_right, bottom_right)), None),
-            BOTTOM => ((x + between(bottom_left, bottom_right), y + 1.0), Some(v + 1)),
-            _ => ((x, y + between(top_left, bottom_left)), None),
-        };
-        if let Some(row) = lattice_row {
-            let i = row * self.level.width() + u;
-            self.visited[i / 64] |= 1 << (i % 64);
+    /// Appends the crossing so far behind the pixel (u, v) of its row.
+    #[inline(always)]
+    fn cross(&mut self, (u, v): (usize, usize), line: &mut Line, behind: f32) {
+        let i = v * self.level.width() + u;
+        self.visited[i / 64] |= 1 << (i % 64);
+        line.push(number(u) + behind, number(v));
+    }
+}
+
+impl Line {
+    #[inline(always)]
+    fn push(&mut self, u: f32, v: f32) {
+        self.u.push(u);
+        self.v.push(v);
+    }
+}
+
+/// A place of an image, below 2^31: as a signed number it is converted at once.
+#[inline(always)]
+fn number(x: usize) -> f32 {
+    x as i32 as f32
+}
+
+/// Where between two values the zero is.
+#[inline(always)]
+fn between(a: f32, b: f32) -> f32 {
+    a / (a - b)
+}
+
+/// How many sides after the `entry` the line leaves a cell with these corners, clockwise from the entry on. Branches on few numbers: they are foretold
+/// better than tables are read.
+#[inline(always)]
+fn turn(corner: &[f32; 4], entry: u8) -> u8 {
+    let second = corner[1] > 0.0;
+    match ((corner[2] > 0.0) == second, (corner[3] > 0.0) == second) {
+        (true, true) => 3,
+        (true, false) => 2,
+        (false, false) => 1,
+        (false, true) => {
+            // A saddle: the mean decides which diagonal is connected.
+            let mut own = *corner;
+            own.rotate_right(entry as usize);
+            let top_left_cut_off = (own[0] > 0.0) != (own.iter().sum::<f32>() > 0.0);
+            if top_left_cut_off == (entry % 2 == 0) { 3 } else { 1 }
         }
-        line.u.push(at.0);
-        line.v.push(at.1);
     }
-}
-
-/// The side of a cell with these corners through which the line that came in by `entry` leaves.
-#[inline]
-fn exit(corner: &[f32; 4], entry: u8) -> u8 {
-    let positive = corner.map(|x| x > 0.0);
-    let crossed = |side: u8| positive[side as usize] != positive[(side as usize + 1) % 4];
-    if (0..4).all(crossed) {
-        // A saddle: the mean decides which diagonal is connected.
-        let top_left_cut_off = positive[0] != (corner.iter().sum::<f32>() > 0.0);
-        return match (top_left_cut_off, entry) {
-            (true, TOP) => LEFT,
-            (true, LEFT) => TOP,
-            (true, RIGHT) => BOTTOM,
-            (true, _) => RIGHT,
-            (false, TOP) => RIGHT,
-            (false, RIGHT) => TOP,
-            (false, BOTTOM) => LEFT,
-            (false, _) => BOTTOM,
-        };
-    }
-    (0..4).find(|side| *side != entry && crossed(*side)).unwrap_or(entry)
-}
-
-/// Twice the signed area of a closed line, px^2.
-fn doubled_area(line: &Line) -> f64 {
-    let n = line.u.len();
-    (0..n)
-        .map(|i| {
-            let j = (i + 1) % n;
-            f64::from(line.u[i]) * f64::from(line.v[j]) - f64::from(line.u[j]) * f64::from(line.v[i])
-        })
-        .sum()
 }
 
 #[cfg(test)]
@@ -207,7 +234,7 @@ mod tests {
                 let within = |d: f64| a + d > 0.0 && b + d > 0.0 && (x / (a + d)).hypot(y / (b + d)) < 1.0;
                 // A crossing lies up to half a pixel from the middle.
                 let (surely, perhaps) = (within(0.65) && !within(-0.65), within(1.9) && !within(-1.9));
-                let fresh = tracer.fresh(u, v);
+                let fresh = tracer.fresh(v * width + u);
                 assert!(!(surely && fresh && b > 2.5), "({u}, {v}) beside {a} x {b} px");
                 assert!(fresh || perhaps, "({u}, {v}) far from {a} x {b} px");
                 passed += usize::from(!fresh);

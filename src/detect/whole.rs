@@ -27,7 +27,7 @@ use crate::threads;
 use binomial::Smooth;
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
-use stretches::{Band, Find, Finder, STRETCH, Smoothed};
+use stretches::{Find, Finder, Found, STRETCH, Smoothed};
 
 /// Units that the noise must have at least.
 const LEAST_NOISE: f32 = 4.0;
@@ -40,7 +40,7 @@ pub(crate) const LEVELS: usize = 3;
 const KEPT: usize = 128 << 20;
 
 /// Memory of searches for discs, to be used again by the next: what the system gives and takes back for each image costs time, most of all where
-/// threads wait for each other there. Any number of threads may search with one memory; it holds what so many searches at a time needed, some 4
+/// threads wait for each other there. Any number of threads may search with one memory; it holds what so many searches at a time needed, some 5
 /// bytes per pixel, at most 128 MB for each: what was more is given back.
 #[derive(Debug, Default)]
 pub struct DetectMemory(Mutex<Vec<[Whole; LEVELS]>>);
@@ -62,9 +62,12 @@ impl DetectMemory {
 #[derive(Debug, Default)]
 pub(crate) struct Whole {
     smooth: Vec<u16>,
-    /// Row by row, for each stretch its place in the band of its row.
-    places: Vec<u32>,
-    bands: Vec<Band>,
+    /// Row by row, which stretches of the field are kept.
+    kept: Vec<bool>,
+    /// The field, row by row in whole stretches; memory of those that are not kept is not touched.
+    field: Vec<i16>,
+    /// Where lines start, for each band of rows.
+    starts: Vec<Vec<u32>>,
     width: usize,
     height: usize,
     per_grey: f32,
@@ -95,7 +98,7 @@ pub(crate) fn rows<'a>(view: &'a GrayView<'a>, noise: f32) -> Option<Rows<'a>> {
 
 impl Level for Whole {
     fn starts(&self) -> impl Iterator<Item = u32> {
-        self.bands.iter().flat_map(|band| band.starts.iter().copied())
+        self.starts.iter().flatten().copied()
     }
     fn width(&self) -> usize {
         self.width
@@ -110,28 +113,21 @@ impl Level for Whole {
     #[inline(always)]
     fn square(&self, u: usize, v: usize) -> [[f64; 2]; 2] {
         let unit = 1.0 / f64::from(self.per_grey);
-        let (top, bottom) = (&self.smooth_row(v)[u..u + 2], &self.smooth_row(v + 1)[u..u + 2]);
+        // Of a pair of rows one slice, and of that two pairs.
+        let both = &self.smooth[v * self.width + u..][..self.width + 2];
+        let (top, bottom) = (&both[..2], &both[self.width..]);
         [
             [f64::from(top[0]) * unit, f64::from(top[1]) * unit],
             [f64::from(bottom[0]) * unit, f64::from(bottom[1]) * unit],
         ]
     }
-    #[inline]
-    fn corners(&self, u: usize, v: usize) -> [f32; 4] {
-        let at = u % STRETCH;
-        if at + 1 < STRETCH
-            && let (Some(top), Some(bottom)) = (self.stretch(u, v), self.stretch(u, v + 1))
-        {
-            return [top[at], top[at + 1], bottom[at + 1], bottom[at]].map(f32::from);
-        }
-        [self.field(u, v), self.field(u + 1, v), self.field(u + 1, v + 1), self.field(u, v + 1)]
-    }
-    #[inline]
+    #[inline(always)]
     fn field(&self, u: usize, v: usize) -> f32 {
-        match self.stretch(u, v) {
-            Some(field) => f32::from(field[u % STRETCH]),
-            None => f32::from(self.smoothed().field(u, v)),
-        }
+        let count = self.stretches();
+        f32::from(match self.kept[v * count + u / STRETCH] {
+            true => self.field[v * count * STRETCH + u],
+            false => self.smoothed().field(u, v),
+        })
     }
 }
 
@@ -145,15 +141,16 @@ impl Whole {
         Smoothed { data: &self.smooth, width: self.width, height: self.height }
     }
 
-    /// The stretch of the field with a pixel, where it is kept.
-    #[inline]
-    fn stretch(&self, u: usize, v: usize) -> Option<&[i16; STRETCH]> {
-        self.bands[v / ROWS].stretch(self.places[v * self.width.div_ceil(STRETCH) + u / STRETCH])
+    /// Stretches of a row.
+    #[inline(always)]
+    fn stretches(&self) -> usize {
+        self.width.div_ceil(STRETCH)
     }
 
     /// Memory held, bytes.
     fn bytes(&self) -> usize {
-        2 * self.smooth.capacity() + 4 * self.places.capacity() + self.bands.iter().map(Band::bytes).sum::<usize>()
+        let starts: usize = self.starts.iter().map(Vec::capacity).sum();
+        2 * self.smooth.capacity() + 2 * self.field.capacity() + self.kept.capacity() + 4 * starts
     }
 
     /// Makes a level in the memory of another; lines start where the grey level changes by more than `gradient`. At least 12 rows and columns.
@@ -168,8 +165,10 @@ impl Whole {
         };
         (self.width, self.height, self.per_grey) = (width, height, per_grey);
         sized(&mut self.smooth, width * height);
-        sized(&mut self.places, width.div_ceil(STRETCH) * height);
-        self.bands.resize_with(height.div_ceil(ROWS), Band::default);
+        let stretches = self.stretches() * height;
+        sized(&mut self.kept, stretches);
+        sized(&mut self.field, stretches * STRETCH);
+        self.starts.resize_with(height.div_ceil(ROWS), Vec::new);
         // A difference of whole numbers is above a number where it is above its whole part.
         let least = (gradient * per_grey).min(65_535.0) as u16;
         if threads::several() && width * height >= SHARED {
@@ -181,38 +180,38 @@ impl Whole {
 
     /// Band after band, each looked at once the rows below it are smoothed, while they are still near.
     fn fill(&mut self, rows: Rows, least: u16) {
-        let Self { smooth, places, bands, width, height, .. } = self;
+        let Self { smooth, kept, field, starts, width, height, .. } = self;
         let (width, height, count) = (*width, *height, width.div_ceil(STRETCH));
         let mut finder = Finder::new(width);
-        let mut places = places.chunks_mut(ROWS * count);
-        let mut finish = |smooth: &[u16], first: usize, band: &mut Band| {
+        let mut bands = kept.chunks_mut(ROWS * count).zip(field.chunks_mut(ROWS * count * STRETCH)).zip(starts);
+        let mut finish = |smooth: &[u16], first: usize| {
             let on = Smoothed { data: smooth, width, height };
-            let Some(places) = places.next() else { return };
-            lanes::run(Find { on, first, least, finder: &mut finder, places, band });
+            let Some(((kept, field), starts)) = bands.next() else { return };
+            lanes::run(Find { on, first, least, finder: &mut finder, out: Found { kept, field, starts } });
         };
         for (k, first) in (0..height).step_by(ROWS).enumerate() {
             let out = &mut smooth[first * width..(first + ROWS).min(height) * width];
             lanes::run(Smooth { rows, first, width, height, out });
             if k > 0 {
-                finish(smooth, first - ROWS, &mut bands[k - 1]);
+                finish(smooth, first - ROWS);
             }
         }
-        if let Some(band) = bands.last_mut() {
-            finish(smooth, (height - 1) / ROWS * ROWS, band);
-        }
+        finish(smooth, (height - 1) / ROWS * ROWS);
     }
 
     /// The same with the threads of the pool.
     fn fill_side_by_side(&mut self, rows: Rows, least: u16) {
-        let (width, height, count) = (self.width, self.height, self.width.div_ceil(STRETCH));
+        let (width, height, count) = (self.width, self.height, self.stretches());
         let smooth = |(k, out): (usize, &mut [u16])| {
             lanes::run(Smooth { rows, first: k * ROWS, width, height, out });
         };
         self.smooth.par_chunks_mut(ROWS * width).enumerate().for_each(smooth);
         let on = Smoothed { data: &self.smooth, width, height };
-        let places = self.places.par_chunks_mut(ROWS * count);
-        self.bands.par_iter_mut().zip(places).enumerate().for_each(|(k, (band, places))| {
-            lanes::run(Find { on, first: k * ROWS, least, finder: &mut Finder::new(width), places, band });
+        let kept = self.kept.par_chunks_mut(ROWS * count);
+        let bands = kept.zip(self.field.par_chunks_mut(ROWS * count * STRETCH)).zip(&mut self.starts);
+        bands.enumerate().for_each(|(k, ((kept, field), starts))| {
+            let out = Found { kept, field, starts };
+            lanes::run(Find { on, first: k * ROWS, least, finder: &mut Finder::new(width), out });
         });
     }
 }
@@ -298,6 +297,12 @@ mod tests {
         assert!(rows(&view, 5.0).is_some());
     }
 
+    /// The field at a pixel, where it is kept.
+    fn kept(level: &Whole, u: usize, v: usize) -> Option<i16> {
+        let count = level.stretches();
+        level.kept[v * count + u / STRETCH].then(|| level.field[v * count * STRETCH + u])
+    }
+
     #[derive(Clone)]
     struct Made<'a>(&'a GrayView<'a>);
     impl Kernel for Made<'_> {
@@ -308,11 +313,10 @@ mod tests {
             let mut smooth = vec![0; width * height];
             Smooth { rows, first: 0, width, height, out: &mut smooth }.run::<L>();
             let on = Smoothed { data: &smooth, width, height };
-            let (mut finder, mut band) = (Finder::new(width), Band::default());
-            let places = &mut vec![0; height * width.div_ceil(STRETCH)];
-            Find { on, first: 0, least: 2560, finder: &mut finder, places, band: &mut band }.run::<L>();
-            let stretches = places.iter().filter_map(|k| band.stretch(*k)).flatten();
-            let (field, starts) = (stretches.copied().collect(), band.starts.clone());
+            let count = height * width.div_ceil(STRETCH);
+            let (mut kept, mut field, mut starts) = (vec![false; count], vec![0; count * STRETCH], vec![]);
+            let out = Found { kept: &mut kept, field: &mut field, starts: &mut starts };
+            Find { on, first: 0, least: 2560, finder: &mut Finder::new(width), out }.run::<L>();
             (smooth, starts, field)
         }
     }
@@ -354,19 +358,25 @@ mod tests {
             assert_eq!(a.smooth, b.smooth);
             assert!(a.starts().eq(b.starts()));
             assert!(a.starts().count() > 100, "{}", a.starts().count());
-            let (mut kept, mut asked) = (0, 0);
+            let (mut in_stretches, mut asked) = (0, 0);
             for (u, v) in (0..a.height).flat_map(|v| (0..a.width).map(move |u| (u, v))) {
                 let direct = a.smoothed().field(u, v);
-                assert_eq!(a.stretch(u, v), b.stretch(u, v), "({u}, {v})");
-                match a.stretch(u, v) {
+                let found = kept(a, u, v);
+                assert_eq!(found, kept(b, u, v), "({u}, {v})");
+                match found {
                     Some(field) => {
-                        kept += 1;
-                        assert_eq!(field[u % STRETCH], direct, "({u}, {v})");
+                        in_stretches += 1;
+                        assert_eq!(field, direct, "({u}, {v})");
                     }
                     None => asked += 1,
                 }
+                if u + 1 < a.width && v + 1 < a.height {
+                    let plain = [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(i, j)| a.smoothed().field(u + i, v + j));
+                    assert_eq!(a.corners(u, v), plain.map(f32::from), "({u}, {v})");
+                }
             }
-            assert!(kept > a.width * a.height / 10 && asked > a.width * a.height / 4, "{kept} kept, {asked} not");
+            let least = a.width * a.height / 10;
+            assert!(in_stretches > least && 2 * asked > 5 * least, "{in_stretches} kept, {asked} not");
         }
     }
 
@@ -384,10 +394,10 @@ mod tests {
             used.remake(rows, gradient);
             let fresh = made(rows, gradient);
             assert_eq!((used.width, used.height, used.per_grey), (fresh.width, fresh.height, fresh.per_grey));
-            assert_eq!((&used.smooth, &used.places), (&fresh.smooth, &fresh.places));
+            assert_eq!((&used.smooth, &used.kept), (&fresh.smooth, &fresh.kept));
             assert!(fresh.starts().count() > 10 && used.starts().eq(fresh.starts()));
             for (u, v) in (0..height).flat_map(|v| (0..width).map(move |u| (u, v))) {
-                assert_eq!(used.stretch(u, v), fresh.stretch(u, v), "({u}, {v}) of {width} x {height}");
+                assert_eq!(kept(&used, u, v), kept(&fresh, u, v), "({u}, {v}) of {width} x {height}");
             }
         }
     }

@@ -1,6 +1,6 @@
 //! The edge along a line: smoothed grey levels on either side of it, along the normal.
 
-use super::Strength;
+use super::{Strength, evenly};
 use crate::detect::level::Level;
 use crate::detect::trace::Line;
 use crate::lanes::{self, Kernel, Lanes};
@@ -49,8 +49,7 @@ impl<T: Level> Kernel for Looks<'_, T> {
         let looks = n.min(LOOKS);
         // Place and tangent.
         let mut along = [[0.0_f32; LOOKS]; 4];
-        for k in 0..looks {
-            let i = k * n / looks;
+        for (k, i) in evenly(n, looks).enumerate() {
             let (before, after) = match line.closed {
                 true => (if i < 2 { i + n - 2 } else { i - 2 }, if i + 2 < n { i + 2 } else { i + 2 - n }),
                 false => (i.saturating_sub(2), (i + 2).min(n - 1)),
@@ -117,7 +116,7 @@ mod tests {
         for (count, closed) in [(90, true), (40, false), (20, true)] {
             let angle = |i: usize| std::f32::consts::TAU * i as f32 / count as f32;
             let (u, v) = (0..count).map(|i| (30.0 + 12.0 * angle(i).cos(), 25.0 + 12.0 * angle(i).sin())).unzip();
-            let line = Line { u, v, closed, encloses_positive: true };
+            let line = Line { u, v, closed, rising: true };
             let all = lanes::run_all(&Looks { line: &line, smooth: &Ramp, turn: 1.0 });
             assert!(all.iter().all(|one| one.map(|x| x.map(f64::to_bits)) == all[0].map(|x| x.map(f64::to_bits))));
             let looks = count.min(LOOKS);

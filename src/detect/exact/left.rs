@@ -36,6 +36,15 @@ impl Share {
         self.pixels += counted;
     }
 
+    /// Takes in sums over pixels: of response times residual, squared responses, squared residuals, and their number.
+    #[inline(always)]
+    pub(crate) fn add(&mut self, [score, information, squares, pixels]: [f64; 4]) {
+        self.score += score;
+        self.information += information;
+        self.squares += squares;
+        self.pixels += pixels;
+    }
+
     /// Outward shift of the edge beyond that of the ellipse, px.
     pub(crate) fn shift_px(&self) -> f64 {
         -self.score / self.information

@@ -8,12 +8,20 @@ use super::{ALL, BENDS, LIGHTS, M, N, PLAIN, PRODUCTS, place};
 use crate::conic::Frame;
 use crate::lanes::{Kernel, Lanes, SINGLES, Singles, sum_of_singles};
 
-/// Pixels whose columns are stored before their products are taken; a multiple of [`SINGLES`].
-pub(super) const BLOCK: usize = 128;
+/// Pixels whose columns are stored before their products are taken; a multiple of [`SINGLES`]. As many as the nearest cache holds: the sums are put
+/// away after each block.
+pub(super) const BLOCK: usize = 256;
 /// Places in a group.
 const FIRST: [f32; SINGLES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
 /// Newton steps of a foot point at most.
 const STEPS: usize = 6;
+/// A step below this, times the square of the ratio of the axes, is the last: what it leaves is the square of it times the inverse of that
+/// square, and moves a foot point along the contour, its distance not by 1e-6 px.
+const LAST_STEP: f64 = 0.02;
+/// Ratio of the axes up to which foot points are guessed as if the contour were one of a family of similar ones.
+const ROUND: f64 = 1.4;
+/// Pixels that are collected together.
+pub(super) const EIGHT: usize = 8;
 
 /// Pixels near the edge, in the frame of the axes. The lists only ever grow: what follows the pixels that count is of no meaning, and
 /// finite.
@@ -31,18 +39,18 @@ impl Near {
         self.count = 0;
     }
 
-    /// Room for `more` pixels, which count from now on: `x`, `y`, grey value.
+    /// Room for `more` pixels, which count from now on: `x`, `y`, grey value, in whole eights, of which what is too much is of no meaning.
     #[inline(always)]
-    pub(super) fn take(&mut self, more: usize) -> [&mut [f32]; 3] {
-        let (old, new) = (self.count, self.count + more);
-        if self.grey.len() < new {
-            let room = (2 * new).div_ceil(SINGLES) * SINGLES;
+    pub(super) fn take(&mut self, more: usize) -> [&mut [[f32; EIGHT]]; 3] {
+        let (old, end) = (self.count, self.count + more.next_multiple_of(EIGHT));
+        if self.grey.len() < end {
+            let room = (2 * end).div_ceil(SINGLES) * SINGLES;
             for list in [&mut self.x, &mut self.y, &mut self.grey] {
                 list.resize(room, 0.0);
             }
         }
-        self.count = new;
-        [&mut self.x[old..new], &mut self.y[old..new], &mut self.grey[old..new]]
+        self.count += more;
+        [&mut self.x, &mut self.y, &mut self.grey].map(|list| list[old..end].as_chunks_mut().0)
     }
 
     /// Fills up to a multiple of [`SINGLES`] with pixels on the contour at `(a, 0)`.
@@ -85,13 +93,17 @@ pub(super) struct Columns {
     pub(super) cell: Vec<u32>,
     /// What is left of the grey value, over the noise, once [`super::shares::ShareOut`] has run.
     pub(super) left: Vec<f32>,
+    /// What each pixel adds to the sums of its sector, and these.
+    pub(super) terms: Vec<[f32; 4]>,
+    pub(super) sums: Vec<[f32; 4]>,
     /// Sums of products of two columns.
     pub(super) gram: [f64; PRODUCTS],
 }
 
 impl Default for Columns {
     fn default() -> Self {
-        Self { values: vec![], response: vec![], diamond: vec![], cell: vec![], left: vec![], gram: [0.0; PRODUCTS] }
+        let (response, diamond, cell, left) = (vec![], vec![], vec![], vec![]);
+        Self { values: vec![], response, diamond, cell, left, terms: vec![], sums: vec![], gram: [0.0; PRODUCTS] }
     }
 }
 
@@ -136,22 +148,24 @@ impl<const BENT: bool> SumUp<'_, BENT> {
             let from = block * BLOCK;
             let m = (n - from).min(BLOCK);
             let values = &mut self.out.values[block];
-            seen.feet([&self.near.x[from..from + m], &self.near.y[from..from + m]], &mut feet);
+            let [xs, ys, greys] = [&self.near.x, &self.near.y, &self.near.grey].map(|list| &list[from..from + m]);
+            let [responses, diamonds] =
+                [&mut self.out.response, &mut self.out.diamond].map(|list| &mut list[from..from + m]);
+            seen.feet([xs, ys], &mut feet);
             let mut i = 0;
-            while i < m {
-                let at = from + i;
-                let (x, y) = (S::load(&self.near.x[at..]), S::load(&self.near.y[at..]));
-                let grey = S::load(&self.near.grey[at..]);
+            // Said so that no place needs to be checked.
+            while i + S::N <= m && m <= BLOCK {
+                let (x, y, grey) = (S::load(&xs[i..]), S::load(&ys[i..]), S::load(&greys[i..]));
                 // Single precision counts up to 16 million pixels.
-                let index = S::splat(at as f32) + S::load(&FIRST);
+                let index = S::splat((from + i) as f32) + S::load(&FIRST);
                 let shown = S::select(index.below(count), S::splat(1.0), S::splat(0.0));
                 let foot = seen.foot(x, y, S::load(&feet[0][i..]), S::load(&feet[1][i..]));
                 let (columns, response, diamond) = seen.pixel::<BENT>(&foot, [x, y], grey, shown);
                 for k in 0..used {
                     columns[k].store(&mut values[k][i..]);
                 }
-                response.store(&mut self.out.response[at..]);
-                diamond.store(&mut self.out.diamond[at..]);
+                response.store(&mut responses[i..]);
+                diamond.store(&mut diamonds[i..]);
                 i += S::N;
             }
             products::<S>(values, m, &mut sums);
@@ -205,7 +219,7 @@ fn tile<S: Singles, const A: usize, const B: usize>(
     while part < SINGLES {
         let mut sum = [[S::splat(0.0); B]; A];
         let mut at = part;
-        while at < m {
+        while at + S::N <= m {
             let mut b = [S::splat(0.0); B];
             for l in 0..B {
                 b[l] = S::load(&values[second + l][at..]);
@@ -242,6 +256,9 @@ struct Seen<S> {
     sin: S,
     cos2: S,
     sin2: S,
+    /// Where Newton's steps for foot points begin, and which of them is the last.
+    guess: [[S; 2]; 2],
+    last_step: S,
     blur: S,
     inverse_blur: S,
     variance: [S; 2],
@@ -267,6 +284,23 @@ struct Edge<S> {
     kappa: S,
 }
 
+/// Where to begin the search for the foot point of `(x, y)`, which lies `d` off the contour: with `N` of [`Foot::inverse`]
+///
+/// ```text
+/// x = c (a + d b / N),  y = s (b + d a / N);   d / N about 2 (q^2 - 1) / (q^2 + 3),  q^2 = (x/a)^2 + (y/b)^2
+/// c ~ x (3 b - 2 a + (b + 2 a) q^2),  s ~ y (3 a - 2 b + (a + 2 b) q^2)
+/// ```
+///
+/// or, of contours that are not round, `d` taken as none: factors of `q^0` and `q^2` for `c` and `s`.
+fn guess(frame: &Frame) -> [[f64; 2]; 2] {
+    let (a, b) = (frame.a, frame.b);
+    if a < ROUND * b {
+        [[3.0 * b - 2.0 * a, b + 2.0 * a], [3.0 * a - 2.0 * b, a + 2.0 * b]]
+    } else {
+        [[b, 0.0], [a, 0.0]]
+    }
+}
+
 impl<S: Singles> Seen<S> {
     #[inline(always)]
     fn new(frame: &Frame, lens: &Lens) -> Self {
@@ -286,6 +320,8 @@ impl<S: Singles> Seen<S> {
             sin: one(frame.sin),
             cos2: one(frame.cos2),
             sin2: one(frame.sin2),
+            guess: guess(frame).map(|g| g.map(one)),
+            last_step: one(LAST_STEP * (frame.b * frame.b) / (frame.a * frame.a)),
             blur: one(lens.blur_px),
             inverse_blur: one(1.0 / lens.blur_px),
             variance: [one(lens.variance[0]), one(lens.variance[1])],
@@ -372,24 +408,31 @@ impl<S: Singles> Seen<S> {
     #[inline(always)]
     fn feet(&self, [x, y]: [&[f32]; 2], feet: &mut [[f32; BLOCK]; 3]) {
         let one = S::splat(1.0);
-        let m = x.len().min(BLOCK);
+        let m = x.len().min(y.len()).min(BLOCK);
         let [cos, sin, left] = feet;
-        for i in (0..m).step_by(S::N) {
-            let (p, q) = (S::load(&x[i..]) * self.b, S::load(&y[i..]) * self.a);
+        let mut i = 0;
+        while i + S::N <= m {
+            let (x, y) = (S::load(&x[i..]), S::load(&y[i..]));
+            let (px, py) = (x * self.inverse_a, y * self.inverse_b);
+            let square = px.fused(px, py * py);
+            let [[c0, c2], [s0, s2]] = self.guess;
+            let (p, q) = (x * square.fused(c2, c0), y * square.fused(s2, s0));
             let scale = one / p.fused(p, q * q).sqrt().at_least(S::splat(1e-30));
             (p * scale).store(&mut cos[i..]);
             (q * scale).store(&mut sin[i..]);
             one.store(&mut left[i..]);
+            i += S::N;
         }
         for _ in 0..STEPS {
-            let mut moving = S::splat(0.0);
-            for i in (0..m).step_by(S::N) {
+            let (mut moving, mut i) = (S::splat(0.0), 0);
+            while i + S::N <= m {
                 let at = [S::load(&cos[i..]), S::load(&sin[i..]), S::load(&left[i..])];
                 let [c, s, more] = self.turned(at, S::load(&x[i..]), S::load(&y[i..]));
                 c.store(&mut cos[i..]);
                 s.store(&mut sin[i..]);
                 more.store(&mut left[i..]);
                 moving = moving.at_least(more);
+                i += S::N;
             }
             if S::all(moving.below(one)) {
                 break;
@@ -411,7 +454,7 @@ impl<S: Singles> Seen<S> {
         let inverse = t2.fused(t2.fused(S::splat(0.375), -half), one);
         let (c, s) = ((-t).fused(s, c) * inverse, t.fused(c, s) * inverse);
         let length = left.fused((-half).fused(c.fused(c, s * s), half), one);
-        [c * length, s * length, S::select(t.size().below(S::splat(1e-3)), zero, left)]
+        [c * length, s * length, S::select(t.size().below(self.last_step), zero, left)]
     }
 
     /// The foot point at a unit vector.

@@ -1,8 +1,10 @@
 //! The pixels of one disc: those near its edge one by one, those beside it as sums over rows.
 
-use super::columns::Near;
+use super::columns::{EIGHT, Near};
+use super::whole::{PLACES, Whole, number};
 use crate::conic::Frame;
 use crate::detect::correlation::Allowance;
+use crate::detect::level::ROUND;
 use crate::image::{GrayView, Samples};
 use crate::lanes::{self, Kernel, Lanes};
 use nalgebra::{Matrix3, Vector3};
@@ -117,6 +119,7 @@ pub(super) struct Pixels {
     /// The reference pixel, and its grey value, which is subtracted from all.
     pub(super) reference: (f64, f64),
     pub(super) ground: f64,
+    whole: [Whole; 2],
 }
 
 /// How far from the ellipse which pixels are taken, px; every `thin`-th row only. Whether all rows are brought near first.
@@ -163,7 +166,9 @@ impl Cut {
         for k in 0..ROWS {
             let square = self.reach2 - self.fall2 * dv[k] * dv[k];
             let (middle, half) = (u0 + self.shear * dv[k], square.max(0.0).sqrt());
-            let (low, high) = ((middle - half).ceil() as i32, (middle + half).floor() as i32 + 1);
+            // Within the image, and no NaN where it counts: several are converted at once.
+            let whole = |x: f64| (x + ROUND).to_bits() as i32;
+            let (low, high) = (whole((middle - half).ceil()), whole((middle + half).floor()) + 1);
             let none = !(square >= 0.0);
             first[k] = if none { 0 } else { low };
             end[k] = if none { 0 } else { high };
@@ -204,46 +209,49 @@ impl Kernel for Collect<'_> {
         let band = Cut::new(frame, frame.a + near, frame.b + near);
         let core = Cut::new(frame, frame.a - near, frame.b - near);
         let hole = Cut::new(frame, frame.a - rings.inner, frame.b - rings.inner);
-        spans_of_rows(frame, [far, band, core, hole], rows, rings.thin, |v, [far, band, core, hole]| {
-            for (from, to) in without(far, band) {
-                out.run(self.view, 1, v, from, to);
+        let (mut first, last, thin) = (*rows.start(), *rows.end(), rings.thin);
+        while first <= last {
+            let spans = spans_of_rows(frame, &[far, band, core, hole], first, thin);
+            for k in 0..ROWS.min((last - first) / thin + 1) {
+                let (v, [far, band, core, hole]) = (first + k * thin, of_row(&spans, k));
+                for (from, to) in without(band, core) {
+                    out.take::<L>(self.view, frame, v, from, to);
+                }
+                let [[left, right], [inner_left, inner_right]] = [without(far, band), without(core, hole)];
+                for (side, (from, to)) in [(1, left), (1, right), (0, inner_left), (0, inner_right)] {
+                    out.run::<L>(self.view, side, v, from, to);
+                }
             }
-            for (from, to) in without(band, core) {
-                out.take(self.view, frame, v, from, to);
-            }
-            for (from, to) in without(core, hole) {
-                out.run(self.view, 0, v, from, to);
-            }
-        });
+            first += ROWS * thin;
+        }
         out.near.fill_up(frame.a);
+        out.take_whole();
         true
     }
 }
 
-/// Columns of some rows, every `thin`-th, within each of the cuts.
+/// First columns, and those behind the last, of [`ROWS`] rows from one on, every `thin`-th, within each of the cuts.
 #[inline(always)]
-fn spans_of_rows<const N: usize>(
-    frame: &Frame,
-    cuts: [Cut; N],
-    rows: RangeInclusive<usize>,
-    thin: usize,
-    mut each: impl FnMut(usize, [(usize, usize); N]),
-) {
-    let (mut v, last) = (*rows.start(), *rows.end());
-    while v <= last {
-        let mut dv = [0.0; ROWS];
-        for k in 0..ROWS {
-            dv[k] = (v + k * thin) as f64 - frame.v0;
-        }
-        let mut spans = [[[0; ROWS]; 2]; N];
-        for (cut, spans) in cuts.iter().zip(&mut spans) {
-            cut.spans(frame.u0, &dv, spans);
-        }
-        for k in 0..ROWS.min((last - v) / thin + 1) {
-            each(v + k * thin, spans.each_ref().map(|s| (s[0][k] as usize, s[1][k] as usize)));
-        }
-        v += ROWS * thin;
+fn spans_of_rows<const N: usize>(frame: &Frame, cuts: &[Cut; N], first: usize, thin: usize) -> [[[i32; ROWS]; 2]; N] {
+    let mut dv = [0.0; ROWS];
+    for k in 0..ROWS {
+        dv[k] = number(first + k * thin) - frame.v0;
     }
+    let mut spans = [[[0; ROWS]; 2]; N];
+    for k in 0..N {
+        cuts[k].spans(frame.u0, &dv, &mut spans[k]);
+    }
+    spans
+}
+
+/// Those of one of the rows.
+#[inline(always)]
+fn of_row<const N: usize>(spans: &[[[i32; ROWS]; 2]; N], k: usize) -> [(usize, usize); N] {
+    let mut out = [(0, 0); N];
+    for (out, [first, end]) in out.iter_mut().zip(spans) {
+        *out = (first[k] as usize, end[k] as usize);
+    }
+    out
 }
 
 /// Sums up the rows that [`Collect`] with the same rings left: all within, and those outside up to `outer` from the ellipse, px, for which there must be room.
@@ -266,12 +274,17 @@ impl Kernel for Beyond<'_> {
         let rows = (frame.v0 - half_height).ceil() as usize..=(frame.v0 + half_height).floor() as usize;
         let grown = |by: f64| Cut::new(frame, frame.a + by, frame.b + by);
         let cuts = [grown(outer), grown(taken), grown(-rings.inner)];
-        spans_of_rows(frame, cuts, rows, 1, |v, [wide, taken, hole]| {
-            for (from, to) in without(wide, taken) {
-                out.run(self.view, 1, v, from, to);
+        for first in rows.clone().step_by(ROWS) {
+            let spans = spans_of_rows(frame, &cuts, first, 1);
+            for k in 0..ROWS.min(rows.end() - first + 1) {
+                let [wide, taken, hole] = of_row(&spans, k);
+                let [left, right] = without(wide, taken);
+                for (side, (from, to)) in [(1, left), (1, right), (0, hole)] {
+                    out.run::<L>(self.view, side, first + k, from, to);
+                }
             }
-            out.run(self.view, 0, v, hole.0, hole.1);
-        });
+        }
+        out.take_whole();
     }
 }
 
@@ -311,6 +324,7 @@ impl Pixels {
     fn clear_runs(&mut self) {
         self.runs.iter_mut().for_each(Vec::clear);
         self.sums = [Sums::default(); 2];
+        self.whole = [Whole::default(); 2];
     }
 
     /// Empty, to be summed up about the reference pixel of `other`.
@@ -319,23 +333,33 @@ impl Pixels {
         (self.reference, self.ground) = (other.reference, other.ground);
     }
 
+    /// Adds what was summed up of whole numbers to the other sums.
+    fn take_whole(&mut self) {
+        for (sums, whole) in self.sums.iter_mut().zip(&self.whole) {
+            sums.gu += lanes::sum(&whole.gu);
+            sums.gg += lanes::sum(&whole.gg);
+            sums.dd += lanes::sum(&whole.dd);
+        }
+    }
+
     /// Sums up a stretch of one side.
     #[inline(always)]
-    fn run(&mut self, view: &GrayView, side: usize, v: usize, from: usize, to: usize) {
+    fn run<L: Lanes>(&mut self, view: &GrayView, side: usize, v: usize, from: usize, to: usize) {
         if from >= to {
             return;
         }
         let at = v * view.stride();
-        let of = match view.samples() {
-            Samples::U8(s) => whole_sums_of(&s[at + from..at + to], self.ground),
-            Samples::U16(s) => whole_sums_of(&s[at + from..at + to], self.ground),
-            Samples::F32(s) => sums_of(&s[at + from..at + to], self.ground),
+        let (n, count) = (number(to - from), (to - from) as i64);
+        let (first, v) = (number(from) - self.reference.0, number(v) - self.reference.1);
+        let own = &mut self.whole[side];
+        let [g, gu, gg, dd] = match view.samples() {
+            Samples::U8(s) => own.take_of::<L, _>(s, at + from..at + to, first, self.ground),
+            Samples::U16(s) => own.take_of::<L, _>(s, at + from..at + to, first, self.ground),
+            Samples::F32(s) => sums_of(&s[at + from..at + to], first, self.ground),
         };
-        let [g, gi, gg, dd] = of;
-        let n = (to - from) as f64;
-        let (first, v) = (from as f64 - self.reference.0, v as f64 - self.reference.1);
         // Sums of i and i^2 from the first column on.
-        let (s1, s2) = (0.5 * n * (n - 1.0), n * (n - 1.0) * (2.0 * n - 1.0) / 6.0);
+        let pairs = (count * (count - 1)) >> 1;
+        let (s1, s2) = (pairs as f64, (pairs * (2 * count - 1) / 3) as f64);
         let u = s1 + n * first;
         let sums = &mut self.sums[side];
         sums.n += n;
@@ -345,7 +369,7 @@ impl Pixels {
         sums.uv += u * v;
         sums.vv += n * v * v;
         sums.g += g;
-        sums.gu += gi + first * g;
+        sums.gu += gu;
         sums.gv += g * v;
         sums.gg += gg;
         sums.dd += dd;
@@ -355,37 +379,59 @@ impl Pixels {
 
     /// Takes the pixels of a stretch one by one.
     #[inline(always)]
-    fn take(&mut self, view: &GrayView, frame: &Frame, v: usize, from: usize, to: usize) {
+    fn take<L: Lanes>(&mut self, view: &GrayView, frame: &Frame, v: usize, from: usize, to: usize) {
         if from >= to {
             return;
         }
         let at = v * view.stride();
-        let (du, dv) = (from as f64 - frame.u0, v as f64 - frame.v0);
+        let (du, dv) = (number(from) - frame.u0, number(v) - frame.v0);
         let (x, y) = (frame.cos * du + frame.sin * dv, frame.cos * dv - frame.sin * du);
         let ground = self.ground;
         let [xs, ys, greys] = self.near.take(to - from);
-        for i in 0..xs.len() {
-            xs[i] = (x + frame.cos * i as f64) as f32;
-            ys[i] = (y - frame.sin * i as f64) as f32;
-        }
+        let line = [x, y, frame.cos, frame.sin];
         match view.samples() {
-            Samples::U8(s) => copy_less(&s[at + from..at + to], ground, greys),
-            Samples::U16(s) => copy_less(&s[at + from..at + to], ground, greys),
-            Samples::F32(s) => copy_less(&s[at + from..at + to], ground, greys),
+            Samples::U8(s) => copy::<L, _>(&s[at + from..], [xs, ys, greys], line, ground),
+            Samples::U16(s) => copy::<L, _>(&s[at + from..], [xs, ys, greys], line, ground),
+            Samples::F32(s) => copy::<L, _>(&s[at + from..], [xs, ys, greys], line, ground),
         }
     }
 }
 
+/// Copies the samples of a row from one on, eight at a time wherever the row ends, and the places `x`, `y` of their pixels, which begin at the first two
+/// numbers of the `line` and go on by the others.
 #[inline(always)]
-fn copy_less<T: Copy + Into<f64>>(from: &[T], ground: f64, to: &mut [f32]) {
-    for (x, y) in from.iter().zip(to) {
-        *y = ((*x).into() - ground) as f32;
+fn copy<L: Lanes, T: Copy + Default + Into<f64>>(
+    from: &[T],
+    [xs, ys, greys]: [&mut [[f32; EIGHT]]; 3],
+    line: [f64; 4],
+    ground: f64,
+) {
+    let ([x, y, cos, sin], ground) = (lanes::splats::<L, 4>(line), L::splat(ground));
+    for (k, ((xs, ys), greys)) in xs.iter_mut().zip(ys).zip(greys).enumerate() {
+        let mut own = [T::default(); EIGHT];
+        match from[k * EIGHT..].first_chunk::<EIGHT>() {
+            Some(eight) => own = *eight,
+            // The last of the image.
+            None => own[..from.len() - k * EIGHT].copy_from_slice(&from[k * EIGHT..]),
+        }
+        let mut grey = [0.0; EIGHT];
+        for i in 0..EIGHT {
+            grey[i] = own[i].into();
+        }
+        let mut part = 0;
+        while part < EIGHT {
+            let i = L::splat(number(k * EIGHT)) + L::load(&PLACES[part..]);
+            (x + cos * i).narrow(&mut xs[part..]);
+            (y - sin * i).narrow(&mut ys[part..]);
+            (L::load(&grey[part..]) - ground).narrow(&mut greys[part..]);
+            part += L::N;
+        }
     }
 }
 
-/// Sums of the grey value, of it times the place, of its squares, and of the squared differences of neighbours.
+/// Sums of the grey value, of it times its column, which begin with `first`, of its squares, and of the squared differences of neighbours.
 #[inline(always)]
-fn sums_of(grey: &[f32], ground: f64) -> [f64; 4] {
+fn sums_of(grey: &[f32], first: f64, ground: f64) -> [f64; 4] {
     let (mut g, mut gi, mut gg, mut dd) = (0.0, 0.0, 0.0, 0.0);
     let mut before = f64::from(grey[0]) - ground;
     for i in 0..grey.len() {
@@ -397,25 +443,7 @@ fn sums_of(grey: &[f32], ground: f64) -> [f64; 4] {
         dd += step * step;
         before = x;
     }
-    [g, gi, gg, dd]
-}
-
-/// The same of whole numbers, whose sums do not wait for each other.
-#[inline(always)]
-fn whole_sums_of<T: Copy + Into<i64>>(grey: &[T], ground: f64) -> [f64; 4] {
-    let ground = ground as i64;
-    let (mut g, mut gi, mut gg, mut dd) = (0, 0, 0, 0);
-    let mut before = grey[0].into() - ground;
-    for i in 0..grey.len() {
-        let x = grey[i].into() - ground;
-        g += x;
-        gi += x * i as i64;
-        gg += x * x;
-        let step = x - before;
-        dd += step * step;
-        before = x;
-    }
-    [g as f64, gi as f64, gg as f64, dd as f64]
+    [g, gi + first * g, gg, dd]
 }
 
 #[cfg(test)]

@@ -8,10 +8,6 @@ pub(super) const STRETCH: usize = 32;
 const R: usize = 4;
 /// Binary digits of the field that are dropped.
 const FIELD_SHIFT: i32 = 5;
-/// Parts of a stretch that are looked into.
-const PART: usize = 8;
-/// Where no stretch is kept.
-const NONE: u32 = u32::MAX;
 
 /// A smoothed image, row by row.
 #[derive(Debug, Clone, Copy)]
@@ -48,27 +44,6 @@ fn in_units(own: u16, sum: u32) -> i16 {
     ((x + (1 << (FIELD_SHIFT - 1))) >> FIELD_SHIFT).clamp(-32_768, 32_767) as i16
 }
 
-/// What is known of some rows: stretches of the field that are kept, and where lines start.
-#[derive(Debug, Default)]
-pub(super) struct Band {
-    field: Vec<[i16; STRETCH]>,
-    /// Places `v * width + u`.
-    pub(super) starts: Vec<u32>,
-}
-
-impl Band {
-    /// The stretch at a place, where it is kept.
-    #[inline]
-    pub(super) fn stretch(&self, place: u32) -> Option<&[i16; STRETCH]> {
-        self.field.get(place as usize)
-    }
-
-    /// Memory held, bytes.
-    pub(super) fn bytes(&self) -> usize {
-        size_of::<[i16; STRETCH]>() * self.field.capacity() + size_of::<u32>() * self.starts.capacity()
-    }
-}
-
 /// What is carried along from row to row, and from one band to the next below it.
 pub(super) struct Finder {
     sums: Sums,
@@ -101,45 +76,51 @@ impl Finder {
     }
 }
 
-/// Finds what there is of as many rows as `places` has room for, from `first` on; a line may start where neighbours differ by more than `least`.
+/// What is known of some rows.
+pub(super) struct Found<'a> {
+    /// Which stretches of the field are kept, row by row.
+    pub(super) kept: &'a mut [bool],
+    /// The field, row by row in whole stretches; of those that are not kept whatever was there.
+    pub(super) field: &'a mut [i16],
+    /// Where lines start, places `v * width + u`.
+    pub(super) starts: &'a mut Vec<u32>,
+}
+
+/// Finds what there is of as many rows as there is room for, from `first` on; a line may start where neighbours differ by more than `least`.
 pub(super) struct Find<'a> {
     pub(super) on: Smoothed<'a>,
     pub(super) first: usize,
     pub(super) least: u16,
     pub(super) finder: &'a mut Finder,
-    /// Row by row, for each stretch its place in the band.
-    pub(super) places: &'a mut [u32],
-    pub(super) band: &'a mut Band,
+    pub(super) out: Found<'a>,
 }
 
 impl Kernel for Find<'_> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let Self { on, first, least, finder, places, band } = self;
+        let Self { on, first, least, finder, out: Found { kept, field, starts } } = self;
         let count = on.width.div_ceil(STRETCH);
-        band.field.clear();
-        band.field.reserve(places.len() / 2);
-        band.starts.clear();
+        starts.clear();
         finder.start_at(&on, first, least);
         let Finder { sums, steep, next } = finder;
-        for (k, places) in places.chunks_exact_mut(count).enumerate() {
+        let rows = kept.chunks_exact_mut(count).zip(field.chunks_exact_mut(count * STRETCH));
+        for (k, (kept, field)) in rows.enumerate() {
             let v = first + k;
             match v + 1 < on.height {
                 true => find_steep(on.row(v + 1), least, &mut steep[(v + 1) % 3]),
                 false => steep[(v + 1) % 3].fill(false),
             }
             sums.next_row(&on);
-            for k in 0..count {
-                let wanted = steep[0][k] | steep[1][k] | steep[2][k];
-                places[k] = if wanted { band.field.len() as u32 } else { NONE };
-                if wanted {
+            for (k, field) in field.as_chunks_mut().0.iter_mut().enumerate() {
+                kept[k] = steep[0][k] | steep[1][k] | steep[2][k];
+                if kept[k] {
                     let mut border = [0; STRETCH + 1];
-                    band.field.push(sums.field(k, pixels(on.row(v), k, &mut border)));
+                    *field = sums.field(k, pixels(on.row(v), k, &mut border));
                 }
             }
             if v + 1 < on.height {
-                find_starts(&on, v, (&steep[v % 3], least), places, band);
+                find_starts(&on, v, (&steep[v % 3], least), (kept, field), starts);
             }
             *next = Some(v + 1);
         }
@@ -164,12 +145,12 @@ fn find_steep(row: &[u16], least: u16, steep: &mut [bool]) {
     for (k, steep) in steep.iter_mut().enumerate() {
         let mut border = [0; STRETCH + 1];
         let x = pixels(row, k, &mut border);
-        // A plain loop, for vectors.
-        let mut most = 0;
+        // A plain loop, for vectors; whether one bit of all is set is asked more easily than what the largest is.
+        let mut more = 0;
         for i in 0..STRETCH {
-            most = most.max(x[i].max(x[i + 1]) - x[i].min(x[i + 1]));
+            more |= (x[i].max(x[i + 1]) - x[i].min(x[i + 1])).saturating_sub(least);
         }
-        *steep = most > least;
+        *steep = more != 0;
     }
 }
 
@@ -219,28 +200,41 @@ impl Sums {
     }
 }
 
-/// Places of row `v` where a line starts; `places` are those of its stretches.
+/// Places of row `v` where a line starts, from what is kept of it.
 #[inline(always)]
-fn find_starts(on: &Smoothed<'_>, v: usize, (steep, least): (&[bool], u16), places: &[u32], out: &mut Band) {
-    let mut hits = [0; STRETCH];
+fn find_starts(
+    on: &Smoothed<'_>,
+    v: usize,
+    (steep, least): (&[bool], u16),
+    (kept, row): (&[bool], &[i16]),
+    out: &mut Vec<u32>,
+) {
     for k in (0..steep.len()).filter(|k| steep[*k]) {
-        let Some(field) = out.stretch(places[k]) else { continue };
         let mut border = [0; STRETCH + 1];
-        let x = pixels(on.row(v), k, &mut border);
-        for i in 0..STRETCH - 1 {
+        let (x, end) = (pixels(on.row(v), k, &mut border), (k + 1) * STRETCH);
+        let mut field = [0; STRETCH + 1];
+        field[..STRETCH].copy_from_slice(&row[k * STRETCH..end]);
+        // Beyond a border, and where it is not steep, no line starts.
+        let last = STRETCH - 1;
+        field[STRETCH] = if end < on.width && kept[k + 1] {
+            row[end]
+        } else if x[last].abs_diff(x[STRETCH]) > least {
+            on.field(end, v)
+        } else {
+            field[last]
+        };
+        let mut hits = [0; STRETCH];
+        for i in 0..STRETCH {
             hits[i] = start(x[i], x[i + 1], field[i], field[i + 1], least);
         }
-        let (end, i) = ((k + 1) * STRETCH, STRETCH - 1);
-        hits[i] = 0;
-        if end < on.width {
-            let beside = out.stretch(places[k + 1]).map(|f| f[0]);
-            hits[i] = start(x[i], x[i + 1], field[i], beside.unwrap_or_else(|| on.field(end, v)), least);
+        // A bit for each, in a loop for vectors.
+        let mut bits = 0_u32;
+        for i in 0..STRETCH {
+            bits |= if hits[i] != 0 { 1 << i } else { 0 };
         }
-        for (part, hits) in hits.chunks_exact(PART).enumerate() {
-            if hits.iter().fold(0, |any, hit| any | hit) != 0 {
-                let at = v * on.width + k * STRETCH + part * PART;
-                out.starts.extend((0..PART).filter(|i| hits[*i] != 0).map(|i| (at + i) as u32));
-            }
+        while bits != 0 {
+            out.push((v * on.width + k * STRETCH) as u32 + bits.trailing_zeros());
+            bits &= bits - 1;
         }
     }
 }

@@ -14,8 +14,8 @@ fn near(e: &Ellipse, reach: f64) -> Near {
         let q = (x / frame.a).hypot(y / frame.b);
         if (q - 1.0).abs() * frame.b < reach {
             let [u, v, grey] = near.take(1);
-            (u[0], v[0]) = (x as f32, y as f32);
-            grey[0] = (100.0 * (1.0 - q) + f64::from((i * 7 + j * 3) % 5)) as f32;
+            (u[0][0], v[0][0]) = (x as f32, y as f32);
+            grey[0][0] = (100.0 * (1.0 - q) + f64::from((i * 7 + j * 3) % 5)) as f32;
         }
     }
     near.fill_up(frame.a);
