@@ -112,7 +112,7 @@ impl<T> Conversion<T> {
         large
             .map(|(i, l)| {
                 format!(
-                    "camera {}: the format cannot hold this camera; the nearest one differs by {:.3} px rms, {:.3} px at most",
+                    "camera {}: it cannot be carried over exactly; the nearest camera of the other kind differs by {:.3} px rms, {:.3} px at most",
                     i + 1,
                     l.rms_px,
                     l.max_px

@@ -12,13 +12,15 @@
 //! | `[[camera]]` `name` | | required | letters, digits, `-`, `_`; the first camera is the rig frame; one or two cameras |
 //! | `pixel_pitch_mm` | mm | unknown | distance of neighbouring pixels |
 //! | `focal_length_mm` | mm | unknown | nominal focal length of the lens |
+//! | `radial` | | `"ideal-to-distorted"` | direction of the distortion polynomial: Brown's, or `"distorted-to-ideal"` (photogrammetry) |
+//! | `[camera.window]` | | none | a plane window between air and water; keys in `docs/window.md` |
 //! | `[camera.known]` | | nothing | per parameter `{ value, sigma }` (a prior) or `{ fixed }`; see [`Parameter`] |
 //! | `[target]` `kind` | | required | `two-discs`, `bubbles`, `dot-grid`, `two-level-plate` |
 //! | `polarity` | | `"auto"` | `bright`, `dark`, `auto` |
 //! | `spacing_mm` | mm | unknown | two discs: distance of the centres; grid: pitch; plate: pitch on one level (required) |
 //! | `radii_mm` | mm | unknown | two discs: both radii; grid and plate: a list with the one radius |
 //! | `adjust` | | `"shape"` | `none`, `shape` (radii, spacing ratio, step), `points` (every dot; grids and plates) |
-//! | `point_sigma_mm` | mm | no prior | with `adjust = "points"`: how far a dot may be from its nominal place |
+//! | `point_sigma_mm` | mm | a hundredth of the pitch | with `adjust = "points"`: how far a dot may be from its nominal place, and its radius from the common one; what that leaves open is in their sigmas |
 //! | `columns`, `rows` | | not counted | grid only: size of the full grid |
 //! | `step_mm` | mm | required | plate only: depth of the back level below the front level |
 //! | `marks` | | none | grid, plate: `[{ kind, column, row, level }]`, kind `ring`, `large`, `square`, `triangle`; `level` (plate) 0 |

@@ -203,7 +203,7 @@ fn turn(corner: &[f32; 4], entry: u8) -> u8 {
             let mut own = *corner;
             own.rotate_right(entry as usize);
             let top_left_cut_off = (own[0] > 0.0) != (own.iter().sum::<f32>() > 0.0);
-            if top_left_cut_off == (entry % 2 == 0) { 3 } else { 1 }
+            if top_left_cut_off == (entry & 1 == 0) { 3 } else { 1 }
         }
     }
 }

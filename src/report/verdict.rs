@@ -236,11 +236,15 @@ fn felt(m: &crate::record::MappingUncertainty) -> Option<String> {
     })
 }
 
-/// The words with a capital first letter and a full stop.
+/// The words with a capital first letter, unless it is that of a name such as `right.k1`, and a full stop.
 pub(super) fn sentence(words: &str) -> String {
     let mut chars = words.trim().chars();
     let Some(first) = chars.next() else { return String::new() };
-    let mut out: String = first.to_uppercase().chain(chars).collect();
+    let begin = words.split_whitespace().next().unwrap_or_default().trim_end_matches(['.', ':', ',']);
+    let mut out: String = match begin.contains(['.', '_']) {
+        true => words.trim().into(),
+        false => first.to_uppercase().chain(chars).collect(),
+    };
     if !out.ends_with(['.', '!', '?', ':']) {
         out.push('.');
     }
