@@ -15,11 +15,12 @@ pub(super) const BLOCK: usize = 256;
 const FIRST: [f32; SINGLES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
 /// Newton steps of a foot point at most.
 const STEPS: usize = 6;
-/// A step below this, times the square of the ratio of the axes, is the last: what it leaves is the square of it times the inverse of that
-/// square, and moves a foot point along the contour, its distance not by 1e-6 px.
-const LAST_STEP: f64 = 0.02;
-/// Ratio of the axes up to which foot points are guessed as if the contour were one of a family of similar ones.
+/// A step below this, times the square of the ratio of the axes, is the last: it leaves about its square, 1e-5, which moves a foot point along the
+/// contour, but its distance by nothing that single precision holds.
+const LAST_STEP: f64 = 0.006;
+/// Ratio of the axes up to which the distance of a pixel is in the guess of its foot point, and the least part of what it is without that it is then.
 const ROUND: f64 = 1.4;
+const LEAST_GUESS: f32 = 0.3;
 /// Pixels that are collected together.
 pub(super) const EIGHT: usize = 8;
 
@@ -256,8 +257,8 @@ struct Seen<S> {
     sin: S,
     cos2: S,
     sin2: S,
-    /// Where Newton's steps for foot points begin, and which of them is the last.
-    guess: [[S; 2]; 2],
+    /// Twice the product of the axes, none of contours that are not round; the last of Newton's steps for foot points.
+    two_ab: S,
     last_step: S,
     blur: S,
     inverse_blur: S,
@@ -284,23 +285,6 @@ struct Edge<S> {
     kappa: S,
 }
 
-/// Where to begin the search for the foot point of `(x, y)`, which lies `d` off the contour: with `N` of [`Foot::inverse`]
-///
-/// ```text
-/// x = c (a + d b / N),  y = s (b + d a / N);   d / N about 2 (q^2 - 1) / (q^2 + 3),  q^2 = (x/a)^2 + (y/b)^2
-/// c ~ x (3 b - 2 a + (b + 2 a) q^2),  s ~ y (3 a - 2 b + (a + 2 b) q^2)
-/// ```
-///
-/// or, of contours that are not round, `d` taken as none: factors of `q^0` and `q^2` for `c` and `s`.
-fn guess(frame: &Frame) -> [[f64; 2]; 2] {
-    let (a, b) = (frame.a, frame.b);
-    if a < ROUND * b {
-        [[3.0 * b - 2.0 * a, b + 2.0 * a], [3.0 * a - 2.0 * b, a + 2.0 * b]]
-    } else {
-        [[b, 0.0], [a, 0.0]]
-    }
-}
-
 impl<S: Singles> Seen<S> {
     #[inline(always)]
     fn new(frame: &Frame, lens: &Lens) -> Self {
@@ -320,7 +304,7 @@ impl<S: Singles> Seen<S> {
             sin: one(frame.sin),
             cos2: one(frame.cos2),
             sin2: one(frame.sin2),
-            guess: guess(frame).map(|g| g.map(one)),
+            two_ab: one(if frame.a < ROUND * frame.b { 2.0 * frame.a * frame.b } else { 0.0 }),
             last_step: one(LAST_STEP * (frame.b * frame.b) / (frame.a * frame.a)),
             blur: one(lens.blur_px),
             inverse_blur: one(1.0 / lens.blur_px),
@@ -404,7 +388,12 @@ impl<S: Singles> Seen<S> {
 
     /// Eccentric angles of the foot points as unit vectors, `cos` and `sin` in the first two lists; the third says how much of a step is left
     /// to take. Newton steps of a whole block side by side, so that none waits for the one before; each lane ends by itself, so that its bits
-    /// do not hang on the others.
+    /// do not hang on the others. They begin, `d` off the contour, with `N` of [`Foot::inverse`], at
+    ///
+    /// ```text
+    /// x = c (a + b d / N),  y = s (b + a d / N)
+    /// d / N about (q - 1) a b / N^2,  q^2 = (x/a)^2 + (y/b)^2,  q - 1 about 2 (q^2 - 1) / (q^2 + 3),  N^2 about ((b x/a)^2 + (a y/b)^2) / q^2
+    /// ```
     #[inline(always)]
     fn feet(&self, [x, y]: [&[f32]; 2], feet: &mut [[f32; BLOCK]; 3]) {
         let one = S::splat(1.0);
@@ -414,9 +403,11 @@ impl<S: Singles> Seen<S> {
         while i + S::N <= m {
             let (x, y) = (S::load(&x[i..]), S::load(&y[i..]));
             let (px, py) = (x * self.inverse_a, y * self.inverse_b);
-            let square = px.fused(px, py * py);
-            let [[c0, c2], [s0, s2]] = self.guess;
-            let (p, q) = (x * square.fused(c2, c0), y * square.fused(s2, s0));
+            let (square, n2) = (px.fused(px, py * py), self.n2(px, py));
+            let (d, all) = (self.two_ab * (square - one) * square, (square + S::splat(3.0)) * n2);
+            let (least_b, least_a) = (self.b * all, self.a * all);
+            let p = x * self.a.fused(d, least_b).at_least(least_b * S::splat(LEAST_GUESS));
+            let q = y * self.b.fused(d, least_a).at_least(least_a * S::splat(LEAST_GUESS));
             let scale = one / p.fused(p, q * q).sqrt().at_least(S::splat(1e-30));
             (p * scale).store(&mut cos[i..]);
             (q * scale).store(&mut sin[i..]);
@@ -438,6 +429,12 @@ impl<S: Singles> Seen<S> {
                 break;
             }
         }
+    }
+
+    #[inline(always)]
+    fn n2(&self, px: S, py: S) -> S {
+        let (along, across) = (self.b * px, self.a * py);
+        along.fused(along, across * across)
     }
 
     /// One Newton step for the zero of `f(t) = e2 c s - a x s + b y c`, half the derivative of the squared distance of `(x, y)` from `(a c, b s)`,
