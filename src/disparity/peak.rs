@@ -21,6 +21,8 @@ const PART: f64 = 0.35;
 const APART: f64 = 4.0;
 /// Or, near the first, beyond this distance, px.
 const APART_PX: isize = 5;
+/// And this many standard deviations.
+const FLANK: f64 = 3.0;
 /// Rounds in which the samples follow the width that they show.
 const ROUNDS: usize = 6;
 
@@ -168,9 +170,15 @@ impl CorrelationMap {
         (h.m11 > 0.0 && h.determinant() > 0.0 && beside).then_some((place, shape))
     }
 
-    /// Height of a peak over that of the second where it was looked for: how well it is told from chance there.
-    pub(super) fn ratio_near(&self, peak: &Peak, search: usize) -> f64 {
-        let apart = |d: &(isize, isize)| (d.0 - peak.at.0).abs() > APART_PX || (d.1 - peak.at.1).abs() > APART_PX;
+    /// Height of a peak over that of the second where it was looked for: how well it is told from chance there. The flanks of a peak that light draws
+    /// out are none: what lies within three of its standard deviations, of at most `widest_px`, belongs to it.
+    pub(super) fn ratio_near(&self, peak: &Peak, search: usize, widest_px: f64) -> f64 {
+        let flank = at_most(&peak.shape_px2, widest_px).try_inverse().unwrap_or_else(Matrix2::zeros);
+        let apart = |d: &(isize, isize)| {
+            let at = Vector2::new(d.0 as f64, d.1 as f64) - peak.shift_px;
+            let far = (d.0 - peak.at.0).abs() > APART_PX || (d.1 - peak.at.1).abs() > APART_PX;
+            far && at.dot(&(flank * at)) > FLANK * FLANK
+        };
         peak.height / self.highest(search, apart).map_or(0.0, |s| s.1).max(1e-12)
     }
 
