@@ -39,7 +39,7 @@ impl Light {
         let [used, looked] = self.window_px;
         if wanted > looked {
             return Some(format!(
-                "the light is thick: its depth asks for windows of {wanted} px, the field allows {looked}; its thickness is a lower limit"
+                "the light is thick: its depth asks for windows of {wanted} px, the field allows {looked}; its thickness may be too small"
             ));
         }
         (wanted > used).then(|| {

@@ -4,7 +4,10 @@
 //! ln C = c0 + g . d - d^T H d / 2        least squares over samples around the maximum, weighted by C^2 (equal noise of C)
 //! place = H^-1 g,   S = H^-1             S: covariance of the peak
 //! ratio = height / max C(d) sqrt(overlap(d) / overlap(peak))   over the whole map where (d - peak)^T S^-1 (d - peak) > APART^2
+//! near  = height / max C(d)              as far as the first was looked for, beyond APART_PX and FLANK standard deviations of it
 //! ```
+//! S counts with standard deviations of at most [`WIDEST`] of the window in both: it cannot tell a wider peak from what lies beside it.
+//!
 //! Samples exceed a part of the maximum and lie within a few pixels: its top, whatever the foot is like. Where the *width* is asked for, they follow it:
 //! as far as the peak that they show is wide, in its ellipse. Noise of C falls with the root of the overlap. Among many
 //! windows of one plane the second is sought where the first was; a window alone is told from chance by the whole map, however near it was looked for.
@@ -21,8 +24,10 @@ const PART: f64 = 0.35;
 const APART: f64 = 4.0;
 /// Or, near the first, beyond this distance, px.
 const APART_PX: isize = 5;
-/// And this many standard deviations.
+/// And this many standard deviations: less than those, for a peak of a few pixels is told by its distance.
 const FLANK: f64 = 3.0;
+/// Standard deviations of a first peak count as no more than this part of the window.
+pub(super) const WIDEST: f64 = 1.0 / 16.0;
 /// Rounds in which the samples follow the width that they show.
 const ROUNDS: usize = 6;
 
@@ -171,15 +176,19 @@ impl CorrelationMap {
     }
 
     /// Height of a peak over that of the second where it was looked for: how well it is told from chance there. The flanks of a peak that light draws
-    /// out are none: what lies within three of its standard deviations, of at most `widest_px`, belongs to it.
-    pub(super) fn ratio_near(&self, peak: &Peak, search: usize, widest_px: f64) -> f64 {
-        let flank = at_most(&peak.shape_px2, widest_px).try_inverse().unwrap_or_else(Matrix2::zeros);
+    /// out are none; where they fill what was looked at, the whole map tells.
+    pub(super) fn ratio_near(&self, peak: &Peak, search: usize) -> f64 {
+        let shape = at_most(&peak.shape_px2, WIDEST * self.width as f64);
+        let Some(flank) = shape.try_inverse() else { return 0.0 };
         let apart = |d: &(isize, isize)| {
             let at = Vector2::new(d.0 as f64, d.1 as f64) - peak.shift_px;
             let far = (d.0 - peak.at.0).abs() > APART_PX || (d.1 - peak.at.1).abs() > APART_PX;
             far && at.dot(&(flank * at)) > FLANK * FLANK
         };
-        peak.height / self.highest(search, apart).map_or(0.0, |s| s.1).max(1e-12)
+        match self.highest(search, apart) {
+            Some((_, second)) => peak.height / second.max(1e-12),
+            None => self.ratio(peak, &shape),
+        }
     }
 
     /// Height of a peak over that of the second in the whole map, beyond a peak of the covariance `shape_px2`; 0 where that leaves nothing of the map.
@@ -268,6 +277,16 @@ mod tests {
         let map = hills(64, &[(1.0, Vector2::zeros(), thick), (0.2, Vector2::new(3.0, 20.0), narrow)]);
         let p = map.wide_peak(8).unwrap();
         assert!((4.5..7.5).contains(&map.ratio(&p, &thick)), "{}", map.ratio(&p, &thick));
+        // Near the first: its flank is none, another peak is; where the flank fills what was looked at, the map tells.
+        let wide = hills(256, &[(1.0, Vector2::zeros(), thick), (0.2, Vector2::new(3.0, 20.0), narrow)]);
+        let near = wide.ratio_near(&wide.peak(8).unwrap(), 24);
+        assert!((near / 5.0 - 1.0).abs() < 0.05, "{near}");
+        let beside = hills(64, &[(1.0, Vector2::zeros(), narrow), (0.7, Vector2::new(8.0, 1.0), narrow)]);
+        let near = beside.ratio_near(&beside.peak(4).unwrap(), 12);
+        assert!((near * 0.7 - 1.0).abs() < 0.05, "{near}");
+        let round = hills(256, &[(1.0, Vector2::zeros(), Matrix2::identity() * 100.0)]);
+        let near = round.ratio_near(&round.peak(8).unwrap(), 12);
+        assert!((100.0..1e6).contains(&near), "{near}");
         // A window no larger than the first peak cannot tell it from a second.
         assert_eq!(
             hills(8, &[(1.0, Vector2::zeros(), thick)]).peak(2).map(|p| map.ratio(&p, &(thick * 99.0))),

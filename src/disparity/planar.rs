@@ -23,7 +23,7 @@
 
 use super::correlate::{Correlator, Dewarped};
 use super::lattice::Lattice;
-use super::peak::at_most;
+use super::peak::{WIDEST, at_most};
 use super::prepare::{BACKGROUND_PX, levels, particles};
 use super::scatter::scatter;
 use crate::dewarp::{Kernel, Sampler};
@@ -35,8 +35,6 @@ use rayon::prelude::*;
 const ROUNDS: usize = 4;
 /// A peak must be this much higher than the second.
 const RATIO: f64 = 1.2;
-/// The second lies beyond four of the first one's standard deviations, but these count as no more than this part of the window.
-const WIDEST: f64 = 1.0 / 16.0;
 /// Residual of the normalised median test beyond which a vector is taken out.
 const OUTLIER: f64 = 2.0;
 /// Noise that the test allows in any case, px.

@@ -12,8 +12,6 @@ use rayon::prelude::*;
 
 /// A peak must be this much higher than the second.
 const RATIO: f64 = 1.25;
-/// Standard deviations of a peak count as no more than this part of the window: it cannot tell a wider one from what lies beside it.
-const WIDEST: f64 = 1.0 / 16.0;
 /// Fewest windows that fix a plane with something to spare.
 pub(super) const FEWEST: usize = 8;
 
@@ -79,7 +77,7 @@ pub(super) fn measure(record: &Record, moments: &[Moment], window_px: usize, nea
         let [column, row] = lattice.corner(k);
         let map = correlator.map(correlator.window(&dewarped, grid.width_px, column, row)?.cross);
         let peak = map.peak(search)?;
-        let ratio = map.ratio_near(&peak, search, WIDEST * window_px as f64);
+        let ratio = map.ratio_near(&peak, search);
         let middle = lattice.middle(k);
         // The particle images of both lie half a shift on either side.
         let raw = |c: usize, side: f64| {
