@@ -24,7 +24,9 @@ pub use mapping::mapping_of_record;
 
 use crate::bundle::{AdjustOptions, Adjustment, Iteration, NamedCovariance};
 use crate::error::{Result, Unusable};
+use crate::frames::{Rig, Sheet};
 use crate::record::{Diagnosis, KeyQuantity, MappingUncertainty, NearNull};
+use crate::rigid::Motion;
 use crate::target::DotId;
 use crate::threads;
 use keys::Keys;
@@ -48,6 +50,8 @@ pub struct Subject<'a> {
     pub labels: &'a [DotId],
     /// Width and height of each camera's images, px.
     pub sizes_px: &'a [[f64; 2]],
+    /// Where the frame of the sheet stands, unless it is the one that goes with the plane.
+    pub sheet_frame: Option<Motion<Rig, Sheet>>,
     /// How views are adjusted away.
     pub options: &'a AdjustOptions,
 }
@@ -118,7 +122,8 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
         let (mut of_tests, mut of_mapping) = (vec![], vec![]);
         let tests = model_tests::model_tests(s, &keys, &mut of_tests);
         watch.check()?;
-        let mapping = mapping::mapping_uncertainty(s.covariance, s.sizes_px, &names, &mut of_mapping);
+        let mapping =
+            mapping::mapping_uncertainty(s.covariance, s.sizes_px, &names, s.sheet_frame.as_ref(), &mut of_mapping);
         Ok((tests, of_tests, mapping, of_mapping))
     };
     let (views, others) = threads::both(views, others);

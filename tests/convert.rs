@@ -9,6 +9,7 @@ use nalgebra::Vector3;
 use program::{example, spivcal};
 use spivcal::frames::{Rig, Sheet, Target};
 use spivcal::record::Record;
+use spivcal::rigid::Motion;
 use std::path::Path;
 
 fn record(path: &Path) -> Record {
@@ -181,17 +182,18 @@ fn the_sheet_frame_is_placed_and_placed_back() {
         let (a, b) = (s.sigma.angles_deg[k], t.sigma.angles_deg[k]);
         assert!((a - b).abs() < 1e-3 * a + 1e-9, "{:?} {:?}", s.sigma, t.sigma);
     }
-    // What is felt in the sheet is told at the same points of it; along turned axes it is not known.
-    convert(&[&json, "--to", "spivcal", "--origin-mm", "5,-2", "-o", &path("m")], 0);
-    let moved = record(Path::new(&path("m/calibration.json")));
-    let (was, now) = (old.mapping_uncertainty.as_ref().unwrap(), moved.mapping_uncertainty.as_ref().unwrap());
-    let alike = |a: f64, b: f64| (a - b).abs() < 1e-9;
-    assert!(alike(now.middle.point_mm[0], was.middle.point_mm[0] - 5.0));
-    assert!(alike(now.middle.point_mm[1], was.middle.point_mm[1] + 2.0));
-    assert!(was.map.x_mm.iter().zip(&now.map.x_mm).all(|(a, b)| alike(a - 5.0, *b)));
-    assert!(was.map.y_mm.iter().zip(&now.map.y_mm).all(|(a, b)| alike(a + 2.0, *b)));
-    assert_eq!((now.middle.disparity_px, &now.map.u_per_w), (was.middle.disparity_px, &was.map.u_per_w));
-    assert!(new.mapping_uncertainty.is_none());
+    // What is felt in the sheet is told at the same points of it, along the new axes.
+    let middle = |r: &Record| r.mapping_uncertainty.as_ref().unwrap().middle.clone();
+    let (was, turned, again) = (middle(&old), middle(&new), middle(&back));
+    let place = |m: &Motion<Rig, Sheet>, p: [f64; 2]| m.apply(&Vector3::new(p[0], p[1], 0.0));
+    let off = place(&g, turned.point_mm) - place(&f, was.point_mm);
+    assert!(off.norm() < 0.5, "{off}: {:?} {:?}", was.point_mm, turned.point_mm);
+    let alike = |a: f64, b: f64| (a / b - 1.0).abs() < 0.02;
+    let (d, e) = (&was.displacement, &turned.displacement);
+    assert!(alike(d[0][0], e[1][1]) && alike(d[1][1], e[0][0]) && alike(d[0][2], e[1][2]), "{d:?} {e:?}");
+    assert!(alike(was.disparity_px, turned.disparity_px) && alike(d[2][2], e[2][2]), "{was:?} {turned:?}");
+    assert!((0..2).all(|k| (was.point_mm[k] - again.point_mm[k]).abs() < 1e-6), "{was:?} {again:?}");
+    assert!((was.disparity_px / again.disparity_px - 1.0).abs() < 1e-3, "{was:?} {again:?}");
     // On the target of a view: its origin has x = y = 0, its x axis y = 0.
     let said = convert(&[&json, "--to", "spivcal", "--frame-of-view", "0", "-o", &path("v")], 0);
     assert!(said.contains("calibration.json"), "{said}");

@@ -37,6 +37,7 @@ fn findings(a: &Adjustment) -> Findings {
         assumed: &[],
         labels: &labels,
         sizes_px: &[[1024.0, 768.0]; 2],
+        sheet_frame: None,
         options: &options,
     };
     diagnose(&subject, &|_| true).unwrap()

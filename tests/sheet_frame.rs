@@ -36,6 +36,16 @@ fn the_frame_stands_on_the_disc_and_along_the_target() {
     // The target faces the first camera, and so does z: the two frames have the same axes.
     assert!((pose.rotation - Matrix3::identity()).norm() < 1e-9, "{}", pose.rotation);
     let plain = run("");
+    // What is felt is told at the same points of the sheet, in this frame.
+    let middle = |r: &Record| {
+        let m = r.mapping_uncertainty.as_ref().unwrap().middle.clone();
+        let frame: Motion<Rig, Sheet> = r.sheet.as_ref().unwrap().rig_from_sheet.motion();
+        (frame.apply(&Vector3::new(m.point_mm[0], m.point_mm[1], 0.0)), m)
+    };
+    let ((p, here), (q, there)) = (middle(&placed), middle(&plain));
+    assert!((p - q).norm() < 1.0, "{p} {q}: {:?} {:?}", here.point_mm, there.point_mm);
+    assert!((here.point_mm[0] - there.point_mm[0]).abs() > 5.0, "{:?} {:?}", here.point_mm, there.point_mm);
+    assert!((here.displacement[2][2] / there.displacement[2][2] - 1.0).abs() < 0.02);
     let (a, b) = (placed.sheet.unwrap(), plain.sheet.unwrap());
     for k in 0..3 {
         assert_eq!(a.normal_in_rig[k].to_bits(), b.normal_in_rig[k].to_bits());

@@ -31,6 +31,7 @@ fn diagnosed(a: &Adjustment, observe: &(dyn Fn(&Iteration) -> bool + Sync)) -> R
         assumed: &[],
         labels: &labels,
         sizes_px: &sizes_px,
+        sheet_frame: None,
         options: &options,
     };
     diagnose(&subject, observe)

@@ -8,7 +8,9 @@
 //! ```
 
 use crate::bundle::NamedCovariance;
+use crate::frames::{Rig, Sheet};
 use crate::record::{MappingMap, MappingSigma, MappingUncertainty, Record};
+use crate::rigid::Motion;
 use crate::sheet::{PointUncertainty, SheetUncertainty, StereoSheet, covariance_of_record};
 use crate::threads::gathered;
 use nalgebra::{DMatrix, DVector, Vector2};
@@ -35,18 +37,23 @@ pub fn mapping_of_record(record: &Record) -> Option<(MappingUncertainty, Vec<Str
     let covariance = covariance_of_record(record)?;
     let sizes_px = [first, second].map(|c| c.image_size_px.map(|n| n as f64));
     let mut flags = vec![];
-    let found = mapping_uncertainty(&covariance, &sizes_px, &names, &mut flags)?;
+    let frame = record.sheet.as_ref()?.rig_from_sheet.motion();
+    let found = mapping_uncertainty(&covariance, &sizes_px, &names, Some(&frame), &mut flags)?;
     Some((found, flags))
 }
 
+/// Told in the frame of the sheet that is given, or else in the one that goes with the plane.
 pub(super) fn mapping_uncertainty(
     covariance: &NamedCovariance,
     sizes_px: &[[f64; 2]],
     names: &[&str],
+    frame: Option<&Motion<Rig, Sheet>>,
     flags: &mut Vec<String>,
 ) -> Option<MappingUncertainty> {
     let [first, second] = *names else { return None };
-    let uncertainty = SheetUncertainty::of(covariance, [first, second])?;
+    let own = StereoSheet::of(covariance)?;
+    let uncertainty =
+        SheetUncertainty::about(frame.map_or(own, |frame| own.told_in(frame)), covariance, [first, second]);
     let stereo = *uncertainty.stereo();
     let field = field(&stereo, sizes_px)?;
     let mut points = field.points.clone();

@@ -13,6 +13,7 @@
 //! Source: the conventions of `rigid` and `sheet`. Not for frames turned round, whose z would point away from the first camera (refused).
 
 use crate::dewarp::Placement;
+use crate::diagnosis::mapping_of_record;
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::Record;
@@ -78,16 +79,7 @@ pub fn placed(record: &Record, placement: &Placement) -> Result<Record> {
     }
     let mut out = record.clone();
     out.sheet = Some(sheet);
-    if turned {
-        // Told along the former axes.
-        out.mapping_uncertainty = None;
-    } else if let Some(m) = &mut out.mapping_uncertainty {
-        let [x, y] = [0, 1].map(|a| placement.sheet_from_placed().translation_mm[a]);
-        for point in [&mut m.middle.point_mm, &mut m.largest.point_mm] {
-            *point = [point[0] - x, point[1] - y];
-        }
-        m.map.x_mm.iter_mut().for_each(|at| *at -= x);
-        m.map.y_mm.iter_mut().for_each(|at| *at -= y);
-    }
+    // What was told at points of the former frame and along its axes is told anew.
+    out.mapping_uncertainty = record.mapping_uncertainty.as_ref().and_then(|_| Some(mapping_of_record(&out)?.0));
     Ok(out)
 }

@@ -4,7 +4,7 @@ use super::images::{SeenImage, see_all};
 use super::model::{Built, build};
 use super::outcome::record;
 use super::residual_rows::residual_rows;
-use super::sheet_part::sheet_part;
+use super::sheet_part::{sheet_part, stated_frame};
 use super::workers::Workers;
 use super::{Progress, Source};
 use crate::bundle::{
@@ -105,14 +105,6 @@ fn run(
     }
     let covariance =
         named_covariance(&adjustment).ok_or_else(|| Error::Bug("the adjustment gave no covariance".into()))?;
-    let subject = Subject {
-        adjustment: &adjustment,
-        covariance: &covariance,
-        assumed: &built.assumed,
-        labels: &built.labels,
-        sizes_px: &sizes,
-        options: &options.adjust,
-    };
     let solved = Solved {
         job,
         images: &images,
@@ -121,6 +113,15 @@ fn run(
         contours: &contours,
         covariance: &covariance,
         undecided: &undecided,
+    };
+    let subject = Subject {
+        adjustment: &adjustment,
+        covariance: &covariance,
+        assumed: &built.assumed,
+        labels: &built.labels,
+        sizes_px: &sizes,
+        sheet_frame: stated_frame(&solved)?,
+        options: &options.adjust,
     };
     let described = || (residual_rows(&solved), sheet_part(&solved));
     let (findings, (rows, sheet)) = rayon::join(|| diagnose(&subject, &told), described);

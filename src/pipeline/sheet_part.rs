@@ -46,6 +46,15 @@ pub(super) fn sheet_part(s: &Solved) -> Result<Option<Sheet>> {
     Ok(Some(sheet))
 }
 
+/// The sheet frame, where the rig file places it and a view was recorded in the sheet.
+pub(super) fn stated_frame(s: &Solved) -> Result<Option<Motion<Rig, SheetFrame>>> {
+    let Some(plane) = s.covariance.natural.rig_from_plane.filter(|_| s.job.sheet != Default::default()) else {
+        return Ok(None);
+    };
+    let second = s.job.cameras.get(1).map(|c| c.name.as_str());
+    Ok(Some(placed_joint_sheet(s.covariance, &plane, second, &placement(s, &plane)?).rig_from_sheet))
+}
+
 /// Where the rig file places the sheet frame.
 fn placement(s: &Solved, plane: &Motion<Rig, SheetFrame>) -> Result<Placement> {
     let wanted = &s.job.sheet;

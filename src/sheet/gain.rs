@@ -45,6 +45,8 @@ pub struct StereoSheet {
     cameras: [Camera; 2],
     cam_from_rig: [Motion<Cam, Rig>; 2],
     rig_from_sheet: Motion<Rig, Sheet>,
+    /// Where the frame of the sheet stands against the one that goes with the plane.
+    own_from_sheet: Motion<Sheet, Sheet>,
     cam_from_sheet: [Motion<Cam, Sheet>; 2],
     sheet_from_cam: [Motion<Sheet, Cam>; 2],
 }
@@ -103,7 +105,15 @@ impl StereoSheet {
     fn placed(cameras: [Camera; 2], cam_from_rig: [Motion<Cam, Rig>; 2], rig_from_sheet: Motion<Rig, Sheet>) -> Self {
         let cam_from_sheet = cam_from_rig.map(|m| m * rig_from_sheet);
         let sheet_from_cam = cam_from_sheet.map(|m| m.inverse());
-        Self { cameras, cam_from_rig, rig_from_sheet, cam_from_sheet, sheet_from_cam }
+        let own_from_sheet = Motion::identity();
+        Self { cameras, cam_from_rig, rig_from_sheet, own_from_sheet, cam_from_sheet, sheet_from_cam }
+    }
+
+    /// The same with points and displacements told in another frame of the same plane, which goes with it.
+    #[must_use]
+    pub fn told_in(&self, rig_from_sheet: &Motion<Rig, Sheet>) -> Self {
+        let own_from_sheet = self.own_from_sheet * (self.rig_from_sheet.inverse() * *rig_from_sheet);
+        Self { own_from_sheet, ..Self::placed(self.cameras, self.cam_from_rig, *rig_from_sheet) }
     }
 
     /// The first two cameras and the common plane of an adjustment; `None` where it has no second camera or no plane.
@@ -198,10 +208,14 @@ impl StereoSheet {
             Parameter::Window(c, k) => cameras[c] = stepped_window(&cameras[c], k, h)?,
             Parameter::Motion(k) => second = stepped_motion(&second, k, h),
             Parameter::Sheet(k) => {
-                return Some(Self::new(cameras, second, &stepped_motion(&self.rig_from_sheet, k, h)));
+                let own = Self::new(cameras, second, &stepped_motion(&self.rig_from_sheet, k, h));
+                return Some(own.told_in(&(own.rig_from_sheet * self.own_from_sheet)));
             }
         }
-        Some(Self::placed(cameras, [first, second], self.rig_from_sheet))
+        Some(Self {
+            own_from_sheet: self.own_from_sheet,
+            ..Self::placed(cameras, [first, second], self.rig_from_sheet)
+        })
     }
 
     /// A change small enough to be straight and large enough to be felt.
@@ -228,7 +242,11 @@ impl SheetUncertainty {
     /// The first two cameras (with their names) and the common plane of an adjustment; `None` where it has no second camera
     /// or no plane.
     pub fn of(covariance: &NamedCovariance, camera_names: [&str; 2]) -> Option<Self> {
-        let stereo = StereoSheet::of(covariance)?;
+        Some(Self::about(StereoSheet::of(covariance)?, covariance, camera_names))
+    }
+
+    /// Of cameras and sheet as the adjustment has them, in any frame of the sheet.
+    pub(crate) fn about(stereo: StereoSheet, covariance: &NamedCovariance, camera_names: [&str; 2]) -> Self {
         let named = covariance.names.iter().enumerate();
         let own: Vec<(usize, Parameter)> =
             named.filter_map(|(i, n)| Some((i, Parameter::of(n, camera_names)?))).collect();
@@ -236,7 +254,7 @@ impl SheetUncertainty {
         let matrix = DMatrix::from_fn(own.len(), own.len(), |i, j| covariance.matrix[(own[i].0, own[j].0)]);
         let null = DMatrix::from_fn(own.len(), null.ncols(), |i, j| null[(own[i].0, j)]);
         let (names_at, parameters) = own.into_iter().unzip();
-        Some(Self { names_at, ..Self::made_of(stereo, parameters, matrix, null) })
+        Self { names_at, ..Self::made_of(stereo, parameters, matrix, null) }
     }
 
     /// With parameters of no names.
