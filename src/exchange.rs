@@ -157,7 +157,7 @@ pub fn export_soloff(record: &Record, degrees: SoloffDegrees) -> Result<Conversi
 ///
 /// # Errors
 /// [`Invalid::Syntax`] or [`Invalid::File`] where the text is not of the format, or what it says cannot be a calibration;
-/// [`Invalid::Contradiction`] where an option is missing or the content has no meaning here.
+/// [`Invalid::Contradiction`] where an option is missing or says other than the file, or the content has no meaning here.
 pub fn import(files: &[NamedText], format: ImportFormat, options: &ImportOptions) -> Result<Conversion<Record>> {
     if files.is_empty() {
         return Err(Invalid::Contradiction("no file to read".into()).into());
@@ -168,6 +168,7 @@ pub fn import(files: &[NamedText], format: ImportFormat, options: &ImportOptions
         ImportFormat::DaVis => davis::import(files, options)?,
         ImportFormat::Uvmat => uvmat::import(files, options)?,
     };
+    imported::refuse_contradictions(&found, options)?;
     imported::record(found, files)
 }
 

@@ -221,6 +221,8 @@ fn impossible_values_are_refused_with_line_and_expectation() {
         ("/rig/sigma/baseline_mm", Value::from(-1e-4), "expected 0 or more"),
         ("/cameras/1/sigma/effective/cx_px", Value::from(-1e-4), "expected 0 or more"),
         ("/cameras/0/pixel_pitch_mm", Value::from(0.0), "expected a number above 0"),
+        ("/cameras/0/name", Value::from("../evil"), "cannot be part of the name of a file"),
+        ("/cameras/0/name", Value::from("left\n"), "\"left\\n\" cannot be part of the name of a file"),
         ("/target/kind", Value::from("disks"), "expected one of two-discs, "),
         ("/target/radii_mm/0", Value::from(-12.5), "expected a number above 0"),
         ("/target/spacing_mm", Value::from(-26.0), "expected a number above 0"),

@@ -42,3 +42,13 @@ fn every_way_to_set_the_scale_is_understood() {
     }
     assert!(rig.focus.is_some() && rig.views.iter().all(|v| v.plane_z_mm.is_some()));
 }
+
+/// One camera alone does not measure the sheet, and a rig file that says so would be refused.
+#[test]
+fn a_scene_with_one_camera_gives_a_rig_file_that_can_be_read() {
+    let text = PRESETS.iter().find(|(n, _)| *n == "printed").unwrap().1;
+    let (second, rest) = (text.rfind("[[camera]]").unwrap(), text.find("[sheet]").unwrap());
+    let scene = Scene::parse(&format!("{}{}", &text[..second], &text[rest..]), "scene.toml").unwrap();
+    let rig = RigDescription::parse(&scene.rig_toml(), "rig.toml").unwrap();
+    assert!(rig.cameras.len() == 1 && rig.views.len() == scene.views() && rig.views.iter().all(|v| !v.sheet));
+}

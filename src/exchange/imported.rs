@@ -1,6 +1,6 @@
 //! Cameras read from another package as a record of this one.
 
-use super::{Conversion, Found, Loss, NamedText, WorldCamera};
+use super::{Conversion, Found, ImportOptions, Loss, NamedText, WorldCamera};
 use crate::error::{Error, Invalid, Result};
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::{
@@ -66,6 +66,27 @@ pub(super) fn record(found: Found, files: &[NamedText]) -> Result<Conversion<Rec
     }
     notes.push("the file holds no standard deviations: all of them are unknown (null)".into());
     Ok(Conversion { result, losses, notes })
+}
+
+/// Options fill in what a format does not say; what a file says itself they must not contradict.
+pub(super) fn refuse_contradictions(found: &Found, options: &ImportOptions) -> Result<()> {
+    for c in &found.cameras {
+        let ([w, h], name) = (c.image_size_px, &c.name);
+        if let Some([gw, gh]) = options.image_size_px.filter(|given| *given != c.image_size_px) {
+            let what = format!(
+                "the file says that images of camera \"{name}\" are {w} x {h} px, --image-size {gw}x{gh}; leave the option out, or correct one of them"
+            );
+            return Err(Invalid::Contradiction(what).into());
+        }
+        let pitches = c.pixel_pitch_mm.zip(options.pixel_pitch_mm).filter(|(a, b)| (a - b).abs() > 1e-6 * b.abs());
+        if let Some((file, given)) = pitches {
+            let what = format!(
+                "the file says that pixels of camera \"{name}\" are {file} mm, --pixel-pitch-mm {given}; leave the option out, or correct one of them"
+            );
+            return Err(Invalid::Contradiction(what).into());
+        }
+    }
+    Ok(())
 }
 
 fn refusal(files: &[NamedText], message: String) -> Error {

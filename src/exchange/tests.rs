@@ -54,6 +54,7 @@ fn gaps(a: &Record, b: &Record) -> Vec<f64> {
         .collect()
 }
 
+const NONE: ImportOptions = ImportOptions { image_size_px: None, pixel_pitch_mm: None };
 const OPTIONS: ImportOptions = ImportOptions { image_size_px: Some(SIZE), pixel_pitch_mm: Some(0.00625) };
 
 #[test]
@@ -148,7 +149,7 @@ const DAVIS: &str = r#"<?xml version="1.0"?>
 
 fn davis(text: &str) -> Result<Conversion<Record>> {
     let file = NamedText { name: "Calibration.xml".into(), text: text.into() };
-    import(&[file], ImportFormat::DaVis, &OPTIONS)
+    import(&[file], ImportFormat::DaVis, &NONE)
 }
 
 #[test]
@@ -430,7 +431,9 @@ fn a_window_is_refitted_with_the_loss_stated_or_carried_within_the_map() {
 fn impossible_calibrations_are_refused_on_import() {
     let file = |name: &str, text: &str| NamedText { name: name.into(), text: text.into() };
     let refused = |files: &[NamedText], format, words: &[&str]| {
-        let message = import(files, format, &OPTIONS).unwrap_err().to_string();
+        // DaVis says all itself.
+        let options = if format == ImportFormat::DaVis { NONE } else { OPTIONS };
+        let message = import(files, format, &options).unwrap_err().to_string();
         assert!(words.iter().all(|w| message.contains(w)) && !message.contains(":0:"), "{message}");
     };
     let ori = "0 0 100\n0 0 0\n\n1 0 0\n0 1 0\n0 0 1\n\n0 0\n10\n\n0 0 50\n";
@@ -457,6 +460,12 @@ fn impossible_calibrations_are_refused_on_import() {
     let mapper = &plain[plain.find("<CoordinateMapper").unwrap()..plain.find("</Calibration>").unwrap()];
     let twice = plain.replace("</Calibration>", &format!("{mapper}</Calibration>"));
     refused(&[file("C.xml", &twice)], ImportFormat::DaVis, &["C.xml: ", "two cameras are called \"camera1\""]);
+    let other = ImportOptions { image_size_px: Some([640, 480]), ..NONE };
+    let message = import(&[file("C.xml", &plain)], ImportFormat::DaVis, &other).unwrap_err().to_string();
+    assert!(message.contains(" px, --image-size 640x480; leave the option out"), "{message}");
+    let other = ImportOptions { pixel_pitch_mm: Some(0.01), ..NONE };
+    let message = import(&[file("C.xml", &plain)], ImportFormat::DaVis, &other).unwrap_err().to_string();
+    assert!(message.contains(" mm, --pixel-pitch-mm 0.01; leave the option out"), "{message}");
     for width in ["-5", "0"] {
         let text = plain.replace("Width=\"1024\"", &format!("Width=\"{width}\""));
         refused(&[file("C.xml", &text)], ImportFormat::DaVis, &["C.xml:3: ", "expected numbers above 0"]);

@@ -25,8 +25,8 @@ pub fn load_image(path: &Path) -> Result<GrayImage> {
     if bytes.is_empty() {
         return Err(fault(path, "the file is empty (0 bytes); copy it again from where it was recorded"));
     }
-    let format = image::guess_format(&bytes)
-        .map_err(|_| fault(path, format!("this is not an image that can be read; expected {FORMATS}")))?;
+    let format = format_of(&bytes)
+        .ok_or_else(|| fault(path, format!("this is not an image that can be read; expected {FORMATS}")))?;
     if format == ImageFormat::Jpeg && !jpeg_is_whole(&bytes) {
         return Err(fault(path, truncated("the end of the JPEG data is missing")));
     }
@@ -37,6 +37,12 @@ pub fn load_image(path: &Path) -> Result<GrayImage> {
     }
     let decoded = image::load_from_memory_with_format(&bytes, format).map_err(|e| fault(path, explain(&e)))?;
     grey(path, decoded)
+}
+
+/// The format that the first bytes tell; of a TIFF for files above 4 GB (BigTIFF), too, which `image` decodes but does not guess.
+fn format_of(bytes: &[u8]) -> Option<ImageFormat> {
+    let big = bytes.starts_with(b"II\x2b\0") || bytes.starts_with(b"MM\0\x2b");
+    if big { Some(ImageFormat::Tiff) } else { image::guess_format(bytes).ok() }
 }
 
 /// Whether a file is a TIFF of several pages, of which [`load_image`] reads the first.
@@ -191,6 +197,18 @@ mod tests {
 
     fn levels16() -> Vec<u16> {
         (0..48 * 32).map(|i| (i * 37 % 4096) as u16).collect()
+    }
+
+    #[test]
+    fn big_tiff_is_read_and_other_bytes_are_refused_in_words() {
+        let scratch = Scratch::new();
+        let (mut big, levels) = (Cursor::new(Vec::new()), levels16());
+        let mut encoder = tiff::encoder::TiffEncoder::new_big(&mut big).unwrap();
+        encoder.write_image::<tiff::encoder::colortype::Gray16>(48, 32, &levels).unwrap();
+        let image = load_image(&scratch.file("big.tif", big.get_ref())).unwrap();
+        assert_eq!(image.pixels(), &Pixels::U16(levels));
+        let message = load_image(&scratch.file("no.tif", b"II\x2c\0 something else")).unwrap_err().to_string();
+        assert!(message.contains("this is not an image that can be read"), "{message}");
     }
 
     fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {

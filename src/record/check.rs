@@ -82,6 +82,14 @@ fn check_camera(c: &Camera, at: &str) -> Check {
     if c.name.is_empty() {
         return fault(format!("{at}.name"), "empty: expected the camera's name");
     }
+    // Files are called after it.
+    if c.name.contains(|x: char| x.is_control() || matches!(x, '/' | '\\')) || c.name.starts_with('.') {
+        let message = format!(
+            "{:?} cannot be part of the name of a file: expected no dot at its start, no \"/\", \"\\\", line end or other control character",
+            c.name
+        );
+        return fault(format!("{at}.name"), message);
+    }
     if c.image_size_px.contains(&0) {
         return fault(format!("{at}.image_size_px"), "a size of 0: expected width and height in px");
     }

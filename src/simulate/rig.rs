@@ -147,7 +147,8 @@ fn views(out: &mut String, setup: &Setup) -> std::fmt::Result {
         for c in &setup.cameras {
             writeln!(out, "{} = \"{}\"", c.name, image_name(i, &c.name))?;
         }
-        writeln!(out, "sheet = {}", v.in_sheet)?;
+        // One camera alone does not measure the sheet.
+        writeln!(out, "sheet = {}", v.in_sheet && setup.cameras.len() == 2)?;
         if let Some(z) = v.plane_z_mm {
             writeln!(out, "plane_z_mm = {z:?}")?;
         }
