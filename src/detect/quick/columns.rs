@@ -97,14 +97,28 @@ pub(super) struct Columns {
     /// What each pixel adds to the sums of its sector, and these.
     pub(super) terms: Vec<[f32; 4]>,
     pub(super) sums: Vec<[f32; 4]>,
-    /// Sums of products of two columns.
+    /// Unit vectors of the foot points of a block, and what is left to do of each.
+    feet: [[f32; BLOCK]; 3],
+    /// Sums of products of two columns, of pixels that are as many apart as there are in a group.
+    apart: [[f32; SINGLES]; PRODUCTS],
+    /// The same of all pixels.
     pub(super) gram: [f64; PRODUCTS],
 }
 
 impl Default for Columns {
     fn default() -> Self {
-        let (response, diamond, cell, left) = (vec![], vec![], vec![], vec![]);
-        Self { values: vec![], response, diamond, cell, left, terms: vec![], sums: vec![], gram: [0.0; PRODUCTS] }
+        Self {
+            values: vec![],
+            response: vec![],
+            diamond: vec![],
+            cell: vec![],
+            left: vec![],
+            terms: vec![],
+            sums: vec![],
+            feet: [[0.0; BLOCK]; 3],
+            apart: [[0.0; SINGLES]; PRODUCTS],
+            gram: [0.0; PRODUCTS],
+        }
     }
 }
 
@@ -143,16 +157,15 @@ impl<const BENT: bool> SumUp<'_, BENT> {
         let count = S::splat(self.near.count as f32);
         let seen = Seen::<S>::new(self.frame, self.lens);
         let used = if BENT { ALL } else { M };
-        let mut sums = [[0.0; SINGLES]; P];
-        let mut feet = [[0.0; BLOCK]; 3];
+        let Columns { values, response, diamond, feet, apart, gram, .. } = self.out;
         for block in 0..blocks {
             let from = block * BLOCK;
             let m = (n - from).min(BLOCK);
-            let values = &mut self.out.values[block];
+            let values = &mut values[block];
             let [xs, ys, greys] = [&self.near.x, &self.near.y, &self.near.grey].map(|list| &list[from..from + m]);
             let [responses, diamonds] =
-                [&mut self.out.response, &mut self.out.diamond].map(|list| &mut list[from..from + m]);
-            seen.feet([xs, ys], &mut feet);
+                [&mut *response, &mut *diamond].map(|list| &mut list[from..from + m]);
+            seen.feet([xs, ys], feet);
             let mut i = 0;
             // Said so that no place needs to be checked.
             while i + S::N <= m && m <= BLOCK {
@@ -169,51 +182,65 @@ impl<const BENT: bool> SumUp<'_, BENT> {
                 diamond.store(&mut diamonds[i..]);
                 i += S::N;
             }
-            products::<S>(values, m, &mut sums);
+            let mut out = Put { sums: apart, first: block == 0 };
+            products::<S>(values, m, &mut out);
             if BENT {
-                products_of_bends::<S>(values, m, &mut sums);
+                products_of_bends::<S>(values, m, &mut out);
             }
         }
         for k in 0..P {
-            self.out.gram[k] = sum_of_singles(&sums[k]);
+            gram[k] = sum_of_singles(&apart[k]);
         }
     }
 }
 
-/// Adds the products of the first `m` pixels of a block, tile by tile: numbers once loaded serve a whole tile.
+/// Where sums of products over a block go: in place of what was there, for the first block, or added to it.
+struct Put<'a> {
+    sums: &'a mut [[f32; SINGLES]; PRODUCTS],
+    first: bool,
+}
+
+impl Put<'_> {
+    #[inline(always)]
+    fn put<S: Singles>(&mut self, product: usize, part: usize, sum: S) {
+        let own = &mut self.sums[product][part..];
+        let sum = if self.first { sum } else { S::load(own) + sum };
+        sum.store(own);
+    }
+}
+
+/// Products of the first `m` pixels of a block, tile by tile: numbers once loaded serve a whole tile, of which only what lies in the lower triangle
+/// is computed. No tile has more sums than registers.
 #[inline(always)]
-fn products<S: Singles>(values: &[[f32; BLOCK]; ALL], m: usize, sums: &mut [[f32; SINGLES]]) {
-    tile::<S, 3, 4>(values, m, 0, 0, sums);
-    tile::<S, 3, 4>(values, m, 3, 0, sums);
-    tile::<S, 3, 4>(values, m, 3, 4, sums);
-    tile::<S, 3, 4>(values, m, 6, 0, sums);
-    tile::<S, 3, 4>(values, m, 6, 4, sums);
-    tile::<S, 3, 4>(values, m, 6, 8, sums);
-    tile::<S, 3, 4>(values, m, 9, 0, sums);
-    tile::<S, 3, 4>(values, m, 9, 4, sums);
-    tile::<S, 3, 4>(values, m, 9, 8, sums);
-    tile::<S, 1, 7>(values, m, 12, 0, sums);
-    tile::<S, 1, 6>(values, m, 12, 7, sums);
+fn products<S: Singles>(values: &[[f32; BLOCK]; ALL], m: usize, out: &mut Put) {
+    tile::<S, 4, 4>(values, m, 0, 0, out);
+    tile::<S, 2, 6>(values, m, 4, 0, out);
+    tile::<S, 2, 6>(values, m, 6, 0, out);
+    tile::<S, 2, 6>(values, m, 8, 0, out);
+    tile::<S, 2, 6>(values, m, 10, 0, out);
+    tile::<S, 4, 4>(values, m, 6, 6, out);
+    tile::<S, 2, 6>(values, m, 10, 6, out);
+    tile::<S, 1, 13>(values, m, 12, 0, out);
 }
 
 /// Those with columns of the second degree.
 #[inline(always)]
-fn products_of_bends<S: Singles>(values: &[[f32; BLOCK]; ALL], m: usize, sums: &mut [[f32; SINGLES]]) {
+fn products_of_bends<S: Singles>(values: &[[f32; BLOCK]; ALL], m: usize, out: &mut Put) {
     for second in [0, 4, 8, 12] {
-        tile::<S, 3, 4>(values, m, 13, second, sums);
-        tile::<S, 3, 4>(values, m, 16, second, sums);
+        tile::<S, 3, 4>(values, m, 13, second, out);
+        tile::<S, 3, 4>(values, m, 16, second, out);
     }
-    tile::<S, 3, 3>(values, m, 16, 16, sums);
+    tile::<S, 3, 3>(values, m, 16, 16, out);
 }
 
-/// Products of `A` columns from `first` on with `B` columns from `second` on.
+/// Products of `A` columns from `first` on with `B` columns from `second` on, as far as these are not beyond those.
 #[inline(always)]
 fn tile<S: Singles, const A: usize, const B: usize>(
     values: &[[f32; BLOCK]; ALL],
     m: usize,
     first: usize,
     second: usize,
-    sums: &mut [[f32; SINGLES]],
+    out: &mut Put,
 ) {
     let m = m.min(BLOCK);
     let mut part = 0;
@@ -221,14 +248,16 @@ fn tile<S: Singles, const A: usize, const B: usize>(
         let mut sum = [[S::splat(0.0); B]; A];
         let mut at = part;
         while at + S::N <= m {
-            let mut b = [S::splat(0.0); B];
-            for l in 0..B {
-                b[l] = S::load(&values[second + l][at..]);
-            }
+            let mut a = [S::splat(0.0); A];
             for k in 0..A {
-                let a = S::load(&values[first + k][at..]);
-                for l in 0..B {
-                    sum[k][l] = a.fused(b[l], sum[k][l]);
+                a[k] = S::load(&values[first + k][at..]);
+            }
+            for l in 0..B {
+                let b = if second + l < first { S::load(&values[second + l][at..]) } else { a[second + l - first] };
+                for k in 0..A {
+                    if second + l <= first + k {
+                        sum[k][l] = a[k].fused(b, sum[k][l]);
+                    }
                 }
             }
             at += SINGLES;
@@ -236,8 +265,7 @@ fn tile<S: Singles, const A: usize, const B: usize>(
         for k in 0..A {
             for l in 0..B {
                 if second + l <= first + k {
-                    let place = &mut sums[place(first + k, second + l)][part..];
-                    (S::load(place) + sum[k][l]).store(place);
+                    out.put(place(first + k, second + l), part, sum[k][l]);
                 }
             }
         }
