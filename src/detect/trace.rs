@@ -9,6 +9,9 @@ use crate::detect::level::Level;
 /// How far from a contour another view of it runs at most, px of the coarser level: blur and the curvature of the contour move it.
 const BESIDE_PX: f64 = 1.25;
 
+/// So many rows ahead of where a line is followed the image is brought near: in each row another piece of memory is waited for.
+const AHEAD: usize = 8;
+
 /// One zero line; the buffers are reused from line to line.
 #[derive(Debug, Default, Clone)]
 pub(crate) struct Line {
@@ -85,6 +88,7 @@ impl<'a, L: Level> Tracer<'a, L> {
     pub(crate) fn follow(&mut self, u: usize, v: usize, line: &mut Line) {
         line.u.clear();
         line.v.clear();
+        (1..=AHEAD).for_each(|k| self.level.fetch(u, v + k));
         let [here, beside] = [u, u + 1].map(|u| self.level.field(u, v));
         line.rising = beside > 0.0;
         self.cross((u, v), line, between(here, beside));
@@ -125,6 +129,7 @@ impl<'a, L: Level> Tracer<'a, L> {
                         return false;
                     }
                     v -= 1;
+                    level.fetch(u, v.saturating_sub(AHEAD));
                     (third, fourth) = (level.field(u, v), level.field(u + 1, v));
                 }
                 RIGHT => {
@@ -137,6 +142,7 @@ impl<'a, L: Level> Tracer<'a, L> {
                 }
                 BOTTOM => {
                     v += 1;
+                    level.fetch(u, v + AHEAD);
                     if (u, v) == home {
                         return true;
                     }

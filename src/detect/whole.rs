@@ -129,6 +129,11 @@ impl Level for Whole {
             false => self.smoothed().field(u, v),
         })
     }
+    #[inline(always)]
+    fn fetch(&self, u: usize, v: usize) {
+        lanes::fetch(&self.smooth, v * self.width + u);
+        lanes::fetch(&self.field, v * self.stretches() * STRETCH + u);
+    }
 }
 
 impl Whole {
