@@ -40,10 +40,10 @@ impl Near {
         self.count = 0;
     }
 
-    /// Room for `more` pixels, which count from now on: `x`, `y`, grey value, in whole eights, of which what is too much is of no meaning.
+    /// Room for `more` pixels, which count from now on, in whole eights; returns the place of the first.
     #[inline(always)]
-    pub(super) fn take(&mut self, more: usize) -> [&mut [[f32; EIGHT]]; 3] {
-        let (old, end) = (self.count, self.count + more.next_multiple_of(EIGHT));
+    pub(super) fn make_room(&mut self, more: usize) -> usize {
+        let (first, end) = (self.count, self.count + more.next_multiple_of(EIGHT));
         if self.grey.len() < end {
             let room = (2 * end).div_ceil(SINGLES) * SINGLES;
             for list in [&mut self.x, &mut self.y, &mut self.grey] {
@@ -51,7 +51,13 @@ impl Near {
             }
         }
         self.count += more;
-        [&mut self.x, &mut self.y, &mut self.grey].map(|list| list[old..end].as_chunks_mut().0)
+        first
+    }
+
+    /// The eight places from one on, for which there is room: `x`, `y`, grey value. What is too much is of no meaning.
+    #[inline(always)]
+    pub(super) fn eight(&mut self, first: usize) -> [&mut [f32; EIGHT]; 3] {
+        [&mut self.x, &mut self.y, &mut self.grey].map(|list| &mut list[first..first + EIGHT].as_chunks_mut().0[0])
     }
 
     /// Fills up to a multiple of [`SINGLES`] with pixels on the contour at `(a, 0)`.
