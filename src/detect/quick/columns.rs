@@ -291,6 +291,9 @@ struct Seen<S> {
     sin: S,
     cos2: S,
     sin2: S,
+    /// The sine turned negative; `(a + b) / a` times that of the doubled angle turned negative, and its cosine.
+    less_sin: S,
+    across: [S; 2],
     /// Twice the product of the axes, none of contours that are not round; the last of Newton's steps for foot points.
     two_ab: S,
     last_step: S,
@@ -338,6 +341,8 @@ impl<S: Singles> Seen<S> {
             sin: one(frame.sin),
             cos2: one(frame.cos2),
             sin2: one(frame.sin2),
+            less_sin: one(-frame.sin),
+            across: [-frame.sin2, frame.cos2].map(|x| one((frame.a + frame.b) / frame.a * x)),
             two_ab: one(if frame.a < ROUND * frame.b { 2.0 * frame.a * frame.b } else { 0.0 }),
             last_step: one(LAST_STEP * (frame.b * frame.b) / (frame.a * frame.a)),
             blur: one(lens.blur_px),
@@ -368,8 +373,10 @@ impl<S: Singles> Seen<S> {
             step = (light[7] - light[10]).fused(twice, (light[8] - light[11]).fused(two, step));
         }
         let h = root * step * slope;
-        let (da, db) = (-(nx * c), -(ny * s));
-        let (along, across) = (da - db, -((self.a + self.b) * c * s * inverse));
+        // Along the axes of the ellipse, less than nothing as the distance falls where the ellipse grows; of `(a + b) c s / N` that of `ny = a s / N`.
+        let (hx, hy) = (-(h * nx), -(h * ny));
+        let (da, db, across) = (hx * c, hy * s, hy * c);
+        let along = da - db;
         let inside = light[0].fused(p, light[1].fused(bx, light[2] * by));
         let mut model = inside + light[3].fused(q, light[4].fused(ox, light[5] * oy));
         let mut columns = [S::splat(0.0); ALL];
@@ -387,11 +394,11 @@ impl<S: Singles> Seen<S> {
         columns[4] = root * ox;
         columns[5] = root * oy;
         columns[6] = root * step * edge.by_blur;
-        columns[7] = h * self.sin.fused(ny, -(self.cos * nx));
-        columns[8] = -(h * self.sin.fused(nx, self.cos * ny));
-        columns[9] = h * (da + db);
-        columns[10] = h * self.cos2.fused(along, -(self.sin2 * across));
-        columns[11] = h * self.sin2.fused(along, self.cos2 * across);
+        columns[7] = self.cos.fused(hx, self.less_sin * hy);
+        columns[8] = self.sin.fused(hx, self.cos * hy);
+        columns[9] = da + db;
+        columns[10] = self.cos2.fused(along, self.across[0] * across);
+        columns[11] = self.sin2.fused(along, self.across[1] * across);
         columns[N] = root * (grey - model);
         (columns, h, diamond(c, s))
     }
@@ -510,37 +517,39 @@ impl<S: Singles> Seen<S> {
         let (blur, i1) = (self.blur, foot.inverse);
         let i2 = i1 * i1;
         let i4 = i2 * i2;
+        let i5 = i4 * i1;
         let s2 = blur * blur;
-        let kappa = self.ab * i1 * i2;
-        let turned = self.e2 * foot.sin * foot.cos;
+        let kappa = self.ab * (i1 * i2);
+        let turned = self.e2 * (foot.sin * foot.cos);
         // kappa'^2 = (3 ab e2 s c / N^6)^2, over kappa = ab / N^3.
-        let turn2_over_kappa = number(9.0) * self.ab * (turned * turned) * i4 * i4 * i1;
-        let c4 = number(5.0 / 72.0).fused(turn2_over_kappa, number(0.125) * self.ab * i4 * i1);
+        let turn2_over_kappa = (number(9.0) * self.ab) * (turned * turned) * (i4 * i5);
+        let c4 = number(5.0 / 72.0).fused(turn2_over_kappa, (number(0.125) * self.ab) * i5);
         let eps = kappa * blur;
-        let mean = half.fused(eps, number(3.0) * c4 * s2 * blur);
-        let bends = number(12.0).fused(c4, number(5.0 / 12.0) * turn2_over_kappa) * kappa * s2 * s2;
-        let variance = (half * eps).fused(eps, one + bends);
-        let r = one / variance.sqrt();
+        let mean = half.fused(eps, (number(3.0) * s2 * blur) * c4);
+        let bends = number(12.0).fused(c4, number(5.0 / 12.0) * turn2_over_kappa) * (kappa * (s2 * s2));
+        let eps2 = eps * eps;
+        let r = one / half.fused(eps2, one + bends).sqrt();
         let d = foot.distance * self.inverse_blur;
         let y = (d + mean) * r;
         let (tail, f) = normal_tail(y);
         let y2 = y * y;
+        // The third cumulant over -6, the fourth over 24, the square of the third over 72.
         let bent = eps * r;
-        let third = bent * bent * bent * number(1.0 / 6.0);
-        let fourth = number(0.125) * (bent * bent) * (bent * bent);
-        let sixth = half * third * third;
+        let bent2 = bent * bent;
+        let third = (bent * bent2) * number(-1.0 / 6.0);
+        let (fourth, sixth) = (number(0.125) * (bent2 * bent2), half * (third * third));
         let (he2, he3) = (y2 - one, y * (y2 - number(3.0)));
         let he4 = y2.fused(y2 - number(6.0), number(3.0));
         let he5 = y * y2.fused(y2 - number(10.0), number(15.0));
         let he6 = y2.fused(y2.fused(y2 - number(15.0), number(45.0)), -number(15.0));
-        let inside = f.fused(fourth.fused(he3, sixth.fused(he5, -(third * he2))), tail);
-        let shape = fourth.fused(he4, sixth.fused(he6, (-third).fused(he3, one)));
-        let slope = -(f * shape * r * self.inverse_blur);
-        let variance_by_blur = eps.fused(eps, number(4.0) * bends) * self.inverse_blur;
-        let mean_by_blur = half.fused(kappa, number(9.0) * c4 * s2);
-        let widening = half * variance_by_blur * r * r;
-        let y_by_blur = (-d).fused(self.inverse_blur, mean_by_blur).fused(r, -(y * widening));
-        let bends = (number(4.0) * fourth).fused(he3, (number(6.0) * sixth).fused(he5, -(number(3.0) * third * he2)));
+        let (of_third, of_fourth, of_sixth) = (third * he2, fourth * he3, sixth * he5);
+        let inside = f.fused((of_third + of_fourth) + of_sixth, tail);
+        let shape = fourth.fused(he4, sixth.fused(he6, third.fused(he3, one)));
+        let slope = (f * shape) * (r * -self.inverse_blur);
+        let widening = (half * self.inverse_blur) * number(4.0).fused(bends, eps2) * (r * r);
+        let mean_by_blur = half.fused(kappa, (number(9.0) * s2) * c4);
+        let y_by_blur = (-self.inverse_blur).fused(d, mean_by_blur).fused(r, -(y * widening));
+        let bends = number(4.0).fused(of_fourth, number(6.0).fused(of_sixth, number(3.0) * of_third));
         let by_blur = f * (self.inverse_blur - widening).fused(bends, -(shape * y_by_blur));
         Edge { inside, slope, by_blur, depth: y, kappa }
     }
@@ -553,8 +562,8 @@ fn normal_tail<S: Singles>(z: S) -> (S, S) {
     let x = (z.size() * number(std::f32::consts::FRAC_1_SQRT_2)).at_most(number(6.0));
     let gauss = exp_of_negative(-(x * x));
     let t = number(1.0) / number(0.327_591_1).fused(x, number(1.0));
-    let poly = t * powers(t, [0.254_829_6, -0.284_496_74, 1.421_413_7, -1.453_152, 1.061_405_4]);
-    let half = number(0.5) * poly * gauss;
+    let poly = t * powers(t, [0.254_829_6, -0.284_496_74, 1.421_413_7, -1.453_152, 1.061_405_4].map(|x| 0.5 * x));
+    let half = poly * gauss;
     let tail = S::select(number(0.0).below(z), half, number(1.0) - half);
     (tail, number(0.398_942_3) * gauss)
 }
