@@ -32,7 +32,7 @@ use stretches::{Find, Finder, Found, STRETCH, Smoothed};
 /// Units that the noise must have at least.
 const LEAST_NOISE: f32 = 4.0;
 /// Rows that are worked on together, by one thread, and the least pixels of an image that several share.
-const ROWS: usize = 64;
+const ROWS: usize = 32;
 const SHARED: usize = 200_000;
 /// Levels of the pyramid.
 pub(crate) const LEVELS: usize = 3;
