@@ -4,9 +4,12 @@
 //! as their last digit, seven digits below what is left. The formulas are those of [`crate::conic`]'s foot points and of
 //! [`crate::detect::profile`], which stay the plain path (`columns_are_those_of_the_plain_profile`).
 
+mod steps;
+
 use super::{ALL, BENDS, LIGHTS, M, N, PLAIN, PRODUCTS, place};
 use crate::conic::Frame;
 use crate::lanes::{Kernel, Lanes, SINGLES, Singles, sum_of_singles};
+use steps::{Edge, PART, Steps};
 
 /// Pixels whose columns are stored before their products are taken; a multiple of [`SINGLES`]. As many as the nearest cache holds: the sums are put
 /// away after each block.
@@ -105,6 +108,8 @@ pub(super) struct Columns {
     pub(super) sums: Vec<[f32; 4]>,
     /// Unit vectors of the foot points of a block, and what is left to do of each.
     feet: [[f32; BLOCK]; 3],
+    /// What is known of the pixels that are worked on.
+    steps: Steps,
     /// Sums of products of two columns, of pixels that are as many apart as there are in a group.
     apart: [[f32; SINGLES]; PRODUCTS],
     /// The same of all pixels.
@@ -122,6 +127,7 @@ impl Default for Columns {
             terms: vec![],
             sums: vec![],
             feet: [[0.0; BLOCK]; 3],
+            steps: Steps::default(),
             apart: [[0.0; SINGLES]; PRODUCTS],
             gram: [0.0; PRODUCTS],
         }
@@ -163,7 +169,7 @@ impl<const BENT: bool> SumUp<'_, BENT> {
         let count = S::splat(self.near.count as f32);
         let seen = Seen::<S>::new(self.frame, self.lens);
         let used = if BENT { ALL } else { M };
-        let Columns { values, response, diamond, feet, apart, gram, .. } = self.out;
+        let Columns { values, response, diamond, feet, steps, apart, gram, .. } = self.out;
         for block in 0..blocks {
             let from = block * BLOCK;
             let m = (n - from).min(BLOCK);
@@ -172,21 +178,33 @@ impl<const BENT: bool> SumUp<'_, BENT> {
             let [responses, diamonds] =
                 [&mut *response, &mut *diamond].map(|list| &mut list[from..from + m]);
             seen.feet([xs, ys], feet);
-            let mut i = 0;
-            // Said so that no place needs to be checked.
-            while i + S::N <= m && m <= BLOCK {
-                let (x, y, grey) = (S::load(&xs[i..]), S::load(&ys[i..]), S::load(&greys[i..]));
-                // Single precision counts up to 16 million pixels.
-                let index = S::splat((from + i) as f32) + S::load(&FIRST);
-                let shown = S::select(index.below(count), S::splat(1.0), S::splat(0.0));
-                let foot = seen.foot(x, y, S::load(&feet[0][i..]), S::load(&feet[1][i..]));
-                let (columns, response, diamond) = seen.pixel::<BENT>(&foot, [x, y], grey, shown);
-                for k in 0..used {
-                    columns[k].store(&mut values[k][i..]);
+            for part in (0..m).step_by(PART) {
+                let mut k = 0;
+                // Said so that no place needs to be checked.
+                while k + S::N <= PART && part + k + S::N <= m && m <= BLOCK {
+                    let i = part + k;
+                    let [x, y, c, s] = [&xs[i..], &ys[i..], &feet[0][i..], &feet[1][i..]].map(S::load);
+                    let foot = seen.foot(x, y, c, s);
+                    steps.put(k, &foot, &seen.curve(&foot));
+                    k += S::N;
                 }
-                response.store(&mut responses[i..]);
-                diamond.store(&mut diamonds[i..]);
-                i += S::N;
+                steps.find_tails::<S>(m - part);
+                let mut k = 0;
+                while k + S::N <= PART && part + k + S::N <= m && m <= BLOCK {
+                    let i = part + k;
+                    let [x, y, grey] = [&xs[i..], &ys[i..], &greys[i..]].map(S::load);
+                    // Single precision counts up to 16 million pixels.
+                    let index = S::splat((from + i) as f32) + S::load(&FIRST);
+                    let shown = S::select(index.below(count), S::splat(1.0), S::splat(0.0));
+                    let (foot, curve, tail) = steps.get(k);
+                    let (columns, response) = seen.pixel::<BENT>(foot, &seen.edge(&curve, tail), [x, y, grey, shown]);
+                    for k in 0..used {
+                        columns[k].store(&mut values[k][i..]);
+                    }
+                    response.store(&mut responses[i..]);
+                    diamond_of(foot[0], foot[1]).store(&mut diamonds[i..]);
+                    k += S::N;
+                }
             }
             let mut out = Put { sums: apart, first: block == 0 };
             products::<S>(values, m, &mut out);
@@ -312,16 +330,6 @@ struct Foot<S> {
     inverse: S,
 }
 
-/// The profile of the edge at a pixel.
-struct Edge<S> {
-    inside: S,
-    slope: S,
-    by_blur: S,
-    /// Distance in units of the blur as the profile sees it, and the curvature of the contour.
-    depth: S,
-    kappa: S,
-}
-
 impl<S: Singles> Seen<S> {
     #[inline(always)]
     fn new(frame: &Frame, lens: &Lens) -> Self {
@@ -352,12 +360,15 @@ impl<S: Singles> Seen<S> {
         }
     }
 
-    /// Columns, response and angle on the diamond of a pixel.
+    /// Columns and response of a pixel.
     #[inline(always)]
-    fn pixel<const BENT: bool>(&self, foot: &Foot<S>, [x, y]: [S; 2], grey: S, shown: S) -> ([S; ALL], S, S) {
+    fn pixel<const BENT: bool>(
+        &self,
+        [c, s, inverse]: [S; 3],
+        edge: &Edge<S>,
+        [x, y, grey, shown]: [S; 4],
+    ) -> ([S; ALL], S) {
         let one = S::splat(1.0);
-        let edge = self.edge(foot);
-        let (c, s, inverse) = (foot.cos, foot.sin, foot.inverse);
         let (nx, ny) = (self.b * c * inverse, self.a * s * inverse);
         let (p, slope) = (edge.inside, edge.slope);
         let q = one - p;
@@ -381,7 +392,7 @@ impl<S: Singles> Seen<S> {
         let mut model = inside + light[3].fused(q, light[4].fused(ox, light[5] * oy));
         let mut columns = [S::splat(0.0); ALL];
         if BENT {
-            let bends = self.bends(px, py, nx, ny, &edge);
+            let bends = self.bends(px, py, nx, ny, edge);
             for k in 0..BENDS {
                 model = light[LIGHTS + k].fused(bends[k], model);
                 columns[M + k] = root * bends[k];
@@ -400,7 +411,7 @@ impl<S: Singles> Seen<S> {
         columns[10] = self.cos2.fused(along, self.across[0] * across);
         columns[11] = self.sin2.fused(along, self.across[1] * across);
         columns[N] = root * (grey - model);
-        (columns, h, diamond(c, s))
+        (columns, h)
     }
 
     /// `X^2 + Y^2 - 1`, `X^2 - Y^2`, `2 X Y` times the profile, then times what it leaves, as [`crate::detect::surface`].
@@ -508,91 +519,11 @@ impl<S: Singles> Seen<S> {
         let distance = (-a).fused(c, x).fused(bc, (-b).fused(s, y) * sa) * inverse;
         Foot { cos: c, sin: s, distance, inverse }
     }
-
-    /// The profile, its derivatives by distance and blur.
-    #[inline(always)]
-    fn edge(&self, foot: &Foot<S>) -> Edge<S> {
-        let number = |x: f32| S::splat(x);
-        let (one, half) = (number(1.0), number(0.5));
-        let (blur, i1) = (self.blur, foot.inverse);
-        let i2 = i1 * i1;
-        let i4 = i2 * i2;
-        let i5 = i4 * i1;
-        let s2 = blur * blur;
-        let kappa = self.ab * (i1 * i2);
-        let turned = self.e2 * (foot.sin * foot.cos);
-        // kappa'^2 = (3 ab e2 s c / N^6)^2, over kappa = ab / N^3.
-        let turn2_over_kappa = (number(9.0) * self.ab) * (turned * turned) * (i4 * i5);
-        let c4 = number(5.0 / 72.0).fused(turn2_over_kappa, (number(0.125) * self.ab) * i5);
-        let eps = kappa * blur;
-        let mean = half.fused(eps, (number(3.0) * s2 * blur) * c4);
-        let bends = number(12.0).fused(c4, number(5.0 / 12.0) * turn2_over_kappa) * (kappa * (s2 * s2));
-        let eps2 = eps * eps;
-        let r = one / half.fused(eps2, one + bends).sqrt();
-        let d = foot.distance * self.inverse_blur;
-        let y = (d + mean) * r;
-        let (tail, f) = normal_tail(y);
-        let y2 = y * y;
-        // The third cumulant over -6, the fourth over 24, the square of the third over 72.
-        let bent = eps * r;
-        let bent2 = bent * bent;
-        let third = (bent * bent2) * number(-1.0 / 6.0);
-        let (fourth, sixth) = (number(0.125) * (bent2 * bent2), half * (third * third));
-        let (he2, he3) = (y2 - one, y * (y2 - number(3.0)));
-        let he4 = y2.fused(y2 - number(6.0), number(3.0));
-        let he5 = y * y2.fused(y2 - number(10.0), number(15.0));
-        let he6 = y2.fused(y2.fused(y2 - number(15.0), number(45.0)), -number(15.0));
-        let (of_third, of_fourth, of_sixth) = (third * he2, fourth * he3, sixth * he5);
-        let inside = f.fused((of_third + of_fourth) + of_sixth, tail);
-        let shape = fourth.fused(he4, sixth.fused(he6, third.fused(he3, one)));
-        let slope = (f * shape) * (r * -self.inverse_blur);
-        let widening = (half * self.inverse_blur) * number(4.0).fused(bends, eps2) * (r * r);
-        let mean_by_blur = half.fused(kappa, (number(9.0) * s2) * c4);
-        let y_by_blur = (-self.inverse_blur).fused(d, mean_by_blur).fused(r, -(y * widening));
-        let bends = number(4.0).fused(of_fourth, number(6.0).fused(of_sixth, number(3.0) * of_third));
-        let by_blur = f * (self.inverse_blur - widening).fused(bends, -(shape * y_by_blur));
-        Edge { inside, slope, by_blur, depth: y, kappa }
-    }
-}
-
-/// `(Phi(-z), phi(z))` of the normal distribution, as [`crate::detect::sectors::normal_tails`].
-#[inline(always)]
-fn normal_tail<S: Singles>(z: S) -> (S, S) {
-    let number = |x: f32| S::splat(x);
-    let x = (z.size() * number(std::f32::consts::FRAC_1_SQRT_2)).at_most(number(6.0));
-    let gauss = exp_of_negative(-(x * x));
-    let t = number(1.0) / number(0.327_591_1).fused(x, number(1.0));
-    let poly = t * powers(t, [0.254_829_6, -0.284_496_74, 1.421_413_7, -1.453_152, 1.061_405_4].map(|x| 0.5 * x));
-    let half = poly * gauss;
-    let tail = S::select(number(0.0).below(z), half, number(1.0) - half);
-    (tail, number(0.398_942_3) * gauss)
-}
-
-/// `exp(x)` for `-40 <= x <= 0`: `2^n` times the power series on `|r| <= ln 2 / 2`.
-#[inline(always)]
-fn exp_of_negative<S: Singles>(x: S) -> S {
-    let number = |x: f32| S::splat(x);
-    // Adding 1.5 * 2^23 rounds to the nearest whole number.
-    let round = number(12_582_912.0);
-    let n = x.fused(number(std::f32::consts::LOG2_E), round) - round;
-    let r = n.fused(number(2.121_944_4e-4), n.fused(number(-0.693_359_4), x));
-    let series = powers(r, [1.0, 1.0, 0.5, 1.0 / 6.0, 1.0 / 24.0, 1.0 / 120.0, 1.0 / 720.0]);
-    series * n.power_of_two()
-}
-
-/// `c[0] + c[1] x + c[2] x^2 + ...`
-#[inline(always)]
-fn powers<S: Singles, const K: usize>(x: S, c: [f32; K]) -> S {
-    let mut sum = S::splat(c[K - 1]);
-    for k in 1..K {
-        sum = sum.fused(x, S::splat(c[K - 1 - k]));
-    }
-    sum
 }
 
 /// Angle on the diamond, 0 to 4, as [`crate::detect::contour::diamond`].
 #[inline(always)]
-fn diamond<S: Singles>(c: S, s: S) -> S {
+fn diamond_of<S: Singles>(c: S, s: S) -> S {
     let zero = S::splat(0.0);
     let x = s / (c.size() + s.size());
     let right = S::select(s.below(zero), S::splat(4.0) + x, x);
