@@ -185,10 +185,10 @@ impl<const BENT: bool> SumUp<'_, BENT> {
                     let i = part + k;
                     let [x, y, c, s] = [&xs[i..], &ys[i..], &feet[0][i..], &feet[1][i..]].map(S::load);
                     let foot = seen.foot(x, y, c, s);
-                    steps.put(k, &foot, &seen.curve(&foot));
+                    steps.put_foot(k, &foot, &seen.curve(&foot));
                     k += S::N;
                 }
-                steps.find_tails::<S>(m - part);
+                steps.find_profiles(&seen, m - part);
                 let mut k = 0;
                 while k + S::N <= PART && part + k + S::N <= m && m <= BLOCK {
                     let i = part + k;
@@ -196,8 +196,8 @@ impl<const BENT: bool> SumUp<'_, BENT> {
                     // Single precision counts up to 16 million pixels.
                     let index = S::splat((from + i) as f32) + S::load(&FIRST);
                     let shown = S::select(index.below(count), S::splat(1.0), S::splat(0.0));
-                    let (foot, curve, tail) = steps.get(k);
-                    let (columns, response) = seen.pixel::<BENT>(foot, &seen.edge(&curve, tail), [x, y, grey, shown]);
+                    let (foot, edge, root) = steps.found(k);
+                    let (columns, response) = seen.pixel::<BENT>(foot, &edge, [x, y, grey, shown * root]);
                     for k in 0..used {
                         columns[k].store(&mut values[k][i..]);
                     }
@@ -366,13 +366,12 @@ impl<S: Singles> Seen<S> {
         &self,
         [c, s, inverse]: [S; 3],
         edge: &Edge<S>,
-        [x, y, grey, shown]: [S; 4],
+        [x, y, grey, root]: [S; 4],
     ) -> ([S; ALL], S) {
         let one = S::splat(1.0);
         let (nx, ny) = (self.b * c * inverse, self.a * s * inverse);
         let (p, slope) = (edge.inside, edge.slope);
         let q = one - p;
-        let root = shown / self.variance[0].fused(p, self.variance[1] * q).sqrt();
         let (px, py) = (x * self.inverse_a, y * self.inverse_b);
         let moved = self.blur * self.blur * slope;
         let (bx, by) = (px.fused(p, moved * nx * self.inverse_a), py.fused(p, moved * ny * self.inverse_b));

@@ -12,7 +12,7 @@ pub(super) const PART: usize = 64;
 /// How the contour bends at a foot point, and how far off it a pixel lies.
 #[derive(Clone, Copy)]
 pub(super) struct Curve<S> {
-    pub(super) kappa: S,
+    kappa: S,
     /// Of fourth order: the term of the contour, and what both terms add to the variance.
     c4: S,
     bends: S,
@@ -20,10 +20,11 @@ pub(super) struct Curve<S> {
     narrow: S,
     /// Distance in units of the blur, and as the profile sees it.
     along: S,
-    pub(super) depth: S,
+    depth: S,
 }
 
 /// The profile of the edge at a pixel.
+#[derive(Clone, Copy)]
 pub(super) struct Edge<S> {
     pub(super) inside: S,
     pub(super) slope: S,
@@ -33,47 +34,70 @@ pub(super) struct Edge<S> {
     pub(super) kappa: S,
 }
 
-/// Foot points, curves and tails of some pixels.
+/// Foot points, curves, tails, profiles and weights of some pixels.
 #[derive(Debug)]
-pub(super) struct Steps([[f32; PART]; 11]);
+pub(super) struct Steps([[f32; PART]; NUMBERS]);
+
+/// Numbers of a pixel.
+const NUMBERS: usize = 15;
 
 impl Default for Steps {
     fn default() -> Self {
-        Self([[0.0; PART]; 11])
+        Self([[0.0; PART]; NUMBERS])
     }
 }
 
 impl Steps {
-    /// Those of the pixels from `i` on.
+    /// Those from one on, of the pixels from `i` on.
     #[inline(always)]
-    pub(super) fn put<S: Singles>(&mut self, i: usize, foot: &Foot<S>, curve: &Curve<S>) {
-        let all = [foot.cos, foot.sin, foot.inverse, curve.kappa, curve.c4, curve.bends, curve.narrow, curve.along, curve.depth];
-        for k in 0..9 {
-            all[k].store(&mut self.0[k][i..]);
+    fn put<S: Singles, const K: usize>(&mut self, first: usize, i: usize, numbers: [S; K]) {
+        for k in 0..K {
+            numbers[k].store(&mut self.0[first + k][i..]);
         }
     }
 
-    /// Follows the tails of the first `count`, or of some more.
     #[inline(always)]
-    pub(super) fn find_tails<S: Singles>(&mut self, count: usize) {
+    fn get<S: Singles, const K: usize>(&self, first: usize, i: usize) -> [S; K] {
+        let mut numbers = [S::splat(0.0); K];
+        for k in 0..K {
+            numbers[k] = S::load(&self.0[first + k][i..]);
+        }
+        numbers
+    }
+
+    /// First step: foot point and curve.
+    #[inline(always)]
+    pub(super) fn put_foot<S: Singles>(&mut self, i: usize, foot: &Foot<S>, curve: &Curve<S>) {
+        self.put(0, i, [foot.cos, foot.sin, foot.inverse]);
+        let Curve { kappa, c4, bends, narrow, along, depth } = *curve;
+        self.put(3, i, [kappa, c4, bends, narrow, along, depth]);
+    }
+
+    /// Second and third step, of the first `count` or some more: tails, then profiles and roots of the weights.
+    #[inline(always)]
+    pub(super) fn find_profiles<S: Singles>(&mut self, seen: &Seen<S>, count: usize) {
         let mut i = 0;
         while i < count && i + S::N <= PART {
-            let (tail, density) = normal_tail(S::load(&self.0[8][i..]));
-            tail.store(&mut self.0[9][i..]);
-            density.store(&mut self.0[10][i..]);
+            let [depth] = self.get(8, i);
+            let (tail, density) = normal_tail::<S>(depth);
+            self.put(9, i, [tail, density]);
+            i += S::N;
+        }
+        i = 0;
+        while i < count && i + S::N <= PART {
+            let [kappa, c4, bends, narrow, along, depth, tail, density] = self.get(3, i);
+            let edge = seen.edge(&Curve { kappa, c4, bends, narrow, along, depth }, [tail, density]);
+            self.put(11, i, [edge.inside, edge.slope, edge.by_blur, seen.root_of_weight(edge.inside)]);
             i += S::N;
         }
     }
 
-    /// Foot points without their distance, curves and tails of the pixels from `i` on.
+    /// Foot point without its distance, profile, root of the weight.
     #[inline(always)]
-    pub(super) fn get<S: Singles>(&self, i: usize) -> ([S; 3], Curve<S>, [S; 2]) {
-        let mut x = [S::splat(0.0); 11];
-        for k in 0..11 {
-            x[k] = S::load(&self.0[k][i..]);
-        }
-        let [cos, sin, inverse, kappa, c4, bends, narrow, along, depth, tail, density] = x;
-        ([cos, sin, inverse], Curve { kappa, c4, bends, narrow, along, depth }, [tail, density])
+    pub(super) fn found<S: Singles>(&self, i: usize) -> ([S; 3], Edge<S>, S) {
+        let ([depth], [inside, slope, by_blur, root]) = (self.get(8, i), self.get(11, i));
+        let [cos, sin, inverse, kappa] = self.get(0, i);
+        ([cos, sin, inverse], Edge { inside, slope, by_blur, depth, kappa }, root)
     }
 }
 
@@ -103,9 +127,16 @@ impl<S: Singles> Seen<S> {
         Curve { kappa, c4, bends, narrow: r, along: d, depth: y }
     }
 
+    /// Root of the weight of a pixel, of which the disc covers so much.
+    #[inline(always)]
+    fn root_of_weight(&self, inside: S) -> S {
+        let one = S::splat(1.0);
+        one / self.variance[0].fused(inside, self.variance[1] * (one - inside)).sqrt()
+    }
+
     /// The profile, its derivatives by distance and blur, where its tail and density are known.
     #[inline(always)]
-    pub(super) fn edge(&self, curve: &Curve<S>, [tail, f]: [S; 2]) -> Edge<S> {
+    fn edge(&self, curve: &Curve<S>, [tail, f]: [S; 2]) -> Edge<S> {
         let number = |x: f32| S::splat(x);
         let (one, half) = (number(1.0), number(0.5));
         let Curve { kappa, c4, bends, narrow: r, along: d, depth: y } = *curve;
