@@ -6,6 +6,8 @@ use crate::lanes::{Kernel, Lanes};
 pub(super) const STRETCH: usize = 32;
 /// Stretches that are passed over together where none has an edge.
 const MANY: usize = 16;
+/// Rows that nobody asks for after which sums of nine rows are made anew.
+const ANEW: usize = 5;
 /// Half width of the window of the local mean, px.
 const R: usize = 4;
 /// Binary digits of the field that are dropped.
@@ -113,13 +115,16 @@ impl Kernel for Find<'_> {
                 true => find_steep(on.row(v + 1), least, &mut steep[(v + 1) % 3]),
                 false => steep[(v + 1) % 3].fill(false),
             }
-            sums.next_row(&on);
             let of_three = steep[0].iter().zip(&steep[1]).zip(&steep[2]);
             for (kept, ((a, b), c)) in kept.iter_mut().zip(of_three) {
                 *kept = *a | *b | *c;
             }
             let (row, field) = (on.row(v), field.as_chunks_mut().0);
-            let mut from = 0;
+            let any = kept.contains(&true);
+            if any {
+                sums.go_to(&on, v);
+            }
+            let mut from = if any { 0 } else { count };
             while from < count {
                 let (first, end) = (from, (from + MANY).min(count));
                 from = end;
@@ -194,6 +199,17 @@ impl Sums {
             self.columns[R..].iter_mut().zip(row).for_each(|(c, x)| *c += u32::from(*x));
         }
         self.next = v;
+    }
+
+    /// On to those of row `v`; where nobody asked for many rows they are summed up anew.
+    #[inline(always)]
+    fn go_to(&mut self, on: &Smoothed<'_>, v: usize) {
+        if v > self.next + ANEW {
+            self.start_at(on, v);
+        }
+        while self.next <= v {
+            self.next_row(on);
+        }
     }
 
     #[inline(always)]
