@@ -81,14 +81,21 @@ impl Kernel for Products<'_> {
     fn run<L: Lanes>(self) -> [f64; PRODUCTS] {
         let n = self.sigma_px.len();
         let mut sums = [[0.0; GROUP]; PRODUCTS];
-        for (g, rows) in self.feet.rows.iter().enumerate() {
-            // What only fills the last group has no weight.
-            let (mut distance, mut sigma) = ([0.0; GROUP], [f64::INFINITY; GROUP]);
-            let here = g * GROUP..n.min((g + 1) * GROUP);
-            distance[..here.len()].copy_from_slice(&self.feet.distance[here.clone()]);
-            sigma[..here.len()].copy_from_slice(&self.sigma_px[here]);
-            let mut part = 0;
-            while part < GROUP {
+        let mut part = 0;
+        while part < GROUP {
+            // Of one part of all groups, so that sums stay in registers.
+            let mut own = [L::splat(0.0); PRODUCTS];
+            for (g, rows) in self.feet.rows.iter().enumerate() {
+                // What only fills the last group has no weight.
+                let (mut distance, mut sigma) = ([0.0; GROUP], [f64::INFINITY; GROUP]);
+                let from = g * GROUP;
+                match (self.feet.distance[from..n].first_chunk(), self.sigma_px[from..].first_chunk()) {
+                    (Some(d), Some(s)) => (distance, sigma) = (*d, *s),
+                    _ => {
+                        distance[..n - from].copy_from_slice(&self.feet.distance[from..n]);
+                        sigma[..n - from].copy_from_slice(&self.sigma_px[from..]);
+                    }
+                }
                 let inverse = L::splat(1.0) / L::load(&sigma[part..]);
                 let mut numbers = [L::splat(0.0); 6];
                 for k in 0..5 {
@@ -98,13 +105,15 @@ impl Kernel for Products<'_> {
                 let mut at = 0;
                 for i in 0..6 {
                     for j in 0..=i {
-                        let sum = &mut sums[at][part..];
-                        numbers[i].fused(numbers[j], L::load(sum)).store(sum);
+                        own[at] = numbers[i].fused(numbers[j], own[at]);
                         at += 1;
                     }
                 }
-                part += L::N;
             }
+            for k in 0..PRODUCTS {
+                own[k].store(&mut sums[k][part..]);
+            }
+            part += L::N;
         }
         let mut out = [0.0; PRODUCTS];
         for k in 0..PRODUCTS {

@@ -204,7 +204,8 @@ fn look(view: &GrayView, [noise, range]: [f32; 2], options: &DetectOptions, memo
 /// The candidates of an image, for tests of what is made of them.
 #[cfg(test)]
 pub(crate) fn candidates_of(view: &GrayView) -> Vec<Candidate> {
-    let mut seen = look(view, [plane::noise(view), plane::range(view)], &DetectOptions::default(), &DetectMemory::default());
+    let mut seen =
+        look(view, [plane::noise(view), plane::range(view)], &DetectOptions::default(), &DetectMemory::default());
     drop_repeats(&mut seen);
     seen.candidates
 }

@@ -52,7 +52,8 @@ mod tests {
         for (bytes, ground) in [(&mixed, 120), (&steep, 0), (&steep, 255), (&high, 0), (&low, 255)] {
             for n in [1, 2, 7, 8, 9, 16, 23, 100, BYTES - 1, BYTES] {
                 let wanted = (1..=n).fold([0_i64; 4], |sum, i| {
-                    let (x, y) = (i64::from(bytes[i]) - i64::from(ground), i64::from(bytes[i]) - i64::from(bytes[i - 1]));
+                    let (x, y) =
+                        (i64::from(bytes[i]) - i64::from(ground), i64::from(bytes[i]) - i64::from(bytes[i - 1]));
                     [sum[0] + x, sum[1] + (i as i64 - 1) * x, sum[2] + x * x, sum[3] + y * y]
                 });
                 for found in run_all(&Sums(bytes, n, ground)) {

@@ -175,8 +175,7 @@ impl<const BENT: bool> SumUp<'_, BENT> {
             let m = (n - from).min(BLOCK);
             let values = &mut values[block];
             let [xs, ys, greys] = [&self.near.x, &self.near.y, &self.near.grey].map(|list| &list[from..from + m]);
-            let [responses, diamonds] =
-                [&mut *response, &mut *diamond].map(|list| &mut list[from..from + m]);
+            let [responses, diamonds] = [&mut *response, &mut *diamond].map(|list| &mut list[from..from + m]);
             seen.feet([xs, ys], feet);
             for part in (0..m).step_by(PART) {
                 let mut k = 0;

@@ -134,7 +134,9 @@ fn edges(contour: &Contour, shares: &[Share], kept: Option<&[bool]>, change: &SV
     let [u, v, normal_u, normal_v] =
         [&contour.u, &contour.v, &contour.normal_u, &contour.normal_v].map(|list| &list[..count]);
     let counts = |k: usize| kept.is_none_or(|l| l[k]) && shares[k].information > 0.0;
-    let most = (0..count).filter(|k| counts(*k)).fold(0.0, |most, k| if shares[k].information > most { shares[k].information } else { most });
+    let most = (0..count)
+        .filter(|k| counts(*k))
+        .fold(0.0, |most, k| if shares[k].information > most { shares[k].information } else { most });
     // Of a sector that is all but hidden the pixels count, but they give no place.
     for (k, share) in shares.iter().enumerate().filter(|(k, x)| counts(*k) && x.information > LEAST_SHARE * most) {
         let shift = share.shift_px() - (0..5).map(|i| row[k][i] * change[i]).sum::<f64>();
