@@ -15,10 +15,13 @@ mod raster;
 mod singles;
 mod sweep;
 mod twice;
+mod whole;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 #[cfg(target_arch = "x86_64")]
 mod x86_greys;
+#[cfg(target_arch = "x86_64")]
+mod x86_whole;
 
 pub(crate) use columns::{Column, ColumnMut};
 pub(crate) use greys::Greys;
@@ -26,6 +29,7 @@ pub(crate) use raster::{LINE, Level, Raster, fetch};
 pub(crate) use singles::{Picks, SINGLES, Singles, WithPicks, sum_of_singles};
 pub(crate) use sweep::{Each, sweep};
 pub(crate) use twice::Twice;
+pub(crate) use whole::BYTES;
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -90,6 +94,17 @@ pub(crate) trait Lanes: Several<f64> {
     fn floor(self) -> Self;
     /// Both.
     fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// Sums of `x`, `i x`, `x^2` and `(x - y)^2` over the first `n` of some bytes, before which there is one more: `x` a byte and `y` the one before it
+    /// less the `ground`, `i` its place. Whole eights and that one; at least one of the last eight counts, `n` up to [`BYTES`].
+    #[inline(always)]
+    fn sums_of_bytes(bytes: &[u8], n: usize, ground: u8) -> [i32; 4] {
+        whole::sums_of_bytes(bytes, n, ground)
+    }
+    /// Bit `i` is set where number `i` is not zero.
+    #[inline(always)]
+    fn bits_of(x: &[u16; 32]) -> u32 {
+        whole::bits_of(x)
+    }
     /// What the work gives where the processor can pick.
     #[inline(always)]
     fn with_picks<W: WithPicks>(_work: W) -> Option<W::Output> {

@@ -1,7 +1,7 @@
 //! Work side by side on the threads of the pool where the caller runs, results in the order of the work; without a pool, one thread.
 
 use rayon::prelude::*;
-use std::sync::{Mutex, TryLockError};
+use std::sync::{Mutex, PoisonError, TryLockError};
 
 /// Whether the caller runs in a pool of more than one thread.
 pub(crate) fn several() -> bool {
@@ -25,6 +25,36 @@ pub(crate) fn gathered<T: Sync, R: Send, C: FromParallelIterator<R> + FromIterat
 /// Two pieces of work that know nothing of each other.
 pub(crate) fn both<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnce() -> B + Send) -> (A, B) {
     if several() { rayon::join(a, b) } else { (a(), b()) }
+}
+
+/// Work on what is still being found: handed over to the threads of the pool so many pieces at a time, results in the order of finding.
+pub(crate) fn while_found<T: Send, R: Send>(
+    at_once: usize,
+    find: impl FnOnce(&mut dyn FnMut(T)) + Send,
+    work: impl Fn(&T) -> R + Sync,
+) -> Vec<R> {
+    let done = Mutex::new(Vec::new());
+    rayon::scope(|scope| {
+        let (mut some, mut number) = (Vec::new(), 0);
+        let mut hand_over = |some: Vec<T>| {
+            let (done, work, own) = (&done, &work, number);
+            number += 1;
+            scope.spawn(move |_| {
+                let results: Vec<R> = some.iter().map(work).collect();
+                done.lock().unwrap_or_else(PoisonError::into_inner).push((own, results));
+            });
+        };
+        find(&mut |piece| {
+            some.push(piece);
+            if some.len() >= at_once {
+                hand_over(std::mem::take(&mut some));
+            }
+        });
+        hand_over(some);
+    });
+    let mut done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
+    done.sort_unstable_by_key(|x| x.0);
+    done.into_iter().flat_map(|x| x.1).collect()
 }
 
 /// Memory that work uses again, one for each thread of the pool where it was made that does some of the work. (Made anew wherever rayon divides
@@ -73,6 +103,15 @@ mod tests {
                 all.sort_unstable();
                 assert_eq!(all, numbers);
             });
+        }
+    }
+
+    #[test]
+    fn results_come_in_the_order_of_finding() {
+        for (threads, count) in [(1, 100), (3, 0), (3, 1), (3, 997)] {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let out = pool.install(|| while_found(16, |found| (0..count).for_each(found), |n: &usize| 2 * n));
+            assert_eq!(out, (0..count).map(|n| 2 * n).collect::<Vec<_>>());
         }
     }
 

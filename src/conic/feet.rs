@@ -1,6 +1,6 @@
 //! Many points near one ellipse: distances, their derivatives, and the fit through points that already lie close.
 
-use super::{Ellipse, Frame, covariance_from_regular, from_regular, parameters_by_regular, to_regular};
+use super::{Ellipse, Frame, from_regular, parameters_by_regular, to_regular};
 use crate::lanes::{self, GROUP, Kernel, Lanes};
 use nalgebra::{SMatrix, SVector};
 
@@ -81,14 +81,21 @@ impl Kernel for Products<'_> {
     fn run<L: Lanes>(self) -> [f64; PRODUCTS] {
         let n = self.sigma_px.len();
         let mut sums = [[0.0; GROUP]; PRODUCTS];
-        for (g, rows) in self.feet.rows.iter().enumerate() {
-            // What only fills the last group has no weight.
-            let (mut distance, mut sigma) = ([0.0; GROUP], [f64::INFINITY; GROUP]);
-            let here = g * GROUP..n.min((g + 1) * GROUP);
-            distance[..here.len()].copy_from_slice(&self.feet.distance[here.clone()]);
-            sigma[..here.len()].copy_from_slice(&self.sigma_px[here]);
-            let mut part = 0;
-            while part < GROUP {
+        let mut part = 0;
+        while part < GROUP {
+            // Of one part of all groups, so that sums stay in registers.
+            let mut own = [L::splat(0.0); PRODUCTS];
+            for (g, rows) in self.feet.rows.iter().enumerate() {
+                // What only fills the last group has no weight.
+                let (mut distance, mut sigma) = ([0.0; GROUP], [f64::INFINITY; GROUP]);
+                let from = g * GROUP;
+                match (self.feet.distance[from..n].first_chunk(), self.sigma_px[from..].first_chunk()) {
+                    (Some(d), Some(s)) => (distance, sigma) = (*d, *s),
+                    _ => {
+                        distance[..n - from].copy_from_slice(&self.feet.distance[from..n]);
+                        sigma[..n - from].copy_from_slice(&self.sigma_px[from..]);
+                    }
+                }
                 let inverse = L::splat(1.0) / L::load(&sigma[part..]);
                 let mut numbers = [L::splat(0.0); 6];
                 for k in 0..5 {
@@ -98,13 +105,15 @@ impl Kernel for Products<'_> {
                 let mut at = 0;
                 for i in 0..6 {
                     for j in 0..=i {
-                        let sum = &mut sums[at][part..];
-                        numbers[i].fused(numbers[j], L::load(sum)).store(sum);
+                        own[at] = numbers[i].fused(numbers[j], own[at]);
                         at += 1;
                     }
                 }
-                part += L::N;
             }
+            for k in 0..PRODUCTS {
+                own[k].store(&mut sums[k][part..]);
+            }
+            part += L::N;
         }
         let mut out = [0.0; PRODUCTS];
         for k in 0..PRODUCTS {
@@ -132,11 +141,11 @@ impl Feet {
         Normal { matrix: SMatrix::from_fn(of), gradient: SVector::from_fn(|i, _| of(5, i)), chi2: of(5, 5) }
     }
 
-    /// By how much the covariance of `(u0, v0, a, b, phi)` grows as the sigmas of the points, px, whose feet on `e` were found last, grow from
-    /// `before_px`: never by a negative variance, as `(J^T W J)^-1` falls with W and both are turned alike.
-    pub(crate) fn growth(&self, e: &Ellipse, sigma_px: &[f64], before_px: &[f64]) -> Option<SMatrix<f64, 5, 5>> {
-        let regular = |sigma_px: &[f64]| Some(self.normal(sigma_px).matrix.cholesky()?.inverse());
-        let (whole, before) = (regular(sigma_px)?, regular(before_px)?);
+    /// By how much the covariance of `(u0, v0, a, b, phi)` grows as the sigmas of the points, whose feet on `e` were found last, grow from
+    /// `before_px` to those of the equations: never by a negative variance, as `(J^T W J)^-1` falls with W and both are turned alike.
+    pub(crate) fn growth(&self, e: &Ellipse, grown: &Normal, before_px: &[f64]) -> Option<SMatrix<f64, 5, 5>> {
+        let regular = |normal: &Normal| Some(normal.matrix.cholesky()?.inverse());
+        let (whole, before) = (regular(grown)?, regular(&self.normal(before_px))?);
         let by = parameters_by_regular(&to_regular(e), &whole);
         Some(by * (whole - before) * by.transpose())
     }
@@ -157,7 +166,7 @@ impl Feet {
         sigma_px.iter().enumerate().map(bends).collect()
     }
 
-    /// The ellipse through the points, from `e`, on which their feet were found last, with its covariance; none where a few steps do
+    /// The ellipse through the points, from `e`, on which their feet were found last, with the normal equations there; none where a few steps do
     /// not lead there.
     pub(crate) fn refit(
         &mut self,
@@ -165,7 +174,7 @@ impl Feet {
         u_px: &[f64],
         v_px: &[f64],
         sigma_px: &[f64],
-    ) -> Option<(Ellipse, SMatrix<f64, 5, 5>)> {
+    ) -> Option<(Ellipse, Normal)> {
         let mut ellipse = *e;
         let mut normal = self.normal(sigma_px);
         for _ in 0..MOST_STEPS {
@@ -179,8 +188,7 @@ impl Feet {
             }
             normal = next;
             if promised < STILL * (1.0 + normal.chi2) {
-                let regular = normal.matrix.cholesky()?.inverse();
-                return Some((ellipse, covariance_from_regular(&to_regular(&ellipse), &regular)));
+                return Some((ellipse, normal));
             }
         }
         None
@@ -191,7 +199,7 @@ impl Feet {
 #[allow(clippy::expect_used)]
 mod tests {
     use super::*;
-    use crate::conic::fit_geometric_from;
+    use crate::conic::{covariance_from_regular, fit_geometric_from};
     use crate::frames::Pixel;
 
     /// Against foot points one by one and the damped fit.
@@ -215,7 +223,9 @@ mod tests {
                 assert!((feet.distance[k] - plain.distance).abs() < 1e-6, "{} {}", feet.distance[k], plain.distance);
                 (0..5).for_each(|i| assert!((feet.rows[k / GROUP][i][k % GROUP] - plain.row[i]).abs() < 1e-4));
             }
-            let (found, covariance) = feet.refit(&e, &u, &v, &sigma).expect("a fit");
+            let (found, normal) = feet.refit(&e, &u, &v, &sigma).expect("a fit");
+            let regular = normal.matrix.cholesky().expect("a covariance").inverse();
+            let covariance = covariance_from_regular(&to_regular(&found), &regular);
             let plain = fit_geometric_from(&e, &u, &v, &sigma).expect("a fit");
             let gap = (to_regular(&found) - to_regular(&plain.ellipse)).norm();
             assert!(gap < 1e-5, "{a} {b}: {gap} px");

@@ -173,25 +173,28 @@ impl Contour {
         self.row.resize(count, [0.0; 5]);
         self.climb.resize(count, [0.0; 2]);
     }
+}
 
-    /// Sine and cosine of the eccentric angle up to which `share` of the contour lies. `step` is 1 at first and then kept from call to
-    /// call, with shares that grow.
-    #[inline(always)]
-    fn unit_at(&self, share: f64, step: &mut usize) -> (f64, f64) {
-        let wanted = share * self.arc[ARC_STEPS];
-        while *step < ARC_STEPS && self.arc[*step] <= wanted {
-            *step += 1;
-        }
-        let j = *step;
-        let f = (wanted - self.arc[j - 1]) / (self.arc[j] - self.arc[j - 1]);
-        // From the middle of the step: the angle is below 0.013, and what the series leave out below 1e-16.
-        let d = (f - 0.5) * (TAU / ARC_STEPS as f64);
-        let d2 = d * d;
-        let sin = d * (1.0 - d2 * (1.0 / 6.0) * (1.0 - d2 * (1.0 / 20.0)));
-        let cos = 1.0 - 0.5 * d2 * (1.0 - d2 * (1.0 / 12.0) * (1.0 - d2 * (1.0 / 30.0)));
-        let (s, c) = self.unit[j - 1];
-        (s * cos + c * sin, c * cos - s * sin)
+/// Sine and cosine of the eccentric angle up to which the contour is `wanted` long. `step` is 1 at first and then kept from call to call, with lengths that
+/// grow.
+#[inline(always)]
+fn unit_at(
+    (arc, unit): (&[f64; ARC_STEPS + 1], &[(f64, f64); ARC_STEPS]),
+    wanted: f64,
+    step: &mut usize,
+) -> (f64, f64) {
+    while *step < ARC_STEPS && arc[*step] <= wanted {
+        *step += 1;
     }
+    let before = (*step - 1).min(ARC_STEPS - 1);
+    let f = (wanted - arc[before]) / (arc[before + 1] - arc[before]);
+    // From the middle of the step: the angle is below 0.013, and what the series leave out below 1e-16.
+    let d = (f - 0.5) * (TAU / ARC_STEPS as f64);
+    let d2 = d * d;
+    let sin = d * (1.0 - d2 * (1.0 / 6.0) * (1.0 - d2 * (1.0 / 20.0)));
+    let cos = 1.0 - 0.5 * d2 * (1.0 - d2 * (1.0 / 12.0) * (1.0 - d2 * (1.0 / 30.0)));
+    let (s, c) = unit[before];
+    (s * cos + c * sin, c * cos - s * sin)
 }
 
 /// Cuts an ellipse into sectors, as wide as the processor is.
@@ -208,18 +211,25 @@ impl Kernel for Cut<'_> {
         contour.lengths(e);
         let count = ((contour.perimeter_px / SECTOR_PX).round() as usize).max(8);
         contour.resize(count);
-        let mut step = 1;
-        for k in 0..count {
-            (contour.sin[k], contour.cos[k]) = contour.unit_at((k as f64 + 0.5) / count as f64, &mut step);
-            let (s, c) = contour.unit_at((k as f64 + 1.0) / count as f64, &mut step);
-            contour.end[k] = if k + 1 == count { 4.0 } else { diamond(c, s) };
+        let Contour { cos, sin, u, v, normal_u, normal_v, end, turn, climb, row, arc, unit, .. } = contour;
+        // Said so that no place needs to be checked.
+        let [cos, sin, u, v, normal_u, normal_v, end, turn] =
+            [cos, sin, u, v, normal_u, normal_v, end, turn].map(|list| &mut list[..count]);
+        let (climb, row) = (&mut climb[..count], &mut row[..count]);
+        if let (Some(arc), Some(unit)) = (arc.first_chunk(), unit.first_chunk()) {
+            let mut step = 1;
+            for k in 0..count {
+                let share = |x: f64| x / count as f64 * arc[ARC_STEPS];
+                (sin[k], cos[k]) = unit_at((arc, unit), share(k as f64 + 0.5), &mut step);
+                let (s, c) = unit_at((arc, unit), share(k as f64 + 1.0), &mut step);
+                end[k] = if k + 1 == count { 4.0 } else { diamond(c, s) };
+            }
         }
         let frame = Frame::new(e);
         for k in 0..count {
-            let foot = frame.on_contour(contour.cos[k], contour.sin[k]);
-            (contour.u[k], contour.v[k]) = (foot.u, foot.v);
-            (contour.normal_u[k], contour.normal_v[k]) = (foot.normal_u, foot.normal_v);
-            (contour.climb[k], contour.turn[k], contour.row[k]) = (foot.climb, foot.turn, foot.row);
+            let foot = frame.on_contour(cos[k], sin[k]);
+            (u[k], v[k], normal_u[k], normal_v[k]) = (foot.u, foot.v, foot.normal_u, foot.normal_v);
+            (climb[k], turn[k], row[k]) = (foot.climb, foot.turn, foot.row);
         }
     }
 }

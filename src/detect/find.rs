@@ -22,7 +22,6 @@ use crate::frames::Pixel;
 use crate::image::GrayView;
 use crate::target::{MarkKind, Polarity};
 use crate::threads::{self, OwnMemory};
-use rayon::prelude::*;
 
 /// A region with less than this part of the typical contrast is texture.
 const TEXTURE: f64 = 0.15;
@@ -30,7 +29,7 @@ const TEXTURE: f64 = 0.15;
 const DUST: f64 = 0.25;
 /// Noise over contrast and root of the length of a contour below which its line tells place and blur to a hundredth of a pixel, px^(-1/2).
 const CLEAR: f64 = 0.0035;
-/// Fewer lines than this are judged by one thread.
+/// So many lines are judged by one thread while others are followed.
 const LINES_AT_ONCE: usize = 16;
 
 /// Everything the coarse stage saw.
@@ -73,8 +72,8 @@ pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection>
 pub fn find_discs_with(view: &GrayView, options: &DetectOptions, memory: &DetectMemory) -> Result<Detection> {
     check_options(options)?;
     check_finite(view)?;
-    let noise = plane::noise(view);
-    let mut seen = look(view, noise, options, memory);
+    let (noise, range) = threads::both(|| plane::noise(view), || plane::range(view));
+    let mut seen = look(view, [noise, range], options, memory);
     drop_texture(&mut seen, f64::from(noise), options);
     drop_repeats(&mut seen);
     let mut detection = Detection::default();
@@ -174,8 +173,7 @@ fn rejection(c: &Candidate, reason: RejectionReason) -> Rejection {
 }
 
 /// Follows and judges the zero lines of every pyramid level.
-fn look(view: &GrayView, noise: f32, options: &DetectOptions, memory: &DetectMemory) -> Seen {
-    let range = plane::range(view);
+fn look(view: &GrayView, [noise, range]: [f32; 2], options: &DetectOptions, memory: &DetectMemory) -> Seen {
     let quantum = 0.3;
     let mut noise = noise.max(quantum * range.min(1.0));
     let mut gradients = vec![];
@@ -206,7 +204,8 @@ fn look(view: &GrayView, noise: f32, options: &DetectOptions, memory: &DetectMem
 /// The candidates of an image, for tests of what is made of them.
 #[cfg(test)]
 pub(crate) fn candidates_of(view: &GrayView) -> Vec<Candidate> {
-    let mut seen = look(view, plane::noise(view), &DetectOptions::default(), &DetectMemory::default());
+    let mut seen =
+        look(view, [plane::noise(view), plane::range(view)], &DetectOptions::default(), &DetectMemory::default());
     drop_repeats(&mut seen);
     seen.candidates
 }
@@ -239,7 +238,6 @@ fn look_at<L: Level + Send + Sync>(
 
 /// Follows and judges the lines of one level from where they start. Within a pool they are judged side by side.
 fn follow(on: &(impl Level + Sync), gradient: f32, level: u32, options: &DetectOptions, seen: &mut Seen) {
-    let (mut line, mut lines) = (Line::default(), Vec::new());
     let mut tracer = Tracer::new(on);
     let strength = Strength { gradient: f64::from(gradient) };
     let finer: Vec<(Ellipse, bool)> = seen.candidates.iter().map(|c| (c.ellipse, c.bright)).collect();
@@ -252,20 +250,21 @@ fn follow(on: &(impl Level + Sync), gradient: f32, level: u32, options: &DetectO
     let scale = 1.0 / f64::from(1u32 << level);
     finer.iter().for_each(|(e, _)| tracer.pass_over(&scaled(e, scale)));
     let judged = |line: &Line| judge(line, on, strength, level, options, &known);
-    for start in on.starts() {
-        if !tracer.fresh(start as usize) {
-            continue;
+    let mut line = Line::default();
+    let mut each = |take: &mut dyn FnMut(&Line)| {
+        for start in on.starts() {
+            let start = start as usize;
+            if tracer.fresh(start) {
+                tracer.follow(start % on.width(), start / on.width(), &mut line);
+                take(&line);
+            }
         }
-        tracer.follow(start as usize % on.width(), start as usize / on.width(), &mut line);
-        if threads::several() {
-            lines.push(line.clone());
-        } else {
-            seen.take(judged(&line));
-        }
-    }
-    if !lines.is_empty() {
-        let verdicts: Vec<Verdict> = lines.par_iter().with_min_len(LINES_AT_ONCE).map(judged).collect();
+    };
+    if threads::several() {
+        let verdicts = threads::while_found(LINES_AT_ONCE, |found| each(&mut |line| found(line.clone())), judged);
         verdicts.into_iter().for_each(|v| seen.take(v));
+    } else {
+        each(&mut |line| seen.take(judged(line)));
     }
 }
 

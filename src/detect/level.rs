@@ -50,4 +50,7 @@ pub(crate) trait Level {
     }
     /// Its difference from the local mean, in a unit that is the same all over the image.
     fn field(&self, u: usize, v: usize) -> f32;
+    /// Has what is known around a pixel brought near, where memory can be asked; the pixel may lie beyond the image.
+    #[inline(always)]
+    fn fetch(&self, _u: usize, _v: usize) {}
 }

@@ -183,15 +183,15 @@ pub(crate) fn roughen(
 ) -> Option<(Ellipse, SMatrix<f64, 5, 5>)> {
     let plain_px = edge.sigma_px.clone();
     edge.sigma_px.iter_mut().for_each(|s| *s = (*s * *s + variance_px2).sqrt());
-    let ellipse = match feet.refit(e, &edge.u_px, &edge.v_px, &edge.sigma_px) {
-        Some((ellipse, _)) => ellipse,
+    let (ellipse, normal) = match feet.refit(e, &edge.u_px, &edge.v_px, &edge.sigma_px) {
+        Some(found) => found,
         None => {
             let ellipse = fit_geometric_from(e, &edge.u_px, &edge.v_px, &edge.sigma_px).ok()?.ellipse;
             feet.find(&ellipse, &edge.u_px, &edge.v_px);
-            ellipse
+            (ellipse, feet.normal(&edge.sigma_px))
         }
     };
-    let added = feet.growth(&ellipse, &edge.sigma_px, &plain_px)?;
+    let added = feet.growth(&ellipse, &normal, &plain_px)?;
     Some((ellipse, added))
 }
 

@@ -9,6 +9,9 @@ use crate::detect::level::Level;
 /// How far from a contour another view of it runs at most, px of the coarser level: blur and the curvature of the contour move it.
 const BESIDE_PX: f64 = 1.25;
 
+/// So many rows ahead of where a line is followed the image is brought near: in each row another piece of memory is waited for.
+const AHEAD: usize = 8;
+
 /// One zero line; the buffers are reused from line to line.
 #[derive(Debug, Default, Clone)]
 pub(crate) struct Line {
@@ -64,7 +67,8 @@ impl<'a, L: Level> Tracer<'a, L> {
     /// As if the crossings between two places of a row had been followed.
     fn visit(&mut self, v: usize, from_px: f64, to_px: f64) {
         let width = self.level.width();
-        let (from, to) = (from_px.max(0.0) as usize, (to_px.max(0.0) as usize).min(width - 1));
+        // At either end those that lie there in part.
+        let (from, to) = (from_px.max(0.0) as usize, (to_px.max(0.0) as usize + 1).min(width - 1));
         let mut at = v * width + from;
         let end = v * width + to;
         while at < end {
@@ -85,6 +89,7 @@ impl<'a, L: Level> Tracer<'a, L> {
     pub(crate) fn follow(&mut self, u: usize, v: usize, line: &mut Line) {
         line.u.clear();
         line.v.clear();
+        (1..=AHEAD).for_each(|k| self.level.fetch(u, v + k));
         let [here, beside] = [u, u + 1].map(|u| self.level.field(u, v));
         line.rising = beside > 0.0;
         self.cross((u, v), line, between(here, beside));
@@ -125,6 +130,7 @@ impl<'a, L: Level> Tracer<'a, L> {
                         return false;
                     }
                     v -= 1;
+                    level.fetch(u, v.saturating_sub(AHEAD));
                     (third, fourth) = (level.field(u, v), level.field(u + 1, v));
                 }
                 RIGHT => {
@@ -137,6 +143,7 @@ impl<'a, L: Level> Tracer<'a, L> {
                 }
                 BOTTOM => {
                     v += 1;
+                    level.fetch(u, v + AHEAD);
                     if (u, v) == home {
                         return true;
                     }

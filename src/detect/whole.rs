@@ -32,7 +32,7 @@ use stretches::{Find, Finder, Found, STRETCH, Smoothed};
 /// Units that the noise must have at least.
 const LEAST_NOISE: f32 = 4.0;
 /// Rows that are worked on together, by one thread, and the least pixels of an image that several share.
-const ROWS: usize = 64;
+const ROWS: usize = 32;
 const SHARED: usize = 200_000;
 /// Levels of the pyramid.
 pub(crate) const LEVELS: usize = 3;
@@ -128,6 +128,11 @@ impl Level for Whole {
             true => self.field[v * count * STRETCH + u],
             false => self.smoothed().field(u, v),
         })
+    }
+    #[inline(always)]
+    fn fetch(&self, u: usize, v: usize) {
+        lanes::fetch(&self.smooth, v * self.width + u);
+        lanes::fetch(&self.field, v * self.stretches() * STRETCH + u);
     }
 }
 

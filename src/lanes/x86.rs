@@ -3,7 +3,7 @@
 //! A value of these types is only ever made inside a function compiled for its instructions, which [`super::run`] enters after having
 //! asked the processor: that is what makes each `unsafe` below sound.
 
-use super::{Kernel, LINE, Lanes, Level, Picks, SINGLES, Several, Singles, WithPicks};
+use super::{Kernel, LINE, Lanes, Level, Picks, SINGLES, Several, Singles, WithPicks, x86_whole};
 use std::arch::x86_64::{
     __m256, __m256d, __m512, __m512d, __m512i, __mmask8, __mmask16, _CMP_LT_OQ, _MM_FROUND_NO_EXC,
     _MM_FROUND_TO_NEG_INF, _mm_storeu_ps, _mm256_add_epi32, _mm256_add_pd, _mm256_add_ps, _mm256_and_pd,
@@ -179,6 +179,16 @@ impl Lanes for Four {
         // SAFETY: see the head of the file.
         unsafe { _mm256_and_pd(a, b) }
     }
+    #[inline(always)]
+    fn sums_of_bytes(bytes: &[u8], n: usize, ground: u8) -> [i32; 4] {
+        // SAFETY: see the head of the file.
+        unsafe { x86_whole::sums_of_bytes(bytes, n, ground) }
+    }
+    #[inline(always)]
+    fn bits_of(x: &[u16; 32]) -> u32 {
+        // SAFETY: see the head of the file.
+        unsafe { x86_whole::bits_of(x) }
+    }
 }
 
 impl Lanes for Eight {
@@ -207,6 +217,16 @@ impl Lanes for Eight {
     #[inline(always)]
     fn and(a: __mmask8, b: __mmask8) -> __mmask8 {
         a & b
+    }
+    #[inline(always)]
+    fn sums_of_bytes(bytes: &[u8], n: usize, ground: u8) -> [i32; 4] {
+        // SAFETY: see the head of the file.
+        unsafe { x86_whole::sums_of_bytes(bytes, n, ground) }
+    }
+    #[inline(always)]
+    fn bits_of(x: &[u16; 32]) -> u32 {
+        // SAFETY: see the head of the file.
+        unsafe { x86_whole::bits_of(x) }
     }
     #[inline(always)]
     fn with_picks<W: WithPicks>(work: W) -> Option<W::Output> {

@@ -112,12 +112,14 @@ impl Tile {
         let span =
             |x: f64, size: usize| [x - half, x + half].map(|x| (x.round() as i64).clamp(0, size as i64 - 1) as usize);
         let ([left, right], [top, bottom]) = (span(at.u_px, view.width()), span(at.v_px, view.height()));
+        let (width, height) = (right - left + 1, bottom - top + 1);
+        let count = width * height;
         let mut out = Self {
-            width: right - left + 1,
-            height: bottom - top + 1,
-            grey: vec![],
-            counts: vec![],
-            bin: vec![],
+            width,
+            height,
+            grey: vec![0.0; count],
+            counts: vec![0.0; count],
+            bin: vec![0; count],
             contrast,
             variance: 0.0,
         };
@@ -125,12 +127,16 @@ impl Tile {
         for v in top..=bottom {
             for u in left..=right {
                 let (x, y) = (u as f64, v as f64);
-                let beyond = if ring.may_hold(x, y) { side * distance(&own.0, x, y) - own.1 } else { -1.0 };
+                if !ring.may_hold(x, y) {
+                    continue;
+                }
+                let beyond = side * distance(&own.0, x, y) - own.1;
                 let clear = (0.0..BESIDE_PX).contains(&beyond)
                     && edges.iter().all(|(edge, clear_px)| distance(edge, x, y).abs() > *clear_px);
-                out.counts.push(f32::from(u8::from(clear)));
-                out.bin.push(if clear { (beyond * BINS_PER_PX) as u8 } else { 0 });
-                out.grey.push(if clear { view.get(u, v) } else { 0.0 });
+                if clear {
+                    let at = (v - top) * width + (u - left);
+                    (out.grey[at], out.counts[at], out.bin[at]) = (view.get(u, v), 1.0, (beyond * BINS_PER_PX) as u8);
+                }
             }
         }
         out.take_plane_off().then_some(out)

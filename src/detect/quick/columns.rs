@@ -4,9 +4,12 @@
 //! as their last digit, seven digits below what is left. The formulas are those of [`crate::conic`]'s foot points and of
 //! [`crate::detect::profile`], which stay the plain path (`columns_are_those_of_the_plain_profile`).
 
+mod steps;
+
 use super::{ALL, BENDS, LIGHTS, M, N, PLAIN, PRODUCTS, place};
 use crate::conic::Frame;
 use crate::lanes::{Kernel, Lanes, SINGLES, Singles, sum_of_singles};
+use steps::{Edge, PART, Steps};
 
 /// Pixels whose columns are stored before their products are taken; a multiple of [`SINGLES`]. As many as the nearest cache holds: the sums are put
 /// away after each block.
@@ -40,10 +43,10 @@ impl Near {
         self.count = 0;
     }
 
-    /// Room for `more` pixels, which count from now on: `x`, `y`, grey value, in whole eights, of which what is too much is of no meaning.
+    /// Room for `more` pixels, which count from now on, in whole eights; returns the place of the first.
     #[inline(always)]
-    pub(super) fn take(&mut self, more: usize) -> [&mut [[f32; EIGHT]]; 3] {
-        let (old, end) = (self.count, self.count + more.next_multiple_of(EIGHT));
+    pub(super) fn make_room(&mut self, more: usize) -> usize {
+        let (first, end) = (self.count, self.count + more.next_multiple_of(EIGHT));
         if self.grey.len() < end {
             let room = (2 * end).div_ceil(SINGLES) * SINGLES;
             for list in [&mut self.x, &mut self.y, &mut self.grey] {
@@ -51,7 +54,13 @@ impl Near {
             }
         }
         self.count += more;
-        [&mut self.x, &mut self.y, &mut self.grey].map(|list| list[old..end].as_chunks_mut().0)
+        first
+    }
+
+    /// The eight places from one on, for which there is room: `x`, `y`, grey value. What is too much is of no meaning.
+    #[inline(always)]
+    pub(super) fn eight(&mut self, first: usize) -> [&mut [f32; EIGHT]; 3] {
+        [&mut self.x, &mut self.y, &mut self.grey].map(|list| &mut list[first..first + EIGHT].as_chunks_mut().0[0])
     }
 
     /// Fills up to a multiple of [`SINGLES`] with pixels on the contour at `(a, 0)`.
@@ -97,14 +106,31 @@ pub(super) struct Columns {
     /// What each pixel adds to the sums of its sector, and these.
     pub(super) terms: Vec<[f32; 4]>,
     pub(super) sums: Vec<[f32; 4]>,
-    /// Sums of products of two columns.
+    /// Unit vectors of the foot points of a block, and what is left to do of each.
+    feet: [[f32; BLOCK]; 3],
+    /// What is known of the pixels that are worked on.
+    steps: Steps,
+    /// Sums of products of two columns, of pixels that are as many apart as there are in a group.
+    apart: [[f32; SINGLES]; PRODUCTS],
+    /// The same of all pixels.
     pub(super) gram: [f64; PRODUCTS],
 }
 
 impl Default for Columns {
     fn default() -> Self {
-        let (response, diamond, cell, left) = (vec![], vec![], vec![], vec![]);
-        Self { values: vec![], response, diamond, cell, left, terms: vec![], sums: vec![], gram: [0.0; PRODUCTS] }
+        Self {
+            values: vec![],
+            response: vec![],
+            diamond: vec![],
+            cell: vec![],
+            left: vec![],
+            terms: vec![],
+            sums: vec![],
+            feet: [[0.0; BLOCK]; 3],
+            steps: Steps::default(),
+            apart: [[0.0; SINGLES]; PRODUCTS],
+            gram: [0.0; PRODUCTS],
+        }
     }
 }
 
@@ -143,77 +169,101 @@ impl<const BENT: bool> SumUp<'_, BENT> {
         let count = S::splat(self.near.count as f32);
         let seen = Seen::<S>::new(self.frame, self.lens);
         let used = if BENT { ALL } else { M };
-        let mut sums = [[0.0; SINGLES]; P];
-        let mut feet = [[0.0; BLOCK]; 3];
+        let Columns { values, response, diamond, feet, steps, apart, gram, .. } = self.out;
         for block in 0..blocks {
             let from = block * BLOCK;
             let m = (n - from).min(BLOCK);
-            let values = &mut self.out.values[block];
+            let values = &mut values[block];
             let [xs, ys, greys] = [&self.near.x, &self.near.y, &self.near.grey].map(|list| &list[from..from + m]);
-            let [responses, diamonds] =
-                [&mut self.out.response, &mut self.out.diamond].map(|list| &mut list[from..from + m]);
-            seen.feet([xs, ys], &mut feet);
-            let mut i = 0;
-            // Said so that no place needs to be checked.
-            while i + S::N <= m && m <= BLOCK {
-                let (x, y, grey) = (S::load(&xs[i..]), S::load(&ys[i..]), S::load(&greys[i..]));
-                // Single precision counts up to 16 million pixels.
-                let index = S::splat((from + i) as f32) + S::load(&FIRST);
-                let shown = S::select(index.below(count), S::splat(1.0), S::splat(0.0));
-                let foot = seen.foot(x, y, S::load(&feet[0][i..]), S::load(&feet[1][i..]));
-                let (columns, response, diamond) = seen.pixel::<BENT>(&foot, [x, y], grey, shown);
-                for k in 0..used {
-                    columns[k].store(&mut values[k][i..]);
+            let [responses, diamonds] = [&mut *response, &mut *diamond].map(|list| &mut list[from..from + m]);
+            seen.feet([xs, ys], feet);
+            for part in (0..m).step_by(PART) {
+                let mut k = 0;
+                // Said so that no place needs to be checked.
+                while k + S::N <= PART && part + k + S::N <= m && m <= BLOCK {
+                    let i = part + k;
+                    let [x, y, c, s] = [&xs[i..], &ys[i..], &feet[0][i..], &feet[1][i..]].map(S::load);
+                    let foot = seen.foot(x, y, c, s);
+                    steps.put_foot(k, &foot, &seen.curve(&foot));
+                    k += S::N;
                 }
-                response.store(&mut responses[i..]);
-                diamond.store(&mut diamonds[i..]);
-                i += S::N;
+                steps.find_profiles(&seen, m - part);
+                let mut k = 0;
+                while k + S::N <= PART && part + k + S::N <= m && m <= BLOCK {
+                    let i = part + k;
+                    let [x, y, grey] = [&xs[i..], &ys[i..], &greys[i..]].map(S::load);
+                    // Single precision counts up to 16 million pixels.
+                    let index = S::splat((from + i) as f32) + S::load(&FIRST);
+                    let shown = S::select(index.below(count), S::splat(1.0), S::splat(0.0));
+                    let (foot, edge, root) = steps.found(k);
+                    let (columns, response) = seen.pixel::<BENT>(foot, &edge, [x, y, grey, shown * root]);
+                    for k in 0..used {
+                        columns[k].store(&mut values[k][i..]);
+                    }
+                    response.store(&mut responses[i..]);
+                    diamond_of(foot[0], foot[1]).store(&mut diamonds[i..]);
+                    k += S::N;
+                }
             }
-            products::<S>(values, m, &mut sums);
+            let mut out = Put { sums: apart, first: block == 0 };
+            products::<S>(values, m, &mut out);
             if BENT {
-                products_of_bends::<S>(values, m, &mut sums);
+                products_of_bends::<S>(values, m, &mut out);
             }
         }
         for k in 0..P {
-            self.out.gram[k] = sum_of_singles(&sums[k]);
+            gram[k] = sum_of_singles(&apart[k]);
         }
     }
 }
 
-/// Adds the products of the first `m` pixels of a block, tile by tile: numbers once loaded serve a whole tile.
+/// Where sums of products over a block go: in place of what was there, for the first block, or added to it.
+struct Put<'a> {
+    sums: &'a mut [[f32; SINGLES]; PRODUCTS],
+    first: bool,
+}
+
+impl Put<'_> {
+    #[inline(always)]
+    fn put<S: Singles>(&mut self, product: usize, part: usize, sum: S) {
+        let own = &mut self.sums[product][part..];
+        let sum = if self.first { sum } else { S::load(own) + sum };
+        sum.store(own);
+    }
+}
+
+/// Products of the first `m` pixels of a block, tile by tile: numbers once loaded serve a whole tile, of which only what lies in the lower triangle
+/// is computed. No tile has more sums than registers.
 #[inline(always)]
-fn products<S: Singles>(values: &[[f32; BLOCK]; ALL], m: usize, sums: &mut [[f32; SINGLES]]) {
-    tile::<S, 3, 4>(values, m, 0, 0, sums);
-    tile::<S, 3, 4>(values, m, 3, 0, sums);
-    tile::<S, 3, 4>(values, m, 3, 4, sums);
-    tile::<S, 3, 4>(values, m, 6, 0, sums);
-    tile::<S, 3, 4>(values, m, 6, 4, sums);
-    tile::<S, 3, 4>(values, m, 6, 8, sums);
-    tile::<S, 3, 4>(values, m, 9, 0, sums);
-    tile::<S, 3, 4>(values, m, 9, 4, sums);
-    tile::<S, 3, 4>(values, m, 9, 8, sums);
-    tile::<S, 1, 7>(values, m, 12, 0, sums);
-    tile::<S, 1, 6>(values, m, 12, 7, sums);
+fn products<S: Singles>(values: &[[f32; BLOCK]; ALL], m: usize, out: &mut Put) {
+    tile::<S, 4, 4>(values, m, 0, 0, out);
+    tile::<S, 2, 6>(values, m, 4, 0, out);
+    tile::<S, 2, 6>(values, m, 6, 0, out);
+    tile::<S, 2, 6>(values, m, 8, 0, out);
+    tile::<S, 2, 6>(values, m, 10, 0, out);
+    tile::<S, 4, 4>(values, m, 6, 6, out);
+    tile::<S, 2, 6>(values, m, 10, 6, out);
+    tile::<S, 1, 13>(values, m, 12, 0, out);
 }
 
 /// Those with columns of the second degree.
 #[inline(always)]
-fn products_of_bends<S: Singles>(values: &[[f32; BLOCK]; ALL], m: usize, sums: &mut [[f32; SINGLES]]) {
+fn products_of_bends<S: Singles>(values: &[[f32; BLOCK]; ALL], m: usize, out: &mut Put) {
     for second in [0, 4, 8, 12] {
-        tile::<S, 3, 4>(values, m, 13, second, sums);
-        tile::<S, 3, 4>(values, m, 16, second, sums);
+        tile::<S, 3, 4>(values, m, 13, second, out);
+        tile::<S, 3, 4>(values, m, 16, second, out);
     }
-    tile::<S, 3, 3>(values, m, 16, 16, sums);
+    tile::<S, 3, 3>(values, m, 16, 16, out);
 }
 
-/// Products of `A` columns from `first` on with `B` columns from `second` on.
+/// Products of `A` columns from `first` on with `B` columns from `second` on, as far as these are not beyond those.
 #[inline(always)]
 fn tile<S: Singles, const A: usize, const B: usize>(
     values: &[[f32; BLOCK]; ALL],
     m: usize,
     first: usize,
     second: usize,
-    sums: &mut [[f32; SINGLES]],
+    out: &mut Put,
 ) {
     let m = m.min(BLOCK);
     let mut part = 0;
@@ -221,14 +271,16 @@ fn tile<S: Singles, const A: usize, const B: usize>(
         let mut sum = [[S::splat(0.0); B]; A];
         let mut at = part;
         while at + S::N <= m {
-            let mut b = [S::splat(0.0); B];
-            for l in 0..B {
-                b[l] = S::load(&values[second + l][at..]);
-            }
+            let mut a = [S::splat(0.0); A];
             for k in 0..A {
-                let a = S::load(&values[first + k][at..]);
-                for l in 0..B {
-                    sum[k][l] = a.fused(b[l], sum[k][l]);
+                a[k] = S::load(&values[first + k][at..]);
+            }
+            for l in 0..B {
+                let b = if second + l < first { S::load(&values[second + l][at..]) } else { a[second + l - first] };
+                for k in 0..A {
+                    if second + l <= first + k {
+                        sum[k][l] = a[k].fused(b, sum[k][l]);
+                    }
                 }
             }
             at += SINGLES;
@@ -236,8 +288,7 @@ fn tile<S: Singles, const A: usize, const B: usize>(
         for k in 0..A {
             for l in 0..B {
                 if second + l <= first + k {
-                    let place = &mut sums[place(first + k, second + l)][part..];
-                    (S::load(place) + sum[k][l]).store(place);
+                    out.put(place(first + k, second + l), part, sum[k][l]);
                 }
             }
         }
@@ -257,6 +308,9 @@ struct Seen<S> {
     sin: S,
     cos2: S,
     sin2: S,
+    /// The sine turned negative; `(a + b) / a` times that of the doubled angle turned negative, and its cosine.
+    less_sin: S,
+    across: [S; 2],
     /// Twice the product of the axes, none of contours that are not round; the last of Newton's steps for foot points.
     two_ab: S,
     last_step: S,
@@ -273,16 +327,6 @@ struct Foot<S> {
     distance: S,
     /// One over `((b cos)^2 + (a sin)^2)^(1/2)`.
     inverse: S,
-}
-
-/// The profile of the edge at a pixel.
-struct Edge<S> {
-    inside: S,
-    slope: S,
-    by_blur: S,
-    /// Distance in units of the blur as the profile sees it, and the curvature of the contour.
-    depth: S,
-    kappa: S,
 }
 
 impl<S: Singles> Seen<S> {
@@ -304,6 +348,8 @@ impl<S: Singles> Seen<S> {
             sin: one(frame.sin),
             cos2: one(frame.cos2),
             sin2: one(frame.sin2),
+            less_sin: one(-frame.sin),
+            across: [-frame.sin2, frame.cos2].map(|x| one((frame.a + frame.b) / frame.a * x)),
             two_ab: one(if frame.a < ROUND * frame.b { 2.0 * frame.a * frame.b } else { 0.0 }),
             last_step: one(LAST_STEP * (frame.b * frame.b) / (frame.a * frame.a)),
             blur: one(lens.blur_px),
@@ -313,16 +359,18 @@ impl<S: Singles> Seen<S> {
         }
     }
 
-    /// Columns, response and angle on the diamond of a pixel.
+    /// Columns and response of a pixel.
     #[inline(always)]
-    fn pixel<const BENT: bool>(&self, foot: &Foot<S>, [x, y]: [S; 2], grey: S, shown: S) -> ([S; ALL], S, S) {
+    fn pixel<const BENT: bool>(
+        &self,
+        [c, s, inverse]: [S; 3],
+        edge: &Edge<S>,
+        [x, y, grey, root]: [S; 4],
+    ) -> ([S; ALL], S) {
         let one = S::splat(1.0);
-        let edge = self.edge(foot);
-        let (c, s, inverse) = (foot.cos, foot.sin, foot.inverse);
         let (nx, ny) = (self.b * c * inverse, self.a * s * inverse);
         let (p, slope) = (edge.inside, edge.slope);
         let q = one - p;
-        let root = shown / self.variance[0].fused(p, self.variance[1] * q).sqrt();
         let (px, py) = (x * self.inverse_a, y * self.inverse_b);
         let moved = self.blur * self.blur * slope;
         let (bx, by) = (px.fused(p, moved * nx * self.inverse_a), py.fused(p, moved * ny * self.inverse_b));
@@ -334,13 +382,15 @@ impl<S: Singles> Seen<S> {
             step = (light[7] - light[10]).fused(twice, (light[8] - light[11]).fused(two, step));
         }
         let h = root * step * slope;
-        let (da, db) = (-(nx * c), -(ny * s));
-        let (along, across) = (da - db, -((self.a + self.b) * c * s * inverse));
+        // Along the axes of the ellipse, less than nothing as the distance falls where the ellipse grows; of `(a + b) c s / N` that of `ny = a s / N`.
+        let (hx, hy) = (-(h * nx), -(h * ny));
+        let (da, db, across) = (hx * c, hy * s, hy * c);
+        let along = da - db;
         let inside = light[0].fused(p, light[1].fused(bx, light[2] * by));
         let mut model = inside + light[3].fused(q, light[4].fused(ox, light[5] * oy));
         let mut columns = [S::splat(0.0); ALL];
         if BENT {
-            let bends = self.bends(px, py, nx, ny, &edge);
+            let bends = self.bends(px, py, nx, ny, edge);
             for k in 0..BENDS {
                 model = light[LIGHTS + k].fused(bends[k], model);
                 columns[M + k] = root * bends[k];
@@ -353,13 +403,13 @@ impl<S: Singles> Seen<S> {
         columns[4] = root * ox;
         columns[5] = root * oy;
         columns[6] = root * step * edge.by_blur;
-        columns[7] = h * self.sin.fused(ny, -(self.cos * nx));
-        columns[8] = -(h * self.sin.fused(nx, self.cos * ny));
-        columns[9] = h * (da + db);
-        columns[10] = h * self.cos2.fused(along, -(self.sin2 * across));
-        columns[11] = h * self.sin2.fused(along, self.cos2 * across);
+        columns[7] = self.cos.fused(hx, self.less_sin * hy);
+        columns[8] = self.sin.fused(hx, self.cos * hy);
+        columns[9] = da + db;
+        columns[10] = self.cos2.fused(along, self.across[0] * across);
+        columns[11] = self.sin2.fused(along, self.across[1] * across);
         columns[N] = root * (grey - model);
-        (columns, h, diamond(c, s))
+        (columns, h)
     }
 
     /// `X^2 + Y^2 - 1`, `X^2 - Y^2`, `2 X Y` times the profile, then times what it leaves, as [`crate::detect::surface`].
@@ -467,89 +517,11 @@ impl<S: Singles> Seen<S> {
         let distance = (-a).fused(c, x).fused(bc, (-b).fused(s, y) * sa) * inverse;
         Foot { cos: c, sin: s, distance, inverse }
     }
-
-    /// The profile, its derivatives by distance and blur.
-    #[inline(always)]
-    fn edge(&self, foot: &Foot<S>) -> Edge<S> {
-        let number = |x: f32| S::splat(x);
-        let (one, half) = (number(1.0), number(0.5));
-        let (blur, i1) = (self.blur, foot.inverse);
-        let i2 = i1 * i1;
-        let i4 = i2 * i2;
-        let s2 = blur * blur;
-        let kappa = self.ab * i1 * i2;
-        let turned = self.e2 * foot.sin * foot.cos;
-        // kappa'^2 = (3 ab e2 s c / N^6)^2, over kappa = ab / N^3.
-        let turn2_over_kappa = number(9.0) * self.ab * (turned * turned) * i4 * i4 * i1;
-        let c4 = number(5.0 / 72.0).fused(turn2_over_kappa, number(0.125) * self.ab * i4 * i1);
-        let eps = kappa * blur;
-        let mean = half.fused(eps, number(3.0) * c4 * s2 * blur);
-        let bends = number(12.0).fused(c4, number(5.0 / 12.0) * turn2_over_kappa) * kappa * s2 * s2;
-        let variance = (half * eps).fused(eps, one + bends);
-        let r = one / variance.sqrt();
-        let d = foot.distance * self.inverse_blur;
-        let y = (d + mean) * r;
-        let (tail, f) = normal_tail(y);
-        let y2 = y * y;
-        let bent = eps * r;
-        let third = bent * bent * bent * number(1.0 / 6.0);
-        let fourth = number(0.125) * (bent * bent) * (bent * bent);
-        let sixth = half * third * third;
-        let (he2, he3) = (y2 - one, y * (y2 - number(3.0)));
-        let he4 = y2.fused(y2 - number(6.0), number(3.0));
-        let he5 = y * y2.fused(y2 - number(10.0), number(15.0));
-        let he6 = y2.fused(y2.fused(y2 - number(15.0), number(45.0)), -number(15.0));
-        let inside = f.fused(fourth.fused(he3, sixth.fused(he5, -(third * he2))), tail);
-        let shape = fourth.fused(he4, sixth.fused(he6, (-third).fused(he3, one)));
-        let slope = -(f * shape * r * self.inverse_blur);
-        let variance_by_blur = eps.fused(eps, number(4.0) * bends) * self.inverse_blur;
-        let mean_by_blur = half.fused(kappa, number(9.0) * c4 * s2);
-        let widening = half * variance_by_blur * r * r;
-        let y_by_blur = (-d).fused(self.inverse_blur, mean_by_blur).fused(r, -(y * widening));
-        let bends = (number(4.0) * fourth).fused(he3, (number(6.0) * sixth).fused(he5, -(number(3.0) * third * he2)));
-        let by_blur = f * (self.inverse_blur - widening).fused(bends, -(shape * y_by_blur));
-        Edge { inside, slope, by_blur, depth: y, kappa }
-    }
-}
-
-/// `(Phi(-z), phi(z))` of the normal distribution, as [`crate::detect::sectors::normal_tails`].
-#[inline(always)]
-fn normal_tail<S: Singles>(z: S) -> (S, S) {
-    let number = |x: f32| S::splat(x);
-    let x = (z.size() * number(std::f32::consts::FRAC_1_SQRT_2)).at_most(number(6.0));
-    let gauss = exp_of_negative(-(x * x));
-    let t = number(1.0) / number(0.327_591_1).fused(x, number(1.0));
-    let poly = t * powers(t, [0.254_829_6, -0.284_496_74, 1.421_413_7, -1.453_152, 1.061_405_4]);
-    let half = number(0.5) * poly * gauss;
-    let tail = S::select(number(0.0).below(z), half, number(1.0) - half);
-    (tail, number(0.398_942_3) * gauss)
-}
-
-/// `exp(x)` for `-40 <= x <= 0`: `2^n` times the power series on `|r| <= ln 2 / 2`.
-#[inline(always)]
-fn exp_of_negative<S: Singles>(x: S) -> S {
-    let number = |x: f32| S::splat(x);
-    // Adding 1.5 * 2^23 rounds to the nearest whole number.
-    let round = number(12_582_912.0);
-    let n = x.fused(number(std::f32::consts::LOG2_E), round) - round;
-    let r = n.fused(number(2.121_944_4e-4), n.fused(number(-0.693_359_4), x));
-    let series = powers(r, [1.0, 1.0, 0.5, 1.0 / 6.0, 1.0 / 24.0, 1.0 / 120.0, 1.0 / 720.0]);
-    series * n.power_of_two()
-}
-
-/// `c[0] + c[1] x + c[2] x^2 + ...`
-#[inline(always)]
-fn powers<S: Singles, const K: usize>(x: S, c: [f32; K]) -> S {
-    let mut sum = S::splat(c[K - 1]);
-    for k in 1..K {
-        sum = sum.fused(x, S::splat(c[K - 1 - k]));
-    }
-    sum
 }
 
 /// Angle on the diamond, 0 to 4, as [`crate::detect::contour::diamond`].
 #[inline(always)]
-fn diamond<S: Singles>(c: S, s: S) -> S {
+fn diamond_of<S: Singles>(c: S, s: S) -> S {
     let zero = S::splat(0.0);
     let x = s / (c.size() + s.size());
     let right = S::select(s.below(zero), S::splat(4.0) + x, x);

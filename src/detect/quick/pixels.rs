@@ -1,12 +1,12 @@
 //! The pixels of one disc: those near its edge one by one, those beside it as sums over rows.
 
 use super::columns::{EIGHT, Near};
-use super::whole::{PLACES, Whole, number};
+use super::whole::{Sample, Whole, number};
 use crate::conic::Frame;
 use crate::detect::correlation::Allowance;
 use crate::detect::level::ROUND;
 use crate::image::{GrayView, Samples};
-use crate::lanes::{self, Kernel, Lanes};
+use crate::lanes::{self, Greys, Kernel, Lanes};
 use nalgebra::{Matrix3, Vector3};
 use std::ops::{Range, RangeInclusive};
 
@@ -14,6 +14,8 @@ use std::ops::{Range, RangeInclusive};
 const LINE_BYTES: usize = 64;
 /// Rows whose ends are found side by side.
 const ROWS: usize = 16;
+/// Places among eight.
+const PLACES: [f32; EIGHT] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
 
 /// A stretch of one row on one side of the edge; places relative to the reference pixel.
 #[derive(Debug, Clone, Copy)]
@@ -181,9 +183,7 @@ impl Kernel for Collect<'_> {
     #[inline(always)]
     fn run<L: Lanes>(self) -> bool {
         let (frame, rings) = (self.frame, self.rings);
-        let near = rings.near * bulge(frame);
-        let outer = rings.outer.max(near);
-        let (a, b) = (frame.a + outer, frame.b + outer);
+        let outer = rings.outer.max(rings.near * bulge(frame));
         let [half_width, half_height] = half_size(frame, outer);
         let (u_last, v_last) = (self.view.width() as f64 - 1.0, self.view.height() as f64 - 1.0);
         let (top, bottom) = (frame.v0 - half_height, frame.v0 + half_height);
@@ -191,21 +191,33 @@ impl Kernel for Collect<'_> {
             return false;
         }
         let rows = top.ceil() as usize..=bottom.floor() as usize;
-        if rings.fetch {
-            let columns = (frame.u0 - half_width) as usize..(frame.u0 + half_width) as usize + 1;
-            match self.view.samples() {
-                Samples::U8(s) => fetch(s, self.view.stride(), rows.clone(), columns),
-                Samples::U16(s) => fetch(s, self.view.stride(), rows.clone(), columns),
-                Samples::F32(s) => fetch(s, self.view.stride(), rows.clone(), columns),
-            }
+        let columns = (frame.u0 - half_width) as usize..(frame.u0 + half_width) as usize + 1;
+        match self.view.samples() {
+            Samples::U8(s) => self.collect::<L, _>(s, rows, columns),
+            Samples::U16(s) => self.collect::<L, _>(s, rows, columns),
+            Samples::F32(s) => self.collect::<L, _>(s, rows, columns),
         }
-        let out = self.out;
+        true
+    }
+}
+
+impl Collect<'_> {
+    /// From these rows and columns of the image.
+    #[inline(always)]
+    fn collect<L: Lanes, S: Sample>(self, samples: &[S], rows: RangeInclusive<usize>, columns: Range<usize>) {
+        let Self { view, frame, rings, out } = self;
+        let stride = view.stride();
+        if rings.fetch {
+            fetch(samples, stride, rows.clone(), columns);
+        }
         out.near.clear();
         out.clear_runs();
         out.reference = ((frame.u0 as usize) as f64, (frame.v0 as usize) as f64);
-        out.ground = f64::from(self.view.get(frame.u0 as usize, frame.v0 as usize));
+        out.ground = f64::from(view.get(frame.u0 as usize, frame.v0 as usize));
         // Outside, outside and inside of the near band, and the hole.
-        let far = Cut::new(frame, a, b);
+        let near = rings.near * bulge(frame);
+        let outer = rings.outer.max(near);
+        let far = Cut::new(frame, frame.a + outer, frame.b + outer);
         let band = Cut::new(frame, frame.a + near, frame.b + near);
         let core = Cut::new(frame, frame.a - near, frame.b - near);
         let hole = Cut::new(frame, frame.a - rings.inner, frame.b - rings.inner);
@@ -214,20 +226,28 @@ impl Kernel for Collect<'_> {
             let spans = spans_of_rows(frame, &[far, band, core, hole], first, thin);
             for k in 0..ROWS.min((last - first) / thin + 1) {
                 let (v, [far, band, core, hole]) = (first + k * thin, of_row(&spans, k));
-                for (from, to) in without(band, core) {
-                    out.take::<L>(self.view, frame, v, from, to);
-                }
+                let row = Row { samples, at: v * stride, v };
+                let [left, right] = without(band, core);
+                out.take::<L, S>(&row, frame, left);
+                out.take::<L, S>(&row, frame, right);
                 let [[left, right], [inner_left, inner_right]] = [without(far, band), without(core, hole)];
-                for (side, (from, to)) in [(1, left), (1, right), (0, inner_left), (0, inner_right)] {
-                    out.run::<L>(self.view, side, v, from, to);
-                }
+                out.run::<L, S>(&row, 1, left);
+                out.run::<L, S>(&row, 1, right);
+                out.run::<L, S>(&row, 0, inner_left);
+                out.run::<L, S>(&row, 0, inner_right);
             }
             first += ROWS * thin;
         }
         out.near.fill_up(frame.a);
-        out.take_whole();
-        true
+        out.take_rows();
     }
+}
+
+/// Row `v` of an image, which begins `at` one of its samples.
+struct Row<'a, S> {
+    samples: &'a [S],
+    at: usize,
+    v: usize,
 }
 
 /// First columns, and those behind the last, of [`ROWS`] rows from one on, every `thin`-th, within each of the cuts.
@@ -267,7 +287,18 @@ impl Kernel for Beyond<'_> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let (frame, rings, out) = (self.frame, self.rings, self.out);
+        match self.view.samples() {
+            Samples::U8(s) => self.sum_up::<L, _>(s),
+            Samples::U16(s) => self.sum_up::<L, _>(s),
+            Samples::F32(s) => self.sum_up::<L, _>(s),
+        }
+    }
+}
+
+impl Beyond<'_> {
+    #[inline(always)]
+    fn sum_up<L: Lanes, S: Sample>(self, samples: &[S]) {
+        let (stride, frame, rings, out) = (self.view.stride(), self.frame, self.rings, self.out);
         let taken = rings.outer.max(rings.near * bulge(frame));
         let outer = self.outer.max(taken);
         let [_, half_height] = half_size(frame, outer);
@@ -279,12 +310,13 @@ impl Kernel for Beyond<'_> {
             for k in 0..ROWS.min(rows.end() - first + 1) {
                 let [wide, taken, hole] = of_row(&spans, k);
                 let [left, right] = without(wide, taken);
-                for (side, (from, to)) in [(1, left), (1, right), (0, hole)] {
-                    out.run::<L>(self.view, side, first + k, from, to);
-                }
+                let row = Row { samples, at: (first + k) * stride, v: first + k };
+                out.run::<L, S>(&row, 1, left);
+                out.run::<L, S>(&row, 1, right);
+                out.run::<L, S>(&row, 0, hole);
             }
         }
-        out.take_whole();
+        out.take_rows();
     }
 }
 
@@ -308,9 +340,12 @@ fn half_size(frame: &Frame, by: f64) -> [f64; 2] {
 fn fetch<S>(samples: &[S], stride: usize, rows: RangeInclusive<usize>, columns: Range<usize>) {
     let per_line = LINE_BYTES / size_of::<S>();
     for v in rows {
-        for u in columns.clone().step_by(per_line).chain([columns.end]) {
-            lanes::fetch(samples, v * stride + u);
+        let (mut at, end) = (v * stride + columns.start, v * stride + columns.end);
+        while at < end {
+            lanes::fetch(samples, at);
+            at += per_line;
         }
+        lanes::fetch(samples, end);
     }
 }
 
@@ -333,117 +368,84 @@ impl Pixels {
         (self.reference, self.ground) = (other.reference, other.ground);
     }
 
-    /// Adds what was summed up of whole numbers to the other sums.
-    fn take_whole(&mut self) {
-        for (sums, whole) in self.sums.iter_mut().zip(&self.whole) {
-            sums.gu += lanes::sum(&whole.gu);
-            sums.gg += lanes::sum(&whole.gg);
-            sums.dd += lanes::sum(&whole.dd);
+    /// Adds what the rows say, and what was summed up of whole numbers, to the other sums.
+    #[inline(always)]
+    fn take_rows(&mut self) {
+        for (side, sums) in self.sums.iter_mut().enumerate() {
+            let (whole, runs) = (&self.whole[side], &self.runs[side]);
+            sums.gu = lanes::sum(&whole.gu) + whole.more[1];
+            sums.gg = lanes::sum(&whole.gg) + whole.more[2];
+            sums.dd = lanes::sum(&whole.dd) + whole.more[3];
+            sums.uu /= 12.0;
+            // By rows, times the row and its square; of whole grey values all are whole numbers.
+            let mut by_row = [[0.0; 4]; 3];
+            for run in runs {
+                let (own, v) = ([run.n, run.u, run.g, 0.0], run.v);
+                for k in 0..4 {
+                    let times_v = own[k] * v;
+                    by_row[0][k] += own[k];
+                    by_row[1][k] += times_v;
+                    by_row[2][k] += times_v * v;
+                }
+            }
+            let [[n, u, g, _], [nv, uv, gv, _], [nvv, ..]] = by_row;
+            (sums.n, sums.u, sums.g) = (n, u, g);
+            (sums.v, sums.uv, sums.gv, sums.vv) = (nv, uv, gv, nvv);
+            sums.pairs = n - number(runs.len());
         }
     }
 
-    /// Sums up a stretch of one side.
+    /// Sums up a stretch of one side, from a column on and up to that behind its last; what else its row tells is summed up at the end. With
+    /// `2 m = first + last`
+    ///
+    /// ```text
+    /// sum of u = n m,   sum of u^2 = n (12 m^2 + n^2 - 1) / 12
+    /// ```
     #[inline(always)]
-    fn run<L: Lanes>(&mut self, view: &GrayView, side: usize, v: usize, from: usize, to: usize) {
+    fn run<L: Lanes, S: Sample>(&mut self, row: &Row<S>, side: usize, (from, to): (usize, usize)) {
         if from >= to {
             return;
         }
-        let at = v * view.stride();
-        let (n, count) = (number(to - from), (to - from) as i64);
-        let (first, v) = (number(from) - self.reference.0, number(v) - self.reference.1);
-        let own = &mut self.whole[side];
-        let [g, gu, gg, dd] = match view.samples() {
-            Samples::U8(s) => own.take_of::<L, _>(s, at + from..at + to, first, self.ground),
-            Samples::U16(s) => own.take_of::<L, _>(s, at + from..at + to, first, self.ground),
-            Samples::F32(s) => sums_of(&s[at + from..at + to], first, self.ground),
-        };
-        // Sums of i and i^2 from the first column on.
-        let pairs = (count * (count - 1)) >> 1;
-        let (s1, s2) = (pairs as f64, (pairs * (2 * count - 1) / 3) as f64);
-        let u = s1 + n * first;
-        let sums = &mut self.sums[side];
-        sums.n += n;
-        sums.u += u;
-        sums.v += n * v;
-        sums.uu += s2 + 2.0 * first * s1 + n * first * first;
-        sums.uv += u * v;
-        sums.vv += n * v * v;
-        sums.g += g;
-        sums.gu += gu;
-        sums.gv += g * v;
-        sums.gg += gg;
-        sums.dd += dd;
-        sums.pairs += n - 1.0;
-        self.runs[side].push(Run { v, n, u, g });
+        let (n, first, v) = (number(to - from), number(from) - self.reference.0, number(row.v) - self.reference.1);
+        let g = S::take::<L>(&mut self.whole[side], row.samples, row.at + from..row.at + to, first, self.ground);
+        let two_m = 2.0 * first + (n - 1.0);
+        // Twelve times as much, a whole number.
+        self.sums[side].uu += n * (3.0 * two_m * two_m + (n * n - 1.0));
+        self.runs[side].push(Run { v, n, u: 0.5 * n * two_m, g });
     }
 
     /// Takes the pixels of a stretch one by one.
     #[inline(always)]
-    fn take<L: Lanes>(&mut self, view: &GrayView, frame: &Frame, v: usize, from: usize, to: usize) {
+    fn take<L: Lanes, S: Sample>(&mut self, row: &Row<S>, frame: &Frame, (from, to): (usize, usize)) {
         if from >= to {
             return;
         }
-        let at = v * view.stride();
-        let (du, dv) = (number(from) - frame.u0, number(v) - frame.v0);
+        let (du, dv) = (number(from) - frame.u0, number(row.v) - frame.v0);
         let (x, y) = (frame.cos * du + frame.sin * dv, frame.cos * dv - frame.sin * du);
-        let ground = self.ground;
-        let [xs, ys, greys] = self.near.take(to - from);
-        let line = [x, y, frame.cos, frame.sin];
-        match view.samples() {
-            Samples::U8(s) => copy::<L, _>(&s[at + from..], [xs, ys, greys], line, ground),
-            Samples::U16(s) => copy::<L, _>(&s[at + from..], [xs, ys, greys], line, ground),
-            Samples::F32(s) => copy::<L, _>(&s[at + from..], [xs, ys, greys], line, ground),
+        let first = self.near.make_room(to - from);
+        let samples = &row.samples[row.at + from..];
+        let one = |x: f64| <L::Greys as Greys>::splat(x as f32);
+        let (x, y, ground) = (one(x), one(y), one(-self.ground));
+        let mut place = L::Greys::load(&PLACES);
+        // Eight at a time wherever the row ends.
+        for from in (0..to - from).step_by(EIGHT) {
+            let mut own = [S::default(); EIGHT];
+            match samples[from..].first_chunk::<EIGHT>() {
+                Some(eight) => own = *eight,
+                // The last of the image.
+                None => own[..samples.len() - from].copy_from_slice(&samples[from..]),
+            }
+            let mut grey = [0.0; EIGHT];
+            for i in 0..EIGHT {
+                grey[i] = own[i].into();
+            }
+            let [xs, ys, greys] = self.near.eight(first + from);
+            one(frame.cos).fused(place, x).store(xs);
+            one(-frame.sin).fused(place, y).store(ys);
+            (L::Greys::load(&grey) + ground).store(greys);
+            place = place + one(EIGHT as f64);
         }
     }
-}
-
-/// Copies the samples of a row from one on, eight at a time wherever the row ends, and the places `x`, `y` of their pixels, which begin at the first two
-/// numbers of the `line` and go on by the others.
-#[inline(always)]
-fn copy<L: Lanes, T: Copy + Default + Into<f64>>(
-    from: &[T],
-    [xs, ys, greys]: [&mut [[f32; EIGHT]]; 3],
-    line: [f64; 4],
-    ground: f64,
-) {
-    let ([x, y, cos, sin], ground) = (lanes::splats::<L, 4>(line), L::splat(ground));
-    for (k, ((xs, ys), greys)) in xs.iter_mut().zip(ys).zip(greys).enumerate() {
-        let mut own = [T::default(); EIGHT];
-        match from[k * EIGHT..].first_chunk::<EIGHT>() {
-            Some(eight) => own = *eight,
-            // The last of the image.
-            None => own[..from.len() - k * EIGHT].copy_from_slice(&from[k * EIGHT..]),
-        }
-        let mut grey = [0.0; EIGHT];
-        for i in 0..EIGHT {
-            grey[i] = own[i].into();
-        }
-        let mut part = 0;
-        while part < EIGHT {
-            let i = L::splat(number(k * EIGHT)) + L::load(&PLACES[part..]);
-            (x + cos * i).narrow(&mut xs[part..]);
-            (y - sin * i).narrow(&mut ys[part..]);
-            (L::load(&grey[part..]) - ground).narrow(&mut greys[part..]);
-            part += L::N;
-        }
-    }
-}
-
-/// Sums of the grey value, of it times its column, which begin with `first`, of its squares, and of the squared differences of neighbours.
-#[inline(always)]
-fn sums_of(grey: &[f32], first: f64, ground: f64) -> [f64; 4] {
-    let (mut g, mut gi, mut gg, mut dd) = (0.0, 0.0, 0.0, 0.0);
-    let mut before = f64::from(grey[0]) - ground;
-    for i in 0..grey.len() {
-        let x = f64::from(grey[i]) - ground;
-        g += x;
-        gi += x * i as f64;
-        gg += x * x;
-        let step = x - before;
-        dd += step * step;
-        before = x;
-    }
-    [g, gi + first * g, gg, dd]
 }
 
 #[cfg(test)]

@@ -129,13 +129,19 @@ fn edges(contour: &Contour, shares: &[Share], kept: Option<&[bool]>, change: &SV
     for list in [&mut edge.u_px, &mut edge.v_px, &mut edge.sigma_px] {
         list.reserve_exact(shares.len());
     }
+    let count = shares.len();
+    let (kept, row) = (kept.map(|kept| &kept[..count]), &contour.row[..count]);
+    let [u, v, normal_u, normal_v] =
+        [&contour.u, &contour.v, &contour.normal_u, &contour.normal_v].map(|list| &list[..count]);
     let counts = |k: usize| kept.is_none_or(|l| l[k]) && shares[k].information > 0.0;
-    let most = (0..shares.len()).filter(|k| counts(*k)).map(|k| shares[k].information).fold(0.0, f64::max);
+    let most = (0..count)
+        .filter(|k| counts(*k))
+        .fold(0.0, |most, k| if shares[k].information > most { shares[k].information } else { most });
     // Of a sector that is all but hidden the pixels count, but they give no place.
     for (k, share) in shares.iter().enumerate().filter(|(k, x)| counts(*k) && x.information > LEAST_SHARE * most) {
-        let shift = share.shift_px() - (0..5).map(|i| contour.row[k][i] * change[i]).sum::<f64>();
-        edge.u_px.push(contour.u[k] + shift * contour.normal_u[k]);
-        edge.v_px.push(contour.v[k] + shift * contour.normal_v[k]);
+        let shift = share.shift_px() - (0..5).map(|i| row[k][i] * change[i]).sum::<f64>();
+        edge.u_px.push(u[k] + shift * normal_u[k]);
+        edge.v_px.push(v[k] + shift * normal_v[k]);
         edge.sigma_px.push(1.0 / share.information.sqrt());
     }
     edge

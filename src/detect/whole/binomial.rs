@@ -82,15 +82,17 @@ impl Blur {
     fn of_bytes(&mut self, r: [&[u8]; 5], out: &mut [u16]) {
         let n = self.narrow.len() - 4;
         let (r0, r1, r2, r3, r4) = (&r[0][..n], &r[1][..n], &r[2][..n], &r[3][..n], &r[4][..n]);
-        for (i, c) in self.narrow[2..n + 2].iter_mut().enumerate() {
-            let (outer, inner) = (u16::from(r0[i]) + u16::from(r4[i]), u16::from(r1[i]) + u16::from(r3[i]));
-            *c = outer + 4 * inner + 6 * u16::from(r2[i]);
+        // One end for all lists, so that nothing is left over of whole vectors.
+        let rows = r0.iter().zip(r1).zip(r2).zip(r3).zip(r4);
+        for (o, ((((a, b), c), d), e)) in self.narrow[2..n + 2].iter_mut().zip(rows) {
+            let (outer, inner) = (u16::from(*a) + u16::from(*e), u16::from(*b) + u16::from(*d));
+            *o = outer + 4 * inner + 6 * u16::from(*c);
         }
         repeat_ends(&mut self.narrow, 2);
         let c = &self.narrow;
-        let (a, b, c, d, e) = (&c[..n], &c[1..=n], &c[2..n + 2], &c[3..n + 3], &c[4..n + 4]);
-        for (i, o) in out[..n].iter_mut().enumerate() {
-            *o = a[i] + e[i] + 4 * (b[i] + d[i]) + 6 * c[i];
+        let beside = c[..n].iter().zip(&c[1..=n]).zip(&c[2..n + 2]).zip(&c[3..n + 3]).zip(&c[4..n + 4]);
+        for (o, ((((a, b), c), d), e)) in out[..n].iter_mut().zip(beside) {
+            *o = a + e + 4 * (b + d) + 6 * c;
         }
     }
 
@@ -103,15 +105,16 @@ impl Blur {
         }
         let n = self.wide.len() - 4;
         let [r0, r1, r2, r3, r4] = near.map(|k| &self.ring[k % 5][..n]);
-        for (i, c) in self.wide[2..n + 2].iter_mut().enumerate() {
-            let (outer, inner) = (u32::from(r0[i]) + u32::from(r4[i]), u32::from(r1[i]) + u32::from(r3[i]));
-            *c = outer + 4 * inner + 6 * u32::from(r2[i]);
+        let rows = r0.iter().zip(r1).zip(r2).zip(r3).zip(r4);
+        for (o, ((((a, b), c), d), e)) in self.wide[2..n + 2].iter_mut().zip(rows) {
+            let (outer, inner) = (u32::from(*a) + u32::from(*e), u32::from(*b) + u32::from(*d));
+            *o = outer + 4 * inner + 6 * u32::from(*c);
         }
         repeat_ends(&mut self.wide, 2);
         let c = &self.wide;
-        let (a, b, c, d, e) = (&c[..n], &c[1..=n], &c[2..n + 2], &c[3..n + 3], &c[4..n + 4]);
-        for (i, o) in out[..n].iter_mut().enumerate() {
-            *o = ((a[i] + e[i] + 4 * (b[i] + d[i]) + 6 * c[i] + 128) >> 8) as u16;
+        let beside = c[..n].iter().zip(&c[1..=n]).zip(&c[2..n + 2]).zip(&c[3..n + 3]).zip(&c[4..n + 4]);
+        for (o, ((((a, b), c), d), e)) in out[..n].iter_mut().zip(beside) {
+            *o = ((a + e + 4 * (b + d) + 6 * c + 128) >> 8) as u16;
         }
     }
 }

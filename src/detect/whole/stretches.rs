@@ -4,6 +4,10 @@ use crate::lanes::{Kernel, Lanes};
 
 /// Pixels of a stretch.
 pub(super) const STRETCH: usize = 32;
+/// Stretches that are passed over together where none has an edge.
+const MANY: usize = 16;
+/// Rows that nobody asks for after which sums of nine rows are made anew.
+const ANEW: usize = 5;
 /// Half width of the window of the local mean, px.
 const R: usize = 4;
 /// Binary digits of the field that are dropped.
@@ -111,19 +115,43 @@ impl Kernel for Find<'_> {
                 true => find_steep(on.row(v + 1), least, &mut steep[(v + 1) % 3]),
                 false => steep[(v + 1) % 3].fill(false),
             }
-            sums.next_row(&on);
-            for (k, field) in field.as_chunks_mut().0.iter_mut().enumerate() {
-                kept[k] = steep[0][k] | steep[1][k] | steep[2][k];
-                if kept[k] {
-                    let mut border = [0; STRETCH + 1];
-                    *field = sums.field(k, pixels(on.row(v), k, &mut border));
+            let of_three = steep[0].iter().zip(&steep[1]).zip(&steep[2]);
+            for (kept, ((a, b), c)) in kept.iter_mut().zip(of_three) {
+                *kept = *a | *b | *c;
+            }
+            let (row, field) = (on.row(v), field.as_chunks_mut().0);
+            let any = kept.contains(&true);
+            if any {
+                sums.go_to(&on, v);
+            }
+            let mut from = if any { 0 } else { count };
+            while from < count {
+                let (first, end) = (from, (from + MANY).min(count));
+                from = end;
+                if none(&kept[first..end]) {
+                    continue;
+                }
+                for k in first..end {
+                    if kept[k] {
+                        let mut border = [0; STRETCH + 1];
+                        field[k] = sums.field(k, pixels(row, k, &mut border));
+                    }
                 }
             }
             if v + 1 < on.height {
-                find_starts(&on, v, (&steep[v % 3], least), (kept, field), starts);
+                find_starts::<L>(&on, v, (&steep[v % 3], least), (kept, field.as_flattened_mut()), starts);
             }
             *next = Some(v + 1);
         }
+    }
+}
+
+/// Whether none is set, of many several at once.
+#[inline(always)]
+fn none(list: &[bool]) -> bool {
+    match list.first_chunk::<MANY>() {
+        Some(many) => *many == [false; MANY],
+        None => false,
     }
 }
 
@@ -173,6 +201,17 @@ impl Sums {
         self.next = v;
     }
 
+    /// On to those of row `v`; where nobody asked for many rows they are summed up anew.
+    #[inline(always)]
+    fn go_to(&mut self, on: &Smoothed<'_>, v: usize) {
+        if v > self.next + ANEW {
+            self.start_at(on, v);
+        }
+        while self.next <= v {
+            self.next_row(on);
+        }
+    }
+
     #[inline(always)]
     fn next_row(&mut self, on: &Smoothed<'_>) {
         let (v, last) = (self.next, on.height - 1);
@@ -202,39 +241,46 @@ impl Sums {
 
 /// Places of row `v` where a line starts, from what is kept of it.
 #[inline(always)]
-fn find_starts(
+fn find_starts<L: Lanes>(
     on: &Smoothed<'_>,
     v: usize,
     (steep, least): (&[bool], u16),
-    (kept, row): (&[bool], &[i16]),
+    (kept, field): (&[bool], &mut [i16]),
     out: &mut Vec<u32>,
 ) {
-    for k in (0..steep.len()).filter(|k| steep[*k]) {
-        let mut border = [0; STRETCH + 1];
-        let (x, end) = (pixels(on.row(v), k, &mut border), (k + 1) * STRETCH);
-        let mut field = [0; STRETCH + 1];
-        field[..STRETCH].copy_from_slice(&row[k * STRETCH..end]);
-        // Beyond a border, and where it is not steep, no line starts.
-        let last = STRETCH - 1;
-        field[STRETCH] = if end < on.width && kept[k + 1] {
-            row[end]
-        } else if x[last].abs_diff(x[STRETCH]) > least {
-            on.field(end, v)
-        } else {
-            field[last]
-        };
-        let mut hits = [0; STRETCH];
-        for i in 0..STRETCH {
-            hits[i] = start(x[i], x[i + 1], field[i], field[i + 1], least);
+    let (row, mut next) = (on.row(v), 0);
+    while next < steep.len() {
+        let (begin, end) = (next, (next + MANY).min(steep.len()));
+        next = end;
+        if none(&steep[begin..end]) {
+            continue;
         }
-        // A bit for each, in a loop for vectors.
-        let mut bits = 0_u32;
-        for i in 0..STRETCH {
-            bits |= if hits[i] != 0 { 1 << i } else { 0 };
-        }
-        while bits != 0 {
-            out.push((v * on.width + k * STRETCH) as u32 + bits.trailing_zeros());
-            bits &= bits - 1;
+        for k in (begin..end).filter(|k| steep[*k]) {
+            let (mut border, mut at_end) = ([0; STRETCH + 1], [0; STRETCH + 1]);
+            let (x, from, end) = (pixels(row, k, &mut border), k * STRETCH, (k + 1) * STRETCH);
+            // Beyond a border, and where it is not steep, no line starts. Of a stretch that is not kept the memory is there to be used.
+            if end < on.width && !kept[k + 1] {
+                let last = STRETCH - 1;
+                field[end] = if x[last].abs_diff(x[STRETCH]) > least { on.field(end, v) } else { field[end - 1] };
+            }
+            let f = match field[from..].first_chunk::<{ STRETCH + 1 }>() {
+                Some(more) => more,
+                None => {
+                    at_end[..STRETCH].copy_from_slice(&field[from..end]);
+                    at_end[STRETCH] = field[end - 1];
+                    &at_end
+                }
+            };
+            let mut hits = [0; STRETCH];
+            for i in 0..STRETCH {
+                hits[i] = start(x[i], x[i + 1], f[i], f[i + 1], least);
+            }
+            let mut bits = L::bits_of(&hits);
+            let first = (v * on.width + from) as u32;
+            while bits != 0 {
+                out.push(first + bits.trailing_zeros());
+                bits &= bits - 1;
+            }
         }
     }
 }

@@ -13,9 +13,10 @@ fn near(e: &Ellipse, reach: f64) -> Near {
         let (x, y) = (f64::from(i) + 0.3, f64::from(j) - 0.1);
         let q = (x / frame.a).hypot(y / frame.b);
         if (q - 1.0).abs() * frame.b < reach {
-            let [u, v, grey] = near.take(1);
-            (u[0][0], v[0][0]) = (x as f32, y as f32);
-            grey[0][0] = (100.0 * (1.0 - q) + f64::from((i * 7 + j * 3) % 5)) as f32;
+            let first = near.make_room(1);
+            let [u, v, grey] = near.eight(first);
+            (u[0], v[0]) = (x as f32, y as f32);
+            grey[0] = (100.0 * (1.0 - q) + f64::from((i * 7 + j * 3) % 5)) as f32;
         }
     }
     near.fill_up(frame.a);
