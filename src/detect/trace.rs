@@ -67,8 +67,8 @@ impl<'a, L: Level> Tracer<'a, L> {
     /// As if the crossings between two places of a row had been followed.
     fn visit(&mut self, v: usize, from_px: f64, to_px: f64) {
         let width = self.level.width();
-        // At either end those that lie there in part.
-        let (from, to) = (from_px.max(0.0) as usize, (to_px.max(0.0) as usize + 1).min(width - 1));
+        // At either end those that lie there in part; none of what ends before the image.
+        let (from, to) = (from_px.max(0.0) as usize, ((to_px + 1.0).max(0.0) as usize).min(width - 1));
         let mut at = v * width + from;
         let end = v * width + to;
         while at < end {

@@ -54,8 +54,9 @@ fn gaps(a: &Record, b: &Record) -> Vec<f64> {
         .collect()
 }
 
-const NONE: ImportOptions = ImportOptions { image_size_px: None, pixel_pitch_mm: None };
 const OPTIONS: ImportOptions = ImportOptions { image_size_px: Some(SIZE), pixel_pitch_mm: Some(0.00625) };
+/// DaVis tells the pitch, and another size of pixels would contradict it.
+const OF_DAVIS: ImportOptions = ImportOptions { pixel_pitch_mm: None, ..OPTIONS };
 
 #[test]
 fn opencv_carries_the_tilted_rig_exactly() {
@@ -149,7 +150,7 @@ const DAVIS: &str = r#"<?xml version="1.0"?>
 
 fn davis(text: &str) -> Result<Conversion<Record>> {
     let file = NamedText { name: "Calibration.xml".into(), text: text.into() };
-    import(&[file], ImportFormat::DaVis, &NONE)
+    import(&[file], ImportFormat::DaVis, &OF_DAVIS)
 }
 
 #[test]
@@ -431,8 +432,7 @@ fn a_window_is_refitted_with_the_loss_stated_or_carried_within_the_map() {
 fn impossible_calibrations_are_refused_on_import() {
     let file = |name: &str, text: &str| NamedText { name: name.into(), text: text.into() };
     let refused = |files: &[NamedText], format, words: &[&str]| {
-        // DaVis says all itself.
-        let options = if format == ImportFormat::DaVis { NONE } else { OPTIONS };
+        let options = if format == ImportFormat::DaVis { OF_DAVIS } else { OPTIONS };
         let message = import(files, format, &options).unwrap_err().to_string();
         assert!(words.iter().all(|w| message.contains(w)) && !message.contains(":0:"), "{message}");
     };
@@ -460,10 +460,10 @@ fn impossible_calibrations_are_refused_on_import() {
     let mapper = &plain[plain.find("<CoordinateMapper").unwrap()..plain.find("</Calibration>").unwrap()];
     let twice = plain.replace("</Calibration>", &format!("{mapper}</Calibration>"));
     refused(&[file("C.xml", &twice)], ImportFormat::DaVis, &["C.xml: ", "two cameras are called \"camera1\""]);
-    let other = ImportOptions { image_size_px: Some([640, 480]), ..NONE };
+    let other = ImportOptions { image_size_px: Some([640, 480]), ..OF_DAVIS };
     let message = import(&[file("C.xml", &plain)], ImportFormat::DaVis, &other).unwrap_err().to_string();
     assert!(message.contains(" px, --image-size 640x480; leave the option out"), "{message}");
-    let other = ImportOptions { pixel_pitch_mm: Some(0.01), ..NONE };
+    let other = ImportOptions { pixel_pitch_mm: Some(0.01), ..OF_DAVIS };
     let message = import(&[file("C.xml", &plain)], ImportFormat::DaVis, &other).unwrap_err().to_string();
     assert!(message.contains(" mm, --pixel-pitch-mm 0.01; leave the option out"), "{message}");
     for width in ["-5", "0"] {
