@@ -45,6 +45,22 @@ macro_rules! operator {
     };
 }
 
+/// Work on small whole numbers, the same however many numbers of 64 bits a register holds.
+macro_rules! small_whole_numbers {
+    () => {
+        #[inline(always)]
+        fn sums_of_bytes(bytes: &[u8], n: usize, ground: u8) -> [i32; 4] {
+            // SAFETY: see the head of the file.
+            unsafe { x86_whole::sums_of_bytes(bytes, n, ground) }
+        }
+        #[inline(always)]
+        fn bits_of(x: &[u16; 32]) -> u32 {
+            // SAFETY: see the head of the file.
+            unsafe { x86_whole::bits_of(x) }
+        }
+    };
+}
+
 /// A register of N numbers and the instructions that it is computed with. What the widths write differently is spelt out: a change of
 /// sign, the choice by a mask (its numbers bare registers), and whether a mask is set everywhere.
 macro_rules! register {
@@ -179,16 +195,7 @@ impl Lanes for Four {
         // SAFETY: see the head of the file.
         unsafe { _mm256_and_pd(a, b) }
     }
-    #[inline(always)]
-    fn sums_of_bytes(bytes: &[u8], n: usize, ground: u8) -> [i32; 4] {
-        // SAFETY: see the head of the file.
-        unsafe { x86_whole::sums_of_bytes(bytes, n, ground) }
-    }
-    #[inline(always)]
-    fn bits_of(x: &[u16; 32]) -> u32 {
-        // SAFETY: see the head of the file.
-        unsafe { x86_whole::bits_of(x) }
-    }
+    small_whole_numbers!();
 }
 
 impl Lanes for Eight {
@@ -218,16 +225,7 @@ impl Lanes for Eight {
     fn and(a: __mmask8, b: __mmask8) -> __mmask8 {
         a & b
     }
-    #[inline(always)]
-    fn sums_of_bytes(bytes: &[u8], n: usize, ground: u8) -> [i32; 4] {
-        // SAFETY: see the head of the file.
-        unsafe { x86_whole::sums_of_bytes(bytes, n, ground) }
-    }
-    #[inline(always)]
-    fn bits_of(x: &[u16; 32]) -> u32 {
-        // SAFETY: see the head of the file.
-        unsafe { x86_whole::bits_of(x) }
-    }
+    small_whole_numbers!();
     #[inline(always)]
     fn with_picks<W: WithPicks>(work: W) -> Option<W::Output> {
         Some(work.run::<SixteenSingles>())
