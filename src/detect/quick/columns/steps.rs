@@ -38,8 +38,13 @@ pub(super) struct Edge<S> {
 #[derive(Debug)]
 pub(super) struct Steps([[f32; PART]; NUMBERS]);
 
-/// Numbers of a pixel.
+/// Numbers of a pixel, and where those of the foot point, of its curve, whose last is the depth, of the tail, and of the edge begin.
 const NUMBERS: usize = 15;
+const FOOT: usize = 0;
+const CURVE: usize = 3;
+const DEPTH: usize = 8;
+const TAIL: usize = 9;
+const EDGE: usize = 11;
 
 impl Default for Steps {
     fn default() -> Self {
@@ -68,9 +73,9 @@ impl Steps {
     /// First step: foot point and curve.
     #[inline(always)]
     pub(super) fn put_foot<S: Singles>(&mut self, i: usize, foot: &Foot<S>, curve: &Curve<S>) {
-        self.put(0, i, [foot.cos, foot.sin, foot.inverse]);
+        self.put(FOOT, i, [foot.cos, foot.sin, foot.inverse]);
         let Curve { kappa, c4, bends, narrow, along, depth } = *curve;
-        self.put(3, i, [kappa, c4, bends, narrow, along, depth]);
+        self.put(CURVE, i, [kappa, c4, bends, narrow, along, depth]);
     }
 
     /// Second and third step, of the first `count` or some more: tails, then profiles and roots of the weights.
@@ -78,16 +83,16 @@ impl Steps {
     pub(super) fn find_profiles<S: Singles>(&mut self, seen: &Seen<S>, count: usize) {
         let mut i = 0;
         while i < count && i + S::N <= PART {
-            let [depth] = self.get(8, i);
+            let [depth] = self.get(DEPTH, i);
             let (tail, density) = normal_tail::<S>(depth);
-            self.put(9, i, [tail, density]);
+            self.put(TAIL, i, [tail, density]);
             i += S::N;
         }
         i = 0;
         while i < count && i + S::N <= PART {
-            let [kappa, c4, bends, narrow, along, depth, tail, density] = self.get(3, i);
+            let [kappa, c4, bends, narrow, along, depth, tail, density] = self.get(CURVE, i);
             let edge = seen.edge(&Curve { kappa, c4, bends, narrow, along, depth }, [tail, density]);
-            self.put(11, i, [edge.inside, edge.slope, edge.by_blur, seen.root_of_weight(edge.inside)]);
+            self.put(EDGE, i, [edge.inside, edge.slope, edge.by_blur, seen.root_of_weight(edge.inside)]);
             i += S::N;
         }
     }
@@ -95,8 +100,8 @@ impl Steps {
     /// Foot point without its distance, profile, root of the weight.
     #[inline(always)]
     pub(super) fn found<S: Singles>(&self, i: usize) -> ([S; 3], Edge<S>, S) {
-        let ([depth], [inside, slope, by_blur, root]) = (self.get(8, i), self.get(11, i));
-        let [cos, sin, inverse, kappa] = self.get(0, i);
+        let ([depth], [inside, slope, by_blur, root]) = (self.get(DEPTH, i), self.get(EDGE, i));
+        let [cos, sin, inverse, kappa] = self.get(FOOT, i);
         ([cos, sin, inverse], Edge { inside, slope, by_blur, depth, kappa }, root)
     }
 }
