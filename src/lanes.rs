@@ -94,11 +94,12 @@ pub(crate) trait Lanes: Several<f64> {
     fn floor(self) -> Self;
     /// Both.
     fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask;
-    /// Sums of `x`, `i x`, `x^2` and `(x - y)^2` over the first `n` of some bytes, before which there is one more: `x` a byte and `y` the one before it
-    /// less the `ground`, `i` its place. Whole eights and that one; at least one of the last eight counts, `n` up to [`BYTES`].
+    /// Sums of `x`, `i x`, `x^2` and, but for the first where it is `alone`, `(x - y)^2` over the first `n` of some bytes, before which there is one
+    /// more: `x` a byte and `y` the one before it less the `ground`, `i` its place. Whole eights and that one; at least one of the last eight
+    /// counts, `n` up to [`BYTES`].
     #[inline(always)]
-    fn sums_of_bytes(bytes: &[u8], n: usize, ground: u8) -> [i32; 4] {
-        whole::sums_of_bytes(bytes, n, ground)
+    fn sums_of_bytes(bytes: &[u8], n: usize, ground: u8, alone: bool) -> [i32; 4] {
+        whole::sums_of_bytes(bytes, n, ground, alone)
     }
     /// Bit `i` is set where number `i` is not zero.
     #[inline(always)]

@@ -130,6 +130,7 @@ fn refine_all<'a>(
             slopes: light.slopes(candidate),
             noise: &noise,
             level: candidate.level,
+            variance: sigma * sigma,
             clear: sigma < CLEAR * candidate.contrast * candidate.ellipse.perimeter_px().sqrt(),
             smoke: if *wisp { few(all.len()) } else { smoke },
         };

@@ -40,7 +40,7 @@ use bent::Bent;
 use columns::{Columns, Lens, SumUp};
 use few::{Few, KEPT, ORDER, SLOPES};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3, Vector6};
-use pixels::{Beyond, Collect, Pixels, Rings};
+use pixels::{Beyond, Collect, Pixels, Rings, near_px};
 use shares::ShareOut;
 pub(crate) use start::contour_of;
 
@@ -59,12 +59,11 @@ const PLAIN: usize = M * (M + 1) / 2;
 const PRODUCTS: usize = ALL * (ALL + 1) / 2;
 /// Place of the blur in the equations.
 const BLUR: usize = 2;
-/// Beyond this many blurs the edge is not felt.
-const NEAR: f64 = 3.5;
 /// Rounds at most.
 const MOST_ROUNDS: usize = 6;
-/// A change below this ends the rounds, px.
-const STILL_PX: f64 = 0.03;
+/// A change below both ends the rounds, of the blur and px: what is left of it is of third order.
+const STILL: f64 = 0.06;
+const STILL_PX: f64 = 0.05;
 /// The same of a slope of the light across the disc, of its step: as much of a change of the geometry is wrong.
 const STILL_LIGHT: f64 = 0.03;
 /// How much further off light that bends is looked at outside, semi-minor axes; inside all of it is.
@@ -162,6 +161,11 @@ impl Quick {
         SVector::from_fn(|i, _| self.found[LIGHTS + 1 + i])
     }
 
+    /// The same of the blur, px.
+    pub(crate) fn change_of_blur(&self) -> f64 {
+        self.found[LIGHTS]
+    }
+
     /// Fits the disc as long as it looks clean; `outer_px` is how far it may look outwards, `floor` the least variance of the noise.
     pub(crate) fn fit(&mut self, view: &GrayView, state: &mut Clean, outer_px: f64, floor: f64) -> Option<()> {
         self.same_beyond = None;
@@ -197,7 +201,7 @@ impl Quick {
             state.step = self.light[0] - self.light[3];
             // The step along the contour must have been that of the light.
             let settled = !first || at_once && self.slopes_found() < STILL_LIGHT * state.step.abs();
-            if settled && rounds_alike > 0 && largest < STILL_PX {
+            if settled && rounds_alike > 0 && largest < STILL_PX.min(STILL * state.blur_px) {
                 return self.dense.geometry(self.solved).then_some(());
             }
             if round > 0 && largest > 0.5 {
@@ -216,7 +220,7 @@ impl Quick {
     fn collect(&mut self, view: &GrayView, state: &Clean, outer_px: f64, (first, start): (bool, bool)) -> Option<()> {
         let e = &state.ellipse;
         let reach = reach_px(state.blur_px);
-        let near = NEAR * state.blur_px;
+        let near = near_px(state.blur_px, state.variance[0].max(state.variance[1]).sqrt() / state.step.abs());
         let inner = reach.min(0.85 * e.semi_minor_px);
         let small = state.blur_px * e.semi_major_px > SMALL * e.semi_minor_px * e.semi_minor_px;
         if small || inner < near + 0.5 || outer_px < near + 2.0 {

@@ -74,6 +74,8 @@ pub(crate) struct Start<'a> {
     pub(crate) noise: &'a NoiseCorrelation,
     /// The level of the pyramid in which the line of the ellipse was followed; 0 are the pixels of the image themselves.
     pub(crate) level: u32,
+    /// Noise variance of a pixel of the image, roughly, grey^2.
+    pub(crate) variance: f64,
     /// Whether noise hardly moved that line.
     pub(crate) clear: bool,
     /// Whether a random field of light may be fitted, which takes thousands of times as long as a clean disc.
@@ -477,8 +479,7 @@ fn accept(
         return Err(not_elliptical(rms_px, limit_px));
     }
     let common = share_noise(&ellipse, &mut edge, start.noise, found.blur_px);
-    let regular = found.covariance * common;
-    let mut covariance = covariance_from_regular(&at, &regular);
+    let (regular, mut covariance) = (found.covariance * common, own * common);
     let normal = feet.normal(&edge.sigma_px);
     let contour = ContourNoise::of(&normal, &regular, found.followed);
     if normal.chi2 > count - 5.0 {
@@ -524,6 +525,7 @@ mod tests {
             slopes: [[0.0; 2]; 2],
             noise: &noise,
             level: 0,
+            variance: 1.0,
             clear: true,
             smoke: false,
         };

@@ -5,14 +5,14 @@ pub(crate) const BYTES: usize = 1024;
 
 /// One by one what [`super::Lanes::sums_of_bytes`] is.
 #[inline(always)]
-pub(super) fn sums_of_bytes(bytes: &[u8], n: usize, ground: u8) -> [i32; 4] {
+pub(super) fn sums_of_bytes(bytes: &[u8], n: usize, ground: u8, alone: bool) -> [i32; 4] {
     let mut sums = [0; 4];
     for (i, (x, y)) in bytes[1..].iter().zip(bytes).take(n).enumerate() {
         let (x, step) = (i32::from(*x) - i32::from(ground), i32::from(*x) - i32::from(*y));
         sums[0] += x;
         sums[1] += i as i32 * x;
         sums[2] += x * x;
-        sums[3] += step * step;
+        sums[3] += if alone && i == 0 { 0 } else { step * step };
     }
     sums
 }
@@ -33,13 +33,13 @@ mod tests {
     use crate::lanes::{Kernel, Lanes, run_all};
 
     #[derive(Clone)]
-    struct Sums<'a>(&'a [u8], usize, u8);
+    struct Sums<'a>(&'a [u8], usize, u8, bool);
     impl Kernel for Sums<'_> {
         type Output = [i32; 4];
         #[inline(always)]
         fn run<L: Lanes>(self) -> [i32; 4] {
-            let Self(bytes, n, ground) = self;
-            L::sums_of_bytes(&bytes[..=n.next_multiple_of(8)], n, ground)
+            let Self(bytes, n, ground, alone) = self;
+            L::sums_of_bytes(&bytes[..=n.next_multiple_of(8)], n, ground, alone)
         }
     }
 
@@ -56,8 +56,12 @@ mod tests {
                         (i64::from(bytes[i]) - i64::from(ground), i64::from(bytes[i]) - i64::from(bytes[i - 1]));
                     [sum[0] + x, sum[1] + (i as i64 - 1) * x, sum[2] + x * x, sum[3] + y * y]
                 });
-                for found in run_all(&Sums(bytes, n, ground)) {
-                    assert_eq!(found.map(i64::from), wanted, "{n} bytes");
+                let first = (i64::from(bytes[1]) - i64::from(bytes[0])).pow(2);
+                for (alone, less) in [(false, 0), (true, first)] {
+                    for found in run_all(&Sums(bytes, n, ground, alone)) {
+                        let [x, ix, xx, steps] = wanted;
+                        assert_eq!(found.map(i64::from), [x, ix, xx, steps - less], "{n} bytes");
+                    }
                 }
             }
         }

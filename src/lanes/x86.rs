@@ -49,9 +49,9 @@ macro_rules! operator {
 macro_rules! small_whole_numbers {
     () => {
         #[inline(always)]
-        fn sums_of_bytes(bytes: &[u8], n: usize, ground: u8) -> [i32; 4] {
+        fn sums_of_bytes(bytes: &[u8], n: usize, ground: u8, alone: bool) -> [i32; 4] {
             // SAFETY: see the head of the file.
-            unsafe { x86_whole::sums_of_bytes(bytes, n, ground) }
+            unsafe { x86_whole::sums_of_bytes(bytes, n, ground, alone) }
         }
         #[inline(always)]
         fn bits_of(x: &[u16; 32]) -> u32 {

@@ -27,26 +27,21 @@ pub(super) struct Whole {
 
 /// A kind of samples.
 pub(super) trait Sample: Copy + Default + Into<f64> + Into<f32> {
-    /// Takes in a stretch of the samples, whose first column is `first`; returns the sum of their grey values.
-    fn take<L: Lanes>(out: &mut Whole, samples: &[Self], stretch: Range<usize>, first: f64, ground: f64) -> f64;
+    /// Takes in a stretch of the samples, whose first column is `first`; returns the sum of their grey values less the `ground`.
+    fn take<L: Lanes>(out: &mut Whole, samples: &[Self], stretch: Range<usize>, first: f64, ground: Self) -> f64;
 }
 
 impl Sample for u8 {
     /// `sum of (first + i) x = sum of i x + first times the sum of x`
     #[inline(always)]
-    fn take<L: Lanes>(out: &mut Whole, samples: &[u8], stretch: Range<usize>, first: f64, ground: f64) -> f64 {
-        let n = stretch.len();
-        let ground = ground as u8;
-        // The first of them has no neighbour that counts.
-        let step = f64::from(samples[stretch.start]) - f64::from(samples[stretch.start - 1]);
-        out.dd[0] -= step * step;
-        if n <= BYTES {
-            return out.take_bytes::<L>(samples, stretch, first, ground);
+    fn take<L: Lanes>(out: &mut Whole, samples: &[u8], stretch: Range<usize>, first: f64, ground: u8) -> f64 {
+        if stretch.len() <= BYTES {
+            return out.take_bytes::<L>(samples, stretch, (first, true), ground);
         }
         let mut all = 0.0;
         for from in stretch.clone().step_by(BYTES) {
-            let part = from..stretch.end.min(from + BYTES);
-            all += out.take_bytes::<L>(samples, part, first + number(from - stretch.start), ground);
+            let (part, k) = (from..stretch.end.min(from + BYTES), from - stretch.start);
+            all += out.take_bytes::<L>(samples, part, (first + number(k), k == 0), ground);
         }
         all
     }
@@ -54,16 +49,16 @@ impl Sample for u8 {
 
 impl Sample for u16 {
     #[inline(always)]
-    fn take<L: Lanes>(out: &mut Whole, samples: &[u16], stretch: Range<usize>, first: f64, ground: f64) -> f64 {
-        let n = stretch.len();
+    fn take<L: Lanes>(out: &mut Whole, samples: &[u16], stretch: Range<usize>, first: f64, ground: u16) -> f64 {
+        let (n, ground) = (stretch.len(), f64::from(ground));
         with_eights(samples, stretch, |all| out.take::<L, u16>([&all[..all.len() - 1], &all[1..]], n, first, ground))
     }
 }
 
 impl Sample for f32 {
     #[inline(always)]
-    fn take<L: Lanes>(out: &mut Whole, samples: &[f32], stretch: Range<usize>, first: f64, ground: f64) -> f64 {
-        let sums = sums_of(&samples[stretch], first, ground);
+    fn take<L: Lanes>(out: &mut Whole, samples: &[f32], stretch: Range<usize>, first: f64, ground: f32) -> f64 {
+        let sums = sums_of(&samples[stretch], first, f64::from(ground));
         for k in 0..4 {
             out.more[k] += sums[k];
         }
@@ -89,11 +84,18 @@ fn sums_of(grey: &[f32], first: f64, ground: f64) -> [f64; 4] {
 }
 
 impl Whole {
-    /// A stretch of up to [`BYTES`] bytes; returns the sum of their grey values.
+    /// A stretch of up to [`BYTES`] bytes, its first column, and whether the neighbour to the left of that does not count; returns the sum of their
+    /// grey values.
     #[inline(always)]
-    fn take_bytes<L: Lanes>(&mut self, samples: &[u8], stretch: Range<usize>, first: f64, ground: u8) -> f64 {
+    fn take_bytes<L: Lanes>(
+        &mut self,
+        samples: &[u8],
+        stretch: Range<usize>,
+        (first, alone): (f64, bool),
+        ground: u8,
+    ) -> f64 {
         let n = stretch.len();
-        let sums = with_eights(samples, stretch, |bytes| L::sums_of_bytes(bytes, n, ground));
+        let sums = with_eights(samples, stretch, |bytes| L::sums_of_bytes(bytes, n, ground, alone));
         let mut own = [0.0; 4];
         for k in 0..4 {
             own[k] = f64::from(sums[k]);

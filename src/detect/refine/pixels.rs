@@ -3,7 +3,7 @@
 use super::{Found, Scratch, Start, accept, border_px, check_size, median, quantisation};
 use crate::conic::{Ellipse, Frame, from_regular, to_regular};
 use crate::detect::contour::{Contour, NEIGHBOUR};
-use crate::detect::edge_model::EdgeModel;
+use crate::detect::edge_model::{EdgeModel, LEAST_BLUR_PX};
 use crate::detect::exact::{Exact, Field, Hidden, Share, State, is_large};
 use crate::detect::light::{Light, Side};
 use crate::detect::quick::Clean;
@@ -29,6 +29,9 @@ const WELL_EXPLAINED: f64 = 1.1;
 const SMOKE_LEAVES: f64 = 1.3;
 /// Difference of what two fits of one image say that is none.
 const ALIKE: f64 = 0.5;
+/// Least information of a sector of a clean disc, of what is typical, and how many of its sigmas, or of what is typical, it is off at most.
+const LEAST_TOLD: f64 = 0.15;
+const FURTHEST: f64 = 4.5;
 /// Least part of the semi-minor axis of its line that a disc has where that line tells where it is.
 const LEAST_NEAR: f64 = 0.9;
 /// By how much the variance of a profile that is no Gaussian's differs from that of the Gaussian fitted to it: a quarter for a square of pixels.
@@ -61,7 +64,7 @@ pub(super) fn clean_disc(
         near: near && start.clear,
         step: if start.bright { start.contrast } else { -start.contrast },
         slopes: start.slopes,
-        variance: [1.0; 2],
+        variance: [start.variance; 2],
         allow: start.noise.allow,
     };
     let floor = quantisation(view).max((1e-4 * start.contrast).powi(2));
@@ -90,8 +93,12 @@ pub(super) fn clean_disc(
     }
     let change = s.quick.change();
     let ellipse = from_regular(&(to_regular(&state.ellipse) + change))?;
-    let edge = edges(&s.fine, &s.quick.shares, None, &change);
-    let found = Found { ellipse, blur_px: state.blur_px, covariance: *s.quick.covariance(), followed: false };
+    let mut edge = edges(&s.fine, &s.quick.shares, None, &change);
+    let blur_px = (state.blur_px + s.quick.change_of_blur()).max(LEAST_BLUR_PX);
+    // Sigmas are those of the blur before; what an edge tells goes with one over its blur.
+    let wider = blur_px / state.blur_px;
+    edge.sigma_px.iter_mut().for_each(|sigma| *sigma *= wider.sqrt());
+    let found = Found { ellipse, blur_px, covariance: s.quick.covariance() * wider, followed: false };
     let disc = accept(&found, edge, &model, start, options, &mut s.feet);
     // Where noise is allowed to look like light the longer way has the last word.
     let sure = disc.is_ok() || start.noise.is_none();
@@ -113,14 +120,17 @@ fn agree(shares: &[Share], sorted: &mut Vec<f64>) -> bool {
         sorted.extend(shares.iter().map(f));
         median(sorted)
     };
-    let information = typical(&|x| x.information);
     // Over its own sigma: a sector that the pixels happen to cut badly says less, and is further off.
     let off = |x: &Share| x.shift_px().abs() * x.information.sqrt();
-    let limit = 4.5 * (1.4826 * typical(&off)).max(1.0);
-    shares.iter().all(|x| {
-        let (enough, spread) = (x.information > 0.15 * information, x.squares / x.pixels.max(1.0));
-        enough && off(x) < limit && spread < 2.0 + 5.0 * (2.0 / x.pixels.max(1.0)).sqrt()
-    })
+    let (mut least, mut most, mut furthest, mut even) = (f64::INFINITY, 0.0_f64, 0.0_f64, true);
+    for x in shares {
+        (least, most, furthest) = (least.min(x.information), most.max(x.information), furthest.max(off(x)));
+        let pixels = x.pixels.max(1.0);
+        even &= x.squares / pixels < 2.0 + 5.0 * (2.0 / pixels).sqrt();
+    }
+    // What is typical lies below the most, and the limit is no less than that of noise alone: mostly neither needs to be known.
+    even && (least > LEAST_TOLD * most || least > LEAST_TOLD * typical(&|x| x.information))
+        && (furthest < FURTHEST || furthest < FURTHEST * (1.4826 * typical(&off)).max(1.0))
 }
 
 /// Edge points of the sectors that count.

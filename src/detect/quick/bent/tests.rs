@@ -200,6 +200,7 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
 
         let start = Start {
             level: 1,
+            variance: 1.0,
             clear: false,
             ellipse: LARGE,
             blur_px,
