@@ -36,6 +36,9 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 /// Points that go through a kernel together, whatever the width.
 pub(crate) const GROUP: usize = 8;
 
+/// 2^52. Added to a whole number below it leaves that number in the lowest bits: quicker than a conversion that asks for overflow.
+const WHOLE: f64 = 4_503_599_627_370_496.0;
+
 /// Numbers that are computed with at once, each an `X`.
 pub(crate) trait Several<X>:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
@@ -78,6 +81,8 @@ pub(crate) trait Lanes: Several<f64> {
     type Greys: Greys;
     /// Numbers of single precision in the same registers.
     type Single: Singles;
+    /// Whether the processor can pick ([`Lanes::with_picks`]).
+    const PICKS: bool = false;
     /// N numbers at a place of any alignment.
     ///
     /// # Safety
@@ -92,6 +97,8 @@ pub(crate) trait Lanes: Several<f64> {
     fn narrow(self, out: &mut [f32]);
     /// The whole number at or below.
     fn floor(self) -> Self;
+    /// Whole numbers from 0 to below 2^52 into the first N places of a slice; panics where it is shorter.
+    fn whole(self, out: &mut [u64]);
     /// Both.
     fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// Sums of `x`, `i x`, `x^2` and, but for the first where it is `alone`, `(x - y)^2` over the first `n` of some bytes, before which there is one
@@ -178,6 +185,10 @@ impl Lanes for f64 {
     #[inline(always)]
     fn floor(self) -> Self {
         self.floor()
+    }
+    #[inline(always)]
+    fn whole(self, out: &mut [u64]) {
+        out[0] = (self + WHOLE).to_bits() ^ WHOLE.to_bits();
     }
     #[inline(always)]
     fn and(a: bool, b: bool) -> bool {
@@ -296,6 +307,28 @@ mod tests {
         assert_eq!(all[0][0], 1.8_f64.to_bits());
         assert_eq!(all[0][6 * GROUP], 1.5_f64.mul_add(0.3, -0.7).to_bits());
         all.iter().for_each(|one| assert_eq!(*one, all[0]));
+    }
+
+    #[derive(Clone)]
+    struct Whole([f64; GROUP]);
+    impl Kernel for Whole {
+        type Output = [u64; GROUP];
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> Self::Output {
+            let mut out = [0; GROUP];
+            for i in (0..GROUP).step_by(L::N) {
+                L::load(&self.0[i..]).whole(&mut out[i..]);
+            }
+            out
+        }
+    }
+
+    #[test]
+    fn whole_numbers_stay_what_they_are() {
+        let all = run_all(&Whole([0.0, 1.0, 2.0, 1023.0, 1e9, 4_294_967_296.0, 1e15, 4_503_599_627_370_495.0]));
+        all.iter().for_each(|one| {
+            assert_eq!(*one, [0, 1, 2, 1023, 1_000_000_000, 1 << 32, 1_000_000_000_000_000, (1 << 52) - 1]);
+        });
     }
 
     #[derive(Clone)]

@@ -109,7 +109,7 @@ impl<S: Level> WithPicks for Cluster<'_, S> {
         for i in 0..MOST_TAPS {
             sums[i] = sums[i] * across[i];
         }
-        // The order of `Greys::folded` and `Greys::sums`.
+        // The order of windows that are summed one by one.
         let [a, b, c, d] = [sums[0] + sums[4], sums[1] + sums[5], sums[2] + sums[6], sums[3] + sums[7]];
         let mut out = [0.0; SINGLES];
         ((a + c) + (b + d)).store(&mut out);

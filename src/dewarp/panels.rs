@@ -33,7 +33,7 @@ pub(super) struct Panels {
     columns: Vec<f64>,
 }
 
-/// Positions of the nodes of a row, u and v, px; `NaN` where not seen.
+/// Positions of the nodes of a row, u and v, px, `NaN` where not seen; then c of each panel.
 pub(super) struct Nodes([Vec<f64>; 2]);
 
 impl Panels {
@@ -76,6 +76,27 @@ impl Panels {
         }
     }
 
+    /// From the nodes of a row to the polynomials of its panels: of all before the first is asked for, as none waits for another.
+    #[inline(always)]
+    pub(super) fn fit<L: Lanes>(&self, nodes: &mut Nodes) {
+        for axis in &mut nodes.0 {
+            for f in axis.as_chunks_mut::<NODES>().0 {
+                let (first, mut c) = (f[0], [0.0; NODES]);
+                let mut p = 0;
+                while p < NODES {
+                    let mut sum = L::splat(0.0);
+                    for k in 1..NODES {
+                        sum = L::load(&self.weights[k][p..]).fused(L::splat(f[k] - first), sum);
+                    }
+                    sum.store(&mut c[p..]);
+                    p += L::N;
+                }
+                c[0] += first;
+                *f = c;
+            }
+        }
+    }
+
     /// Positions of a panel's pixels, and between what they lie along both axes; `None` where the polynomial does not hold, and nothing is
     /// touched.
     #[inline(always)]
@@ -87,24 +108,15 @@ impl Panels {
     ) -> Option<[[f64; 2]; 2]> {
         let (mut c, mut between) = ([[0.0; NODES]; 2], [[0.0; 2]; 2]);
         for axis in 0..2 {
-            let f = &nodes.0[axis][panel * NODES..][..NODES];
-            let mut p = 0;
-            while p < NODES {
-                let mut sum = L::splat(0.0);
-                for k in 1..NODES {
-                    sum = L::load(&self.weights[k][p..]).fused(L::splat(f[k] - f[0]), sum);
-                }
-                sum.store(&mut c[axis][p..]);
-                p += L::N;
-            }
+            c[axis].copy_from_slice(&nodes.0[axis][panel * NODES..][..NODES]);
+            let c = &c[axis];
             // False for NaN.
-            if !(c[axis][7].abs() < 64.0 * FAINT && c[axis][6].abs() < 32.0 * FAINT) {
+            if !(c[7].abs() < 64.0 * FAINT && c[6].abs() < 32.0 * FAINT) {
                 return None;
             }
-            c[axis][0] += f[0];
             // A margin far above rounding: no pixel may lie outside.
-            let reach = FAINT + c[axis][1..].iter().map(|x| x.abs()).sum::<f64>();
-            between[axis] = [c[axis][0] - reach, c[axis][0] + reach];
+            let reach = FAINT + c[1..].iter().map(|x| x.abs()).sum::<f64>();
+            between[axis] = [c[0] - reach, c[0] + reach];
         }
         let mut i = 0;
         while i < TOGETHER {
@@ -153,6 +165,7 @@ mod tests {
                     &mut nodes,
                 ),
             }
+            panels.fit::<L>(&mut nodes);
             let mut out = Vec::new();
             for panel in 0..self.grid.width_px.div_ceil(TOGETHER) {
                 let (mut u, mut v) = ([0.0; TOGETHER], [0.0; TOGETHER]);

@@ -5,19 +5,16 @@
 //! is ever held.
 
 use super::grid::SheetGrid;
-use super::kernel::{Kernel, Source};
+use super::kernel::{Kernel, MOST_TAPS, Source};
 use super::map::SheetMap;
 use super::panels::Panels;
-use super::weights::{Cubic, Linear, Nearest, Table, Weights};
+use super::weights::{Cubic, Found, Linear, Nearest, Table, Weights};
 use crate::camera::{BulkCamera, LineImage};
-use crate::lanes::{self, Lanes, Level, Raster, SINGLES, Twice};
+use crate::lanes::{self, Lanes, Level, Raster, Twice};
 use nalgebra::{Vector2, Vector3};
 
 /// Pixels that go through all steps together.
 pub(super) const TOGETHER: usize = 64;
-/// Added to a whole number below 2^52 it leaves that number in the lowest bits: quicker than a conversion that asks for overflow.
-const WHOLE: f64 = 4_503_599_627_370_496.0;
-const LOWEST: u64 = (1 << 52) - 1;
 /// 0, 1, 2, ...
 const COUNT: [f64; TOGETHER] = {
     let mut out = [0.0; TOGETHER];
@@ -33,9 +30,9 @@ const COUNT: [f64; TOGETHER] = {
 pub(super) struct Places {
     u_px: [f64; TOGETHER],
     v_px: [f64; TOGETHER],
-    /// First sample of the window, beyond 2^52.
-    start: [f64; TOGETHER],
-    /// Column and row of that sample.
+    /// First sample of the window.
+    start: [u64; TOGETHER],
+    /// Column and row of that sample, for clusters.
     pub(super) first: [[f32; TOGETHER]; 2],
     /// Place in the pixel, from its sample or from half a sample behind it ([`Weights::FROM`]).
     pub(super) x: [[f32; TOGETHER]; 2],
@@ -45,43 +42,48 @@ impl Places {
     const NONE: Self = Self {
         u_px: [0.0; TOGETHER],
         v_px: [0.0; TOGETHER],
-        start: [0.0; TOGETHER],
+        start: [0; TOGETHER],
         first: [[0.0; TOGETHER]; 2],
         x: [[0.0; TOGETHER]; 2],
     };
 
     #[inline(always)]
     pub(super) fn start(&self, i: usize) -> usize {
-        (self.start[i].to_bits() & LOWEST) as usize
+        self.start[i] as usize
     }
 
     /// Windows of the positions; whether all of them lie in the image, which with INSIDE is known. Those that do not begin at the first sample.
     #[inline(always)]
-    fn find<L: Lanes, const INSIDE: bool>(&mut self, bounds: &Bounds, from: f64) -> bool {
+    fn find<L: Lanes, const INSIDE: bool>(&mut self, bounds: &Bounds, from: f64, clusters: bool) -> bool {
         let (zero, low, from) = (L::splat(0.0), L::splat(-0.5), L::splat(from));
-        let (stride, shift, whole_number) = (L::splat(bounds.stride), L::splat(bounds.shift), L::splat(WHOLE));
-        let reach = L::splat(bounds.reach);
-        let end = bounds.end.map(L::splat);
+        let (stride, shift, reach) = (L::splat(bounds.stride), L::splat(bounds.shift), L::splat(bounds.reach));
+        // From the sample of the pixel (0, 0) to the one in which its window begins.
+        let back = L::splat(bounds.reach * (bounds.stride + 1.0));
         let mut all = low.below(zero);
         let mut i = 0;
         while i < TOGETHER {
             let at = [L::load(&self.u_px[i..]), L::load(&self.v_px[i..])];
-            let (mut first, mut x) = (at, at);
+            let (mut pixel, mut x) = (at, at);
             for k in 0..2 {
-                let pixel = if bounds.shift == 0.0 { at[k].floor() } else { (at[k] + shift).floor() };
-                (first[k], x[k]) = (pixel - reach, at[k] - (pixel + from));
+                pixel[k] = if bounds.shift == 0.0 { at[k].floor() } else { (at[k] + shift).floor() };
+                x[k] = at[k] - (pixel[k] + from);
             }
             if !INSIDE {
-                let inside = [0, 1].map(|k| L::and(low.below(first[k]), first[k].below(end[k])));
-                let whole = L::and(inside[0], inside[1]);
+                let mut whole = low.below(zero);
+                for k in 0..2 {
+                    let first = pixel[k] - reach;
+                    whole = L::and(whole, L::and(low.below(first), first.below(L::splat(bounds.end[k]))));
+                }
                 all = L::and(all, whole);
                 for k in 0..2 {
-                    (first[k], x[k]) = (L::select(whole, first[k], zero), L::select(whole, x[k], zero));
+                    (pixel[k], x[k]) = (L::select(whole, pixel[k], reach), L::select(whole, x[k], zero));
                 }
             }
-            (first[1].fused(stride, first[0]) + whole_number).store(&mut self.start[i..]);
+            (pixel[1].fused(stride, pixel[0]) - back).whole(&mut self.start[i..]);
             for k in 0..2 {
-                first[k].narrow(&mut self.first[k][i..]);
+                if clusters {
+                    (pixel[k] - reach).narrow(&mut self.first[k][i..]);
+                }
                 x[k].narrow(&mut self.x[k][i..]);
             }
             i += L::N;
@@ -133,29 +135,6 @@ pub(super) enum Levels<'a> {
 }
 
 impl Levels<'_> {
-    /// Levels at the first n places.
-    #[inline(always)]
-    fn all<S: Level, L: Lanes, W: Weights<T>, const T: usize>(
-        &mut self,
-        weights: &W,
-        raster: &Raster<'_, S, T>,
-        places: &Places,
-        first: usize,
-        n: usize,
-    ) {
-        let mut i = 0;
-        while i < n {
-            let levels = weights.levels::<S, L>(raster, places, i);
-            // A length that is known is written at once.
-            if n - i >= SINGLES {
-                self.put(first + i, &levels);
-            } else {
-                self.put(first + i, &levels[..n - i]);
-            }
-            i += SINGLES;
-        }
-    }
-
     #[inline(always)]
     fn put(&mut self, first: usize, levels: &[f32]) {
         let range = first..first + levels.len();
@@ -232,8 +211,8 @@ impl<S: Level> Band<'_, S> {
         let raster = Raster::<S, T>::new(self.source.samples, self.source.stride);
         let raster = raster.filter(|_| bounds.end.iter().all(|e| *e > 0.0));
         let camera = BulkCamera::<Twice<L>>::of(self.map.camera());
-        let width = self.grid.width_px;
-        let (mut places, mut nodes) = (Places::NONE, self.panels.nodes());
+        let (width, clusters) = (self.grid.width_px, L::PICKS && T == MOST_TAPS);
+        let (mut places, mut found, mut nodes) = (Places::NONE, Found::NONE, self.panels.nodes());
         for j in 0..self.valid.len() / width {
             let [_, y_mm] = self.grid.point_mm(0.0, (self.first_row + j) as f64);
             let line = camera.map(|c| LineImage::new(c, self.map.cam_from_sheet(), y_mm, self.z_mm));
@@ -241,6 +220,7 @@ impl<S: Level> Band<'_, S> {
                 Some(line) => self.panels.see(line, self.grid, &mut nodes),
                 None => self.panels.see_one_by_one(|column| self.position(column, y_mm), &mut nodes),
             }
+            self.panels.fit::<L>(&mut nodes);
             let mut first = 0;
             while first < width {
                 let n = TOGETHER.min(width - first);
@@ -254,11 +234,16 @@ impl<S: Level> Band<'_, S> {
                 let inside = between.is_some_and(|[u, v]| bounds.whole(u[0], v[0]) && bounds.whole(u[1], v[1]));
                 let whole = match (&raster, inside) {
                     (None, _) => false,
-                    (_, true) => places.find::<L, true>(&bounds, W::FROM),
-                    (_, false) => places.find::<L, false>(&bounds, W::FROM),
+                    (_, true) => places.find::<L, true>(&bounds, W::FROM, clusters),
+                    (_, false) => places.find::<L, false>(&bounds, W::FROM, clusters),
                 };
                 if let Some(raster) = &raster {
-                    self.levels.all::<S, L, W, T>(weights, raster, &places, to, n);
+                    weights.levels::<S, L>(raster, &places, n, &mut found);
+                    // A length that is known is written at once.
+                    match n {
+                        TOGETHER => self.levels.put(to, &found.levels),
+                        _ => self.levels.put(to, &found.levels[..n]),
+                    }
                 }
                 if whole {
                     self.valid[to..to + n].fill(true);

@@ -1,4 +1,4 @@
-//! Levels of sixteen windows, for each kernel.
+//! Levels of a block's windows, for each kernel.
 //!
 //! ```text
 //! f(u, v) = sum_i w_i(u - floor u) sum_k w_k(v - floor v) c_(k, i)
@@ -8,37 +8,41 @@
 //! ```text
 //! w_i = e_i(x^2) + x o_i(x^2),   w_(7-i) = e_i(x^2) - x o_i(x^2)
 //! ```
-//! of degree nine, to 4e-8. All is of single precision; sums stand in one order, whether a window is summed by itself or with fifteen
-//! others ([`super::cluster`]): equal bits on every machine.
+//! of degree nine, to 4e-8. Eight windows go side by side: weights with a place in each number, then row by row the samples of each window
+//! times one weight, then the sums turned, so that a place in each number again meets its weights across. All is of single precision; sums
+//! stand in one order, whether windows are read so or sixteen together ([`super::cluster`]): equal bits on every machine.
 
 use super::chebyshev::{node, parts, powers};
 use super::cluster::Cluster;
 use super::kernel::{Kernel, MOST_TAPS};
-use super::rows::Places;
+use super::rows::{Places, TOGETHER};
 use crate::lanes::{Greys, Lanes, Level, Raster, SINGLES, Several};
+use std::hint::black_box;
 
 /// Terms of the even and of the odd part of a weight.
 pub(super) const TERMS: usize = 5;
+
+/// Weights of each tap at eight places, across and down; none lies across two lines of the cache.
+#[repr(align(32))]
+struct Taps([[[f32; 8]; MOST_TAPS]; 2]);
+
+/// What is found at the places of a block.
+pub(super) struct Found {
+    pub(super) levels: [f32; TOGETHER],
+    /// On the way.
+    taps: Taps,
+}
+
+impl Found {
+    pub(super) const NONE: Self = Self { levels: [0.0; TOGETHER], taps: Taps([[[0.0; 8]; MOST_TAPS]; 2]) };
+}
 
 /// A kernel with windows of T samples along each axis.
 pub(super) trait Weights<const T: usize> {
     /// Where places in a pixel are counted from.
     const FROM: f64;
-    /// Levels at eight places from number `first` on, of which every window is whole.
-    fn eight<S: Level, G: Greys>(&self, raster: &Raster<'_, S, T>, at: &Places, first: usize) -> [f32; 8];
-    /// Levels at [`SINGLES`] places, eight by eight.
-    #[inline(always)]
-    fn eights<S: Level, G: Greys>(&self, raster: &Raster<'_, S, T>, at: &Places, first: usize) -> [f32; SINGLES] {
-        let mut out = [0.0; SINGLES];
-        out[..8].copy_from_slice(&self.eight::<S, G>(raster, at, first));
-        out[8..].copy_from_slice(&self.eight::<S, G>(raster, at, first + 8));
-        out
-    }
-    /// Levels at [`SINGLES`] places as quickly as the processor can.
-    #[inline(always)]
-    fn levels<S: Level, L: Lanes>(&self, raster: &Raster<'_, S, T>, at: &Places, first: usize) -> [f32; SINGLES] {
-        self.eights::<S, L::Greys>(raster, at, first)
-    }
+    /// Levels at the first `n` places, of which every window is whole; some further ones may be looked at.
+    fn levels<S: Level, L: Lanes>(&self, raster: &Raster<'_, S, T>, at: &Places, n: usize, found: &mut Found);
 }
 
 /// The sample itself.
@@ -47,12 +51,10 @@ pub(super) struct Nearest;
 impl Weights<1> for Nearest {
     const FROM: f64 = 0.0;
     #[inline(always)]
-    fn eight<S: Level, G: Greys>(&self, raster: &Raster<'_, S, 1>, at: &Places, first: usize) -> [f32; 8] {
-        let mut out = [0.0; 8];
-        for i in 0..8 {
-            out[i] = raster.window(at.start(first + i)).number();
+    fn levels<S: Level, L: Lanes>(&self, raster: &Raster<'_, S, 1>, at: &Places, n: usize, found: &mut Found) {
+        for (i, out) in found.levels.iter_mut().enumerate().take(n) {
+            *out = raster.window(at.start(i)).number();
         }
-        out
     }
 }
 
@@ -61,11 +63,12 @@ fn twice<G: Greys>([a, b, c, d]: [f32; 4]) -> G {
     G::load(&[a, b, c, d, a, b, c, d])
 }
 
+/// Into a list, from number `first` on.
 #[inline(always)]
-fn stored<G: Greys>(x: G) -> [f32; 8] {
+fn put<G: Greys>(x: G, list: &mut [f32; TOGETHER], first: usize) {
     let mut out = [0.0; 8];
     x.store(&mut out);
-    out
+    list[first..first + 8].copy_from_slice(&out);
 }
 
 /// Eight numbers from number `first` on.
@@ -90,14 +93,19 @@ trait Pairs<const T: usize> {
 impl<P: Pairs<T>, const T: usize> Weights<T> for P {
     const FROM: f64 = 0.0;
     #[inline(always)]
-    fn eight<S: Level, G: Greys>(&self, raster: &Raster<'_, S, T>, at: &Places, first: usize) -> [f32; 8] {
-        let x = [numbers::<G>(&at.x[0], first), numbers(&at.x[1], first)];
-        stored(G::sums([
-            Self::pair::<S, G, 0>(raster, at, first, x),
-            Self::pair::<S, G, 1>(raster, at, first, x),
-            Self::pair::<S, G, 2>(raster, at, first, x),
-            Self::pair::<S, G, 3>(raster, at, first, x),
-        ]))
+    fn levels<S: Level, L: Lanes>(&self, raster: &Raster<'_, S, T>, at: &Places, n: usize, found: &mut Found) {
+        let mut first = 0;
+        while first < n {
+            let x: [L::Greys; 2] = [numbers(&at.x[0], first), numbers(&at.x[1], first)];
+            let levels = L::Greys::sums([
+                Self::pair::<S, L::Greys, 0>(raster, at, first, x),
+                Self::pair::<S, L::Greys, 1>(raster, at, first, x),
+                Self::pair::<S, L::Greys, 2>(raster, at, first, x),
+                Self::pair::<S, L::Greys, 3>(raster, at, first, x),
+            ]);
+            put(levels, &mut found.levels, first);
+            first += 8;
+        }
     }
 }
 
@@ -149,18 +157,13 @@ impl Pairs<4> for Cubic {
     }
 }
 
-/// Eight taps; none lies across two lines of the cache.
-#[derive(Debug, Clone, Copy, Default)]
-#[repr(align(32))]
-struct Taps([f32; MOST_TAPS]);
-
 /// Six or eight taps: a row of one window.
 #[derive(Debug, Clone)]
 pub(super) struct Table {
-    /// Coefficients of the even parts, lowest first.
-    even: [Taps; TERMS],
-    /// Of the odd parts, of taps 4 to 7 with the other sign.
-    odd: [Taps; TERMS],
+    /// Coefficients of the even parts of taps 0 to 3, lowest first.
+    even: [[f32; MOST_TAPS / 2]; TERMS],
+    /// Of the odd parts, which taps 7 to 4 have with the other sign: they round alike.
+    odd: [[f32; MOST_TAPS / 2]; TERMS],
 }
 
 impl Table {
@@ -171,53 +174,29 @@ impl Table {
         let at: [[f64; MOST_TAPS]; NODES] =
             std::array::from_fn(|j| kernel.weights(MOST_TAPS as f64 + 0.5 + 0.5 * node(j, NODES)).1);
         let mut table = Self { even: Default::default(), odd: Default::default() };
-        for tap in 0..kernel.taps() {
+        for tap in 0..kernel.taps() / 2 {
             let parts = parts::<NODES>(&std::array::from_fn(|j| at[j][tap]));
             let powers = powers::<{ 2 * TERMS }>(std::array::from_fn(|p| parts[p]));
             for k in 0..TERMS {
                 // t = 2 x.
                 let scale = 4_f64.powi(k as i32);
-                table.even[k].0[margin + tap] = (powers[2 * k] * scale) as f32;
-                table.odd[k].0[margin + tap] = (2.0 * powers[2 * k + 1] * scale) as f32;
+                table.even[k][margin + tap] = (powers[2 * k] * scale) as f32;
+                table.odd[k][margin + tap] = (2.0 * powers[2 * k + 1] * scale) as f32;
             }
         }
-        table.mirror();
         table
     }
 
-    /// Rounding is that of the lower taps for the upper ones too.
-    fn mirror(&mut self) {
-        for k in 0..TERMS {
-            for i in 0..MOST_TAPS / 2 {
-                self.even[k].0[MOST_TAPS - 1 - i] = self.even[k].0[i];
-                self.odd[k].0[MOST_TAPS - 1 - i] = -self.odd[k].0[i];
-            }
-        }
-    }
-
-    /// Weights of all taps at x.
-    #[inline(always)]
-    fn at<G: Greys>(&self, x: f32) -> G {
-        let x = G::splat(x);
-        let s = x * x;
-        let (mut even, mut odd): (G, G) = (G::load(&self.even[TERMS - 1].0), G::load(&self.odd[TERMS - 1].0));
-        for k in 1..TERMS {
-            even = even.fused(s, G::load(&self.even[TERMS - 1 - k].0));
-            odd = odd.fused(s, G::load(&self.odd[TERMS - 1 - k].0));
-        }
-        odd.fused(x, even)
-    }
-
-    /// The same for several x, tap by tap.
+    /// Weights at several x, tap by tap.
     #[inline(always)]
     pub(super) fn each<F: Several<f32>>(&self, x: F) -> [F; MOST_TAPS] {
         let mut out = [x; MOST_TAPS];
         let (s, back) = (x * x, -x);
         for i in 0..MOST_TAPS / 2 {
-            let (mut even, mut odd) = (F::splat(self.even[TERMS - 1].0[i]), F::splat(self.odd[TERMS - 1].0[i]));
+            let (mut even, mut odd) = (F::splat(self.even[TERMS - 1][i]), F::splat(self.odd[TERMS - 1][i]));
             for k in 1..TERMS {
-                even = even.fused(s, F::splat(self.even[TERMS - 1 - k].0[i]));
-                odd = odd.fused(s, F::splat(self.odd[TERMS - 1 - k].0[i]));
+                even = even.fused(s, F::splat(self.even[TERMS - 1 - k][i]));
+                odd = odd.fused(s, F::splat(self.odd[TERMS - 1 - k][i]));
             }
             out[i] = odd.fused(x, even);
             out[MOST_TAPS - 1 - i] = odd.fused(back, even);
@@ -225,40 +204,109 @@ impl Table {
         out
     }
 
-    /// The eight products of a window's columns.
+    /// The same at eight places across and down at once: coefficients are read once, and no sum waits for itself.
     #[inline(always)]
-    fn products<S: Level, G: Greys>(&self, raster: &Raster<'_, S, 8>, at: &Places, i: usize) -> G {
-        let (across, down): (G, G) = (self.at(at.x[0][i]), self.at(at.x[1][i]));
-        let (upper, lower) = (down.four_twice::<0>(), down.four_twice::<1>());
-        let mut rows = raster.window(at.start(i));
-        let mut sum = rows.greys::<G>().fused(upper.of_fours::<0>(), G::splat(0.0));
-        sum = rows.greys::<G>().fused(upper.of_fours::<1>(), sum);
-        sum = rows.greys::<G>().fused(upper.of_fours::<2>(), sum);
-        sum = rows.greys::<G>().fused(upper.of_fours::<3>(), sum);
-        sum = rows.greys::<G>().fused(lower.of_fours::<0>(), sum);
-        sum = rows.greys::<G>().fused(lower.of_fours::<1>(), sum);
-        sum = rows.greys::<G>().fused(lower.of_fours::<2>(), sum);
-        sum = rows.greys::<G>().fused(lower.of_fours::<3>(), sum);
-        sum * across
+    fn both<G: Greys>(&self, at: &Places, first: usize, out: &mut Taps) {
+        let x: [G; 2] = [numbers(&at.x[0], first), numbers(&at.x[1], first)];
+        let (s, less) = ([x[0] * x[0], x[1] * x[1]], G::splat(-1.0));
+        for i in 0..MOST_TAPS / 2 {
+            let mut even = [G::splat(self.even[TERMS - 1][i]); 2];
+            let mut odd = [G::splat(self.odd[TERMS - 1][i]); 2];
+            for k in 1..TERMS {
+                let (e, o) = (G::splat(self.even[TERMS - 1 - k][i]), G::splat(self.odd[TERMS - 1 - k][i]));
+                for j in 0..2 {
+                    even[j] = even[j].fused(s[j], e);
+                    odd[j] = odd[j].fused(s[j], o);
+                }
+            }
+            for j in 0..2 {
+                odd[j].fused(x[j], even[j]).store(&mut out.0[j][i]);
+                odd[j].fused(x[j] * less, even[j]).store(&mut out.0[j][MOST_TAPS - 1 - i]);
+            }
+        }
     }
+
+    /// Levels at places from number `first` up to `end`, each window read by itself. Weights are found for eight places and used at once:
+    /// products of the one and samples of the other keep different parts of the processor busy.
+    #[inline(always)]
+    fn one_by_one<S: Level, G: Greys>(
+        &self,
+        raster: &Raster<'_, S, 8>,
+        at: &Places,
+        [first, end]: [usize; 2],
+        found: &mut Found,
+    ) {
+        let mut i = first;
+        while i < end {
+            // As in [`Cluster`]: what the next row of the result will look at.
+            let start = at.start(i);
+            raster.fetch(start + (MOST_TAPS + 1) * raster.stride());
+            raster.fetch(start.wrapping_sub(2 * raster.stride()));
+            self.both::<G>(at, i, &mut found.taps);
+            let [across, down] = &found.taps.0;
+            put(eight::<S, G>(raster, at, i, across, down), &mut found.levels, i);
+            i += 8;
+        }
+    }
+}
+
+/// Eight windows whose weights are known.
+#[inline(always)]
+fn eight<S: Level, G: Greys>(
+    raster: &Raster<'_, S, 8>,
+    at: &Places,
+    first: usize,
+    across: &[[f32; 8]; MOST_TAPS],
+    down: &[[f32; 8]; MOST_TAPS],
+) -> G {
+    let mut starts = [0; 8];
+    for i in 0..8 {
+        starts[i] = at.start(first + i);
+    }
+    let mut windows = raster.windows(starts);
+    let mut sums = [G::splat(0.0); 8];
+    // A list that the compiler does not know: else it would sum window by window, each sum waiting for itself, and take the weights out of
+    // registers one by one.
+    for w in black_box(&down[..]) {
+        add(&mut sums, windows.greys(), w);
+    }
+    let mut sums = G::turned(sums);
+    for i in 0..MOST_TAPS {
+        sums[i] = sums[i] * G::load(&across[i]);
+    }
+    let [a, b, c, d] = [sums[0] + sums[4], sums[1] + sums[5], sums[2] + sums[6], sums[3] + sums[7]];
+    (a + c) + (b + d)
+}
+
+/// Adds a row of each of eight windows.
+#[inline(always)]
+fn add<G: Greys>(sums: &mut [G; 8], rows: [G; 8], w: &[f32; 8]) {
+    let low: G = twice([w[0], w[1], w[2], w[3]]);
+    let high: G = twice([w[4], w[5], w[6], w[7]]);
+    sums[0] = rows[0].fused(low.of_fours::<0>(), sums[0]);
+    sums[1] = rows[1].fused(low.of_fours::<1>(), sums[1]);
+    sums[2] = rows[2].fused(low.of_fours::<2>(), sums[2]);
+    sums[3] = rows[3].fused(low.of_fours::<3>(), sums[3]);
+    sums[4] = rows[4].fused(high.of_fours::<0>(), sums[4]);
+    sums[5] = rows[5].fused(high.of_fours::<1>(), sums[5]);
+    sums[6] = rows[6].fused(high.of_fours::<2>(), sums[6]);
+    sums[7] = rows[7].fused(high.of_fours::<3>(), sums[7]);
 }
 
 impl Weights<8> for Table {
     const FROM: f64 = 0.5;
     #[inline(always)]
-    fn eight<S: Level, G: Greys>(&self, raster: &Raster<'_, S, 8>, at: &Places, first: usize) -> [f32; 8] {
-        let mut fours = [G::splat(0.0); 4];
-        for k in 0..4 {
-            let a: G = self.products(raster, at, first + 2 * k);
-            fours[k] = a.folded(self.products(raster, at, first + 2 * k + 1));
+    fn levels<S: Level, L: Lanes>(&self, raster: &Raster<'_, S, 8>, at: &Places, n: usize, found: &mut Found) {
+        if !L::PICKS {
+            return self.one_by_one::<S, L::Greys>(raster, at, [0, n], found);
         }
-        stored(G::sums(fours))
-    }
-    #[inline(always)]
-    fn levels<S: Level, L: Lanes>(&self, raster: &Raster<'_, S, 8>, at: &Places, first: usize) -> [f32; SINGLES] {
-        match L::with_picks(Cluster { table: self, raster, at, first }) {
-            Some(Some(levels)) => levels,
-            _ => self.eights::<S, L::Greys>(raster, at, first),
+        let mut first = 0;
+        while first < n {
+            match L::with_picks(Cluster { table: self, raster, at, first }) {
+                Some(Some(levels)) => found.levels[first..first + SINGLES].copy_from_slice(&levels),
+                _ => self.one_by_one::<S, L::Greys>(raster, at, [first, first + SINGLES], found),
+            }
+            first += SINGLES;
         }
     }
 }

@@ -19,10 +19,8 @@ pub(crate) trait Greys: Copy + Add<Output = Self> + Mul<Output = Self> {
     fn of_fours<const K: usize>(self) -> Self;
     /// Number 2 K four times, then number 2 K + 1 four times.
     fn four_times<const K: usize>(self) -> Self;
-    /// The lower (K = 0) or upper four twice.
-    fn four_twice<const K: usize>(self) -> Self;
-    /// Sum of both fours of self, then that of the other.
-    fn folded(self, other: Self) -> Self;
+    /// Number i of list j as number j of list i.
+    fn turned(x: [Self; 8]) -> [Self; 8];
     /// Of each four its sum (0 + 2) + (1 + 3): both of the first, both of the second, and so on.
     fn sums(x: [Self; 4]) -> Self;
 }
@@ -84,12 +82,12 @@ impl Greys for Plain {
         Self::from_each(|i| self.0[2 * K + i / 4])
     }
     #[inline(always)]
-    fn four_twice<const K: usize>(self) -> Self {
-        Self::from_each(|i| self.0[4 * K + i % 4])
-    }
-    #[inline(always)]
-    fn folded(self, other: Self) -> Self {
-        Self::from_each(|i| if i < 4 { self.0[i] + self.0[i + 4] } else { other.0[i - 4] + other.0[i] })
+    fn turned(x: [Self; 8]) -> [Self; 8] {
+        let mut out = x;
+        for i in 0..8 {
+            out[i] = Self::from_each(|j| x[j].0[i]);
+        }
+        out
     }
     #[inline(always)]
     fn sums(x: [Self; 4]) -> Self {
@@ -125,17 +123,18 @@ mod tests {
                 a.four_times::<1>(),
                 a.four_times::<2>(),
                 a.four_times::<3>(),
-                a.four_twice::<0>(),
-                a.four_twice::<1>(),
-                a.folded(b),
                 Greys::sums([a, b, c, d]),
             ];
-            all.map(|x| {
-                let mut out = [0.0; 8];
-                x.store(&mut out);
-                out
-            })
-            .to_vec()
+            let turned = L::Greys::turned([a, b, c, d, a + b, a + c, a + d, b + c]);
+            [&all[..], &turned]
+                .concat()
+                .into_iter()
+                .map(|x| {
+                    let mut out = [0.0; 8];
+                    x.store(&mut out);
+                    out
+                })
+                .collect()
         }
     }
 
@@ -145,8 +144,8 @@ mod tests {
         all.iter().for_each(|one| assert_eq!(*one, all[0]));
         assert_eq!(all[0][4], [2.0, 2.0, 2.0, 2.0, 6.0, 6.0, 6.0, 6.0]);
         assert_eq!(all[0][8], [3.0, 3.0, 3.0, 3.0, 4.0, 4.0, 4.0, 4.0]);
-        assert_eq!(all[0][12], [5.0, 6.0, 7.0, 8.0, 5.0, 6.0, 7.0, 8.0]);
-        assert_eq!(all[0][13], [6.0, 8.0, 10.0, 12.0, 60.0, 80.0, 100.0, 120.0]);
-        assert_eq!(all[0][14], [10.0, 26.0, 100.0, 260.0, 1000.0, 2600.0, 1e8, 2.6e8]);
+        assert_eq!(all[0][11], [10.0, 26.0, 100.0, 260.0, 1000.0, 2600.0, 1e8, 2.6e8]);
+        assert_eq!(all[0][12], [1.0, 10.0, 100.0, 1e7, 11.0, 101.0, 10_000_001.0, 110.0]);
+        assert_eq!(all[0][19], [8.0, 80.0, 800.0, 8e7, 88.0, 808.0, 80_000_008.0, 880.0]);
     }
 }

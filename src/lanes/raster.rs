@@ -78,7 +78,27 @@ pub(crate) fn fetch<S>(samples: &[S], at: usize) {
     }
 }
 
-impl<S: Level> Raster<'_, S, 8> {
+/// What is left of eight windows of eight rows.
+pub(crate) struct Windows<'a, S> {
+    next: [*const S; 8],
+    left: usize,
+    stride: usize,
+    memory: PhantomData<&'a [S]>,
+}
+
+impl<'a, S: Level> Raster<'a, S, 8> {
+    /// The windows that begin at eight samples.
+    #[inline(always)]
+    pub(crate) fn windows(&self, starts: [usize; 8]) -> Windows<'a, S> {
+        let mut next = [self.samples.as_ptr(); 8];
+        for k in 0..8 {
+            assert!(starts[k] <= self.last);
+            // SAFETY: inside the slice.
+            next[k] = unsafe { next[k].add(starts[k]) };
+        }
+        Windows { next, left: 8, stride: self.stride, memory: PhantomData }
+    }
+
     /// Samples from one row to the next.
     #[inline(always)]
     pub(crate) fn stride(&self) -> usize {
@@ -126,6 +146,33 @@ impl<S: Level, const T: usize> Window<'_, S, T> {
     }
 }
 
+impl<S: Level> Windows<'_, S> {
+    /// The next row of each.
+    #[inline(always)]
+    pub(crate) fn greys<G: Greys>(&mut self) -> [G; 8] {
+        assert!(self.left > 0);
+        self.left -= 1;
+        let mut out = [G::splat(0.0); 8];
+        for k in 0..8 {
+            // SAFETY: as of one window.
+            let row = unsafe { self.next[k].cast::<[S; 8]>().read_unaligned() };
+            self.next[k] = self.next[k].wrapping_add(self.stride);
+            out[k] = greys(row);
+        }
+        out
+    }
+}
+
+/// Eight numbers of a list.
+#[inline(always)]
+fn greys<S: Level, G: Greys>(row: [S; 8]) -> G {
+    let mut out = [0.0; 8];
+    for i in 0..8 {
+        out[i] = row[i].number();
+    }
+    G::load(&out)
+}
+
 /// Eight numbers of two lists of four.
 #[inline(always)]
 fn both<S: Level, G: Greys>(a: [S; 4], b: [S; 4]) -> G {
@@ -142,19 +189,6 @@ impl<S: Level> Window<'_, S, LINE> {
     #[inline(always)]
     pub(crate) fn samples(&mut self) -> [S; LINE] {
         self.row()
-    }
-}
-
-impl<S: Level> Window<'_, S, 8> {
-    /// The next row.
-    #[inline(always)]
-    pub(crate) fn greys<G: Greys>(&mut self) -> G {
-        let row = self.row();
-        let mut out = [0.0; 8];
-        for i in 0..8 {
-            out[i] = row[i].number();
-        }
-        G::load(&out)
     }
 }
 

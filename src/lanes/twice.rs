@@ -95,6 +95,11 @@ impl<L: Lanes> Lanes for Twice<L> {
         self.0[1].narrow(&mut out[L::N..]);
     }
     #[inline(always)]
+    fn whole(self, out: &mut [u64]) {
+        self.0[0].whole(out);
+        self.0[1].whole(&mut out[L::N..]);
+    }
+    #[inline(always)]
     fn floor(self) -> Self {
         Self([self.0[0].floor(), self.0[1].floor()])
     }

@@ -3,7 +3,7 @@
 //! A value of these types is only ever made inside a function compiled for its instructions, which [`super::run`] enters after having
 //! asked the processor: that is what makes each `unsafe` below sound.
 
-use super::{Kernel, LINE, Lanes, Level, Picks, SINGLES, Several, Singles, WithPicks, x86_whole};
+use super::{Kernel, LINE, Lanes, Level, Picks, SINGLES, Several, Singles, WHOLE, WithPicks, x86_whole};
 use std::arch::x86_64::{
     __m256, __m256d, __m512, __m512d, __m512i, __mmask8, __mmask16, _CMP_LT_OQ, _MM_FROUND_NO_EXC,
     _MM_FROUND_TO_NEG_INF, _mm_storeu_ps, _mm256_add_epi32, _mm256_add_pd, _mm256_add_ps, _mm256_and_pd,
@@ -12,11 +12,12 @@ use std::arch::x86_64::{
     _mm256_loadu_pd, _mm256_loadu_ps, _mm256_movemask_pd, _mm256_movemask_ps, _mm256_mul_pd, _mm256_mul_ps,
     _mm256_set1_epi32, _mm256_set1_pd, _mm256_set1_ps, _mm256_slli_epi32, _mm256_sqrt_pd, _mm256_sqrt_ps,
     _mm256_storeu_pd, _mm256_storeu_ps, _mm256_sub_pd, _mm256_sub_ps, _mm256_xor_pd, _mm256_xor_ps, _mm512_add_epi32,
-    _mm512_add_pd, _mm512_add_ps, _mm512_castsi512_ps, _mm512_cmp_pd_mask, _mm512_cmp_ps_mask, _mm512_cvtpd_ps,
-    _mm512_cvtps_epi32, _mm512_div_pd, _mm512_div_ps, _mm512_fmadd_pd, _mm512_fmadd_ps, _mm512_loadu_pd,
-    _mm512_loadu_ps, _mm512_mask_blend_pd, _mm512_mask_blend_ps, _mm512_mul_pd, _mm512_mul_ps, _mm512_permutex2var_ps,
-    _mm512_roundscale_pd, _mm512_set1_epi32, _mm512_set1_pd, _mm512_set1_ps, _mm512_slli_epi32, _mm512_sqrt_pd,
-    _mm512_sqrt_ps, _mm512_storeu_pd, _mm512_storeu_ps, _mm512_sub_pd, _mm512_sub_ps,
+    _mm512_add_pd, _mm512_add_ps, _mm512_castpd_si512, _mm512_castsi512_ps, _mm512_cmp_pd_mask, _mm512_cmp_ps_mask,
+    _mm512_cvtpd_ps, _mm512_cvtps_epi32, _mm512_div_pd, _mm512_div_ps, _mm512_fmadd_pd, _mm512_fmadd_ps,
+    _mm512_loadu_pd, _mm512_loadu_ps, _mm512_mask_blend_pd, _mm512_mask_blend_ps, _mm512_mul_pd, _mm512_mul_ps,
+    _mm512_permutex2var_ps, _mm512_roundscale_pd, _mm512_set1_epi32, _mm512_set1_pd, _mm512_set1_ps, _mm512_slli_epi32,
+    _mm512_sqrt_pd, _mm512_sqrt_ps, _mm512_storeu_pd, _mm512_storeu_ps, _mm512_storeu_si512, _mm512_sub_pd,
+    _mm512_sub_ps, _mm512_xor_si512,
 };
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -191,6 +192,12 @@ impl Lanes for Four {
         Self(unsafe { _mm256_floor_pd(self.0) })
     }
     #[inline(always)]
+    fn whole(self, out: &mut [u64]) {
+        let ground = Self::splat(WHOLE);
+        // SAFETY: see the head of the file; the slice has four places.
+        unsafe { _mm256_storeu_pd(out[..4].as_mut_ptr().cast(), _mm256_xor_pd((self + ground).0, ground.0)) }
+    }
+    #[inline(always)]
     fn and(a: __m256d, b: __m256d) -> __m256d {
         // SAFETY: see the head of the file.
         unsafe { _mm256_and_pd(a, b) }
@@ -201,6 +208,7 @@ impl Lanes for Four {
 impl Lanes for Eight {
     type Greys = EightSingles;
     type Single = SixteenSingles;
+    const PICKS: bool = true;
     #[inline(always)]
     unsafe fn load_at(x: *const f64) -> Self {
         // SAFETY: as above, and the contract of this function.
@@ -220,6 +228,15 @@ impl Lanes for Eight {
     fn floor(self) -> Self {
         // SAFETY: see the head of the file; downwards, inexact numbers not reported.
         Self(unsafe { _mm512_roundscale_pd::<{ _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC }>(self.0) })
+    }
+    #[inline(always)]
+    fn whole(self, out: &mut [u64]) {
+        let ground = Self::splat(WHOLE);
+        // SAFETY: see the head of the file; the slice has eight places.
+        unsafe {
+            let bits = _mm512_xor_si512(_mm512_castpd_si512((self + ground).0), _mm512_castpd_si512(ground.0));
+            _mm512_storeu_si512(out[..8].as_mut_ptr().cast(), bits);
+        }
     }
     #[inline(always)]
     fn and(a: __mmask8, b: __mmask8) -> __mmask8 {

@@ -4,7 +4,8 @@ use super::x86::EightSingles;
 use super::{Greys, Several};
 use std::arch::asm;
 use std::arch::x86_64::{
-    __m256, _mm256_permute2f128_ps, _mm256_permutevar8x32_ps, _mm256_setr_epi32, _mm256_shuffle_ps,
+    __m256, _mm256_permute2f128_ps, _mm256_permutevar8x32_ps, _mm256_setr_epi32, _mm256_shuffle_ps, _mm256_unpackhi_ps,
+    _mm256_unpacklo_ps,
 };
 
 /// Number K of each four everywhere in that four.
@@ -62,22 +63,27 @@ impl Greys for EightSingles {
         Self(unsafe { _mm256_permutevar8x32_ps(self.0, _mm256_setr_epi32(a, a, a, a, b, b, b, b)) })
     }
     #[inline(always)]
-    fn four_twice<const K: usize>(self) -> Self {
-        // SAFETY: see the head of the file.
-        Self(unsafe {
-            match K {
-                0 => _mm256_permute2f128_ps::<0x00>(self.0, self.0),
-                _ => _mm256_permute2f128_ps::<0x11>(self.0, self.0),
-            }
-        })
-    }
-    #[inline(always)]
-    fn folded(self, other: Self) -> Self {
+    fn turned(x: [Self; 8]) -> [Self; 8] {
+        let mut out = x;
         // SAFETY: see the head of the file.
         unsafe {
-            let low = Self(_mm256_permute2f128_ps::<0x20>(self.0, other.0));
-            low + Self(_mm256_permute2f128_ps::<0x31>(self.0, other.0))
+            // Fours of numbers, of lists 0 to 3 and of lists 4 to 7.
+            for k in [0, 4] {
+                let [a, b, c, d] = [x[k].0, x[k + 1].0, x[k + 2].0, x[k + 3].0];
+                let [ab, cd] = [_mm256_unpacklo_ps(a, b), _mm256_unpacklo_ps(c, d)];
+                out[k] = Self(_mm256_shuffle_ps::<0x44>(ab, cd));
+                out[k + 1] = Self(_mm256_shuffle_ps::<0xee>(ab, cd));
+                let [ab, cd] = [_mm256_unpackhi_ps(a, b), _mm256_unpackhi_ps(c, d)];
+                out[k + 2] = Self(_mm256_shuffle_ps::<0x44>(ab, cd));
+                out[k + 3] = Self(_mm256_shuffle_ps::<0xee>(ab, cd));
+            }
+            for k in 0..4 {
+                let [low, high] = [out[k].0, out[k + 4].0];
+                out[k] = Self(_mm256_permute2f128_ps::<0x20>(low, high));
+                out[k + 4] = Self(_mm256_permute2f128_ps::<0x31>(low, high));
+            }
         }
+        out
     }
     #[inline(always)]
     fn sums([a, b, c, d]: [Self; 4]) -> Self {
