@@ -61,9 +61,11 @@ const PRODUCTS: usize = ALL * (ALL + 1) / 2;
 const BLUR: usize = 2;
 /// Rounds at most.
 const MOST_ROUNDS: usize = 6;
-/// A change below both ends the rounds, of the blur and px: what is left of it is of third order.
-const STILL: f64 = 0.06;
-const STILL_PX: f64 = 0.05;
+/// A change below this ends the rounds, px.
+const STILL_PX: f64 = 0.03;
+/// The same of a short contour, px and of the blur: what is left of it is of third order, and little beside the noise of so few pixels.
+const STILL_SHORT_PX: f64 = 0.05;
+const STILL_SHORT: f64 = 0.06;
 /// The same of a slope of the light across the disc, of its step: as much of a change of the geometry is wrong.
 const STILL_LIGHT: f64 = 0.03;
 /// How much further off light that bends is looked at outside, semi-minor axes; inside all of it is.
@@ -177,6 +179,8 @@ impl Quick {
         (self.bent, self.slanted_inside) = (None, false);
         // Light that bends is asked for in the second round.
         let at_once = state.near && state.ellipse.perimeter_px() < bent::LEAST_CONTOUR_PX;
+        let short_px = STILL_SHORT_PX.min(STILL_SHORT * state.blur_px);
+        let still_px = if at_once { STILL_PX.max(short_px) } else { STILL_PX };
         // The geometry must have been solved for with the light that is there.
         let (mut rounds_alike, mut bends) = (0, false);
         for round in 0..MOST_ROUNDS {
@@ -201,7 +205,7 @@ impl Quick {
             state.step = self.light[0] - self.light[3];
             // The step along the contour must have been that of the light.
             let settled = !first || at_once && self.slopes_found() < STILL_LIGHT * state.step.abs();
-            if settled && rounds_alike > 0 && largest < STILL_PX.min(STILL * state.blur_px) {
+            if settled && rounds_alike > 0 && largest < still_px {
                 return self.dense.geometry(self.solved).then_some(());
             }
             if round > 0 && largest > 0.5 {
