@@ -224,7 +224,10 @@ impl Quick {
     fn collect(&mut self, view: &GrayView, state: &Clean, outer_px: f64, (first, start): (bool, bool)) -> Option<()> {
         let e = &state.ellipse;
         let reach = reach_px(state.blur_px);
-        let near = near_px(state.blur_px, state.variance[0].max(state.variance[1]).sqrt() / state.step.abs());
+        // Long contours feel the little that the edge shows further off.
+        let short = e.perimeter_px() < bent::LEAST_CONTOUR_PX;
+        let noise = if short { state.variance[0].max(state.variance[1]).sqrt() } else { 0.0 };
+        let near = near_px(state.blur_px, noise / state.step.abs());
         let inner = reach.min(0.85 * e.semi_minor_px);
         let small = state.blur_px * e.semi_major_px > SMALL * e.semi_minor_px * e.semi_minor_px;
         if small || inner < near + 0.5 || outer_px < near + 2.0 {

@@ -2,8 +2,8 @@
 
 use std::arch::x86_64::{
     __m128i, _mm_add_epi16, _mm_add_epi32, _mm_and_si128, _mm_cmpgt_epi16, _mm_cvtepu8_epi16, _mm_hadd_epi32,
-    _mm_loadl_epi64, _mm_loadu_si128, _mm_madd_epi16, _mm_set1_epi16, _mm_setr_epi16, _mm_setzero_si128,
-    _mm_storeu_si128, _mm_sub_epi16, _mm256_cmpeq_epi16, _mm256_loadu_si256, _mm256_movemask_epi8, _mm256_packs_epi16,
+    _mm_loadl_epi64, _mm_madd_epi16, _mm_set1_epi16, _mm_setr_epi16, _mm_setzero_si128, _mm_storeu_si128,
+    _mm_sub_epi16, _mm256_cmpeq_epi16, _mm256_loadu_si256, _mm256_movemask_epi8, _mm256_packs_epi16,
     _mm256_permute4x64_epi64, _mm256_setzero_si256,
 };
 
