@@ -528,3 +528,18 @@ fn discs_without_grey_levels_are_told() {
         }
     }
 }
+
+/// Blur and the area of a pixel, whose variance is 1/12 px^2. The blur of the line that a clean dot begins from is 1 to 2 % too large.
+#[test]
+fn the_blur_of_clean_dots_is_that_of_the_image() {
+    let spots: Vec<Spot> = (0..42)
+        .map(|k| (f64::from(k % 7), f64::from(k / 7), 0.3 * f64::from(k)))
+        .map(|(i, j, phi)| Spot { u: 30.0 + 45.3 * i, v: 28.0 + 42.7 * j, a: 13.0, b: 11.0, phi })
+        .collect();
+    let clean = dark(335, 275, 1.0, &spots);
+    let blurs: Vec<f64> = (1..=2).flat_map(|seed| find(&clean, 2.0, seed).discs).map(|d| d.blur_px).collect();
+    assert_eq!(blurs.len(), 2 * spots.len());
+    let (mean, wanted) = (blurs.iter().sum::<f64>() / blurs.len() as f64, (1.0_f64 + 1.0 / 12.0).sqrt());
+    println!("mean blur {mean:.4} px, drawn {wanted:.4} px");
+    assert!((mean / wanted - 1.0).abs() < 0.006, "{mean} in place of {wanted}");
+}

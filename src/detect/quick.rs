@@ -126,6 +126,11 @@ pub(crate) struct Quick {
     pub(crate) shares: Vec<Share>,
 }
 
+/// Whether a contour is too short to be asked for light that bends.
+fn is_short(e: &Ellipse) -> bool {
+    e.perimeter_px() < bent::LEAST_CONTOUR_PX
+}
+
 /// Products of all columns, lower triangle.
 #[derive(Debug)]
 struct Gram([f64; PRODUCTS]);
@@ -178,7 +183,7 @@ impl Quick {
     fn rounds(&mut self, view: &GrayView, state: &mut Clean, outer_px: f64, floor: f64) -> Option<()> {
         (self.bent, self.slanted_inside) = (None, false);
         // Light that bends is asked for in the second round.
-        let at_once = state.near && state.ellipse.perimeter_px() < bent::LEAST_CONTOUR_PX;
+        let at_once = state.near && is_short(&state.ellipse);
         let short_px = STILL_SHORT_PX.min(STILL_SHORT * state.blur_px);
         let still_px = if at_once { STILL_PX.max(short_px) } else { STILL_PX };
         // The geometry must have been solved for with the light that is there.
@@ -225,8 +230,7 @@ impl Quick {
         let e = &state.ellipse;
         let reach = reach_px(state.blur_px);
         // Long contours feel the little that the edge shows further off.
-        let short = e.perimeter_px() < bent::LEAST_CONTOUR_PX;
-        let noise = if short { state.variance[0].max(state.variance[1]).sqrt() } else { 0.0 };
+        let noise = if is_short(e) { state.variance[0].max(state.variance[1]).sqrt() } else { 0.0 };
         let near = near_px(state.blur_px, noise / state.step.abs());
         let inner = reach.min(0.85 * e.semi_minor_px);
         let small = state.blur_px * e.semi_major_px > SMALL * e.semi_minor_px * e.semi_minor_px;

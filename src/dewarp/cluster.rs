@@ -30,7 +30,7 @@ pub(super) struct Cluster<'a, S> {
 /// Where the first of some windows begins along an axis and how much later each does; `None` where that is more than `most`.
 #[inline(always)]
 fn spread<P: Picks>(first: &[f32], most: usize) -> Option<(f32, usize, P)> {
-    // Places lie in order nearly always; where they do not, windows are summed one by one.
+    // Places lie in order nearly always; where they do not, windows are read by eights.
     let (a, b) = (first[0], first[SINGLES - 1]);
     let (low, span) = (a.min(b), (a - b).abs());
     let late = P::load(first) - P::splat(low);
@@ -109,7 +109,7 @@ impl<S: Level> WithPicks for Cluster<'_, S> {
         for i in 0..MOST_TAPS {
             sums[i] = sums[i] * across[i];
         }
-        // The order of windows that are summed one by one.
+        // The order of windows that are read by eights.
         let [a, b, c, d] = [sums[0] + sums[4], sums[1] + sums[5], sums[2] + sums[6], sums[3] + sums[7]];
         let mut out = [0.0; SINGLES];
         ((a + c) + (b + d)).store(&mut out);

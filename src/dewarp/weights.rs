@@ -226,10 +226,10 @@ impl Table {
         }
     }
 
-    /// Levels at places from number `first` up to `end`, each window read by itself. Weights are found for eight places and used at once:
+    /// Levels at places from number `first` up to `end`, of eight windows at a time, wherever each lies. Weights are found for eight places and used at once:
     /// products of the one and samples of the other keep different parts of the processor busy.
     #[inline(always)]
-    fn one_by_one<S: Level, G: Greys>(
+    fn by_eights<S: Level, G: Greys>(
         &self,
         raster: &Raster<'_, S, 8>,
         at: &Places,
@@ -298,13 +298,13 @@ impl Weights<8> for Table {
     #[inline(always)]
     fn levels<S: Level, L: Lanes>(&self, raster: &Raster<'_, S, 8>, at: &Places, n: usize, found: &mut Found) {
         if !L::PICKS {
-            return self.one_by_one::<S, L::Greys>(raster, at, [0, n], found);
+            return self.by_eights::<S, L::Greys>(raster, at, [0, n], found);
         }
         let mut first = 0;
         while first < n {
             match L::with_picks(Cluster { table: self, raster, at, first }) {
                 Some(Some(levels)) => found.levels[first..first + SINGLES].copy_from_slice(&levels),
-                _ => self.one_by_one::<S, L::Greys>(raster, at, [first, first + SINGLES], found),
+                _ => self.by_eights::<S, L::Greys>(raster, at, [first, first + SINGLES], found),
             }
             first += SINGLES;
         }

@@ -431,3 +431,47 @@ fn likeliest_in_smoke(
     let kept = if again { s.exact.settle(view, &mut state, &mut s.fine, keep, start, floor)? } else { kept };
     Some((state, kept))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stats::random::Random;
+
+    /// The criterion written out, with both medians.
+    fn plainly(shares: &[Share]) -> bool {
+        let typical = |f: &dyn Fn(&Share) -> f64| median(&mut shares.iter().map(f).collect::<Vec<_>>());
+        let off = |x: &Share| x.shift_px().abs() * x.information.sqrt();
+        let (information, limit) = (typical(&|x| x.information), 4.5 * (1.4826 * typical(&off)).max(1.0));
+        shares.iter().all(|x| {
+            let (enough, spread) = (x.information > 0.15 * information, x.squares / x.pixels.max(1.0));
+            enough && off(x) < limit && spread < 2.0 + 5.0 * (2.0 / x.pixels.max(1.0)).sqrt()
+        })
+    }
+
+    /// Even and uneven sectors, one that says little or nothing, one or all of them off.
+    #[test]
+    fn sectors_agree_whether_medians_are_asked_for_or_not() {
+        let mut random = Random(5);
+        let mut agreed = [0; 2];
+        for k in 0..4000 {
+            let (rough, uneven): (f64, f64) = ([1.0, 2.0][k % 2], [0.2, 1.5][k / 2 % 2]);
+            let mut shares = vec![Share::default(); 21];
+            for x in &mut shares {
+                let information = (uneven * random.gauss()).exp();
+                let score = rough * random.gauss() * information.sqrt();
+                x.add([score, information, 10.0 * rough.min(1.2), 10.0]);
+            }
+            if k % 5 == 0 {
+                let sigma = shares[3].information.sqrt();
+                shares[3].add([[4.4, 5.0, 20.0][k % 3] * sigma, 0.0, 0.0, 0.0]);
+            }
+            if k % 7 == 0 {
+                shares[4] = Share::default();
+            }
+            let found = agree(&shares, &mut vec![]);
+            assert_eq!(found, plainly(&shares), "{k}: {shares:?}");
+            agreed[usize::from(found)] += 1;
+        }
+        assert!(agreed.iter().all(|n| *n > 400), "{agreed:?}");
+    }
+}
