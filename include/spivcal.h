@@ -550,7 +550,7 @@
 #define SPIVCAL_SHEET_ANGLE3_DEG 420
 
 /**
- * Angle between the sheet and the line through the projection centres, degrees.
+ * Angle between the sheet and the line from the first projection centre to the second, degrees, positive where the line runs towards the sheet.
  */
 #define SPIVCAL_SHEET_ANGLE_TO_BASELINE_DEG 421
 

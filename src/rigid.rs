@@ -10,8 +10,13 @@
 //!
 //! The retraction moves a point by `dp_to = dw x p_to + dv`, whatever the motion: the derivative lives in the
 //! target frame alone. [`Motion::adjoint`] carries a step made in the source frame to the target frame.
+//! [`AxesAngle`] and [`PlaneAngle`] are the two angles that are reported, with their derivatives.
 //!
 //! Source: Sola, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics" (2018), eqs 132-147 and 170-176.
+
+mod angles;
+
+pub use angles::{AxesAngle, PlaneAngle};
 
 use crate::frames::{Direction, Plane, Point};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};

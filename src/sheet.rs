@@ -44,7 +44,7 @@ pub use recorded::determines_measurements;
 pub(crate) use rows::with_sheet;
 
 use crate::frames::{Rig, Sheet};
-use crate::rigid::Motion;
+use crate::rigid::{Motion, PlaneAngle};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 /// A plane with its standard deviations.
@@ -58,7 +58,8 @@ pub struct SheetEstimate {
     pub abc_per_mm: Vector3<f64>,
     /// theta 1-3, rad.
     pub angles_rad: [f64; 3],
-    /// Angle between the sheet and the baseline, rad; `NaN` for a single camera.
+    /// Angle between the sheet and the baseline from the first camera to the second, rad; positive where the baseline runs
+    /// towards the sheet (second camera nearer to it, or beyond), negative where it runs away; `NaN` for a single camera.
     pub angle_to_baseline_rad: f64,
     /// Pose of the sheet frame.
     pub rig_from_sheet: Motion<Rig, Sheet>,
@@ -145,13 +146,10 @@ fn plane_geometry(
     derivative.fixed_view_mut::<1, 3>(8, 0).copy_from(&dtheta3.transpose());
     let mut angle = f64::NAN;
     if let Some(c) = second_center_mm {
-        let b = c.normalize();
-        let sine = n.dot(&b);
-        angle = sine.abs().asin();
-        let slope = sine.signum() / (1.0 - sine * sine).sqrt();
-        derivative.fixed_view_mut::<1, 3>(9, 0).copy_from(&(b.transpose() * dn * slope));
-        let db = (Matrix3::identity() - b * b.transpose()) / c.norm();
-        derivative.fixed_view_mut::<1, 3>(9, 4).copy_from(&(n.transpose() * db * slope));
+        let to_baseline = PlaneAngle::of(&n, &c.normalize());
+        angle = to_baseline.rad;
+        derivative.fixed_view_mut::<1, 3>(9, 0).copy_from(&to_baseline.by_turn().transpose());
+        derivative.fixed_view_mut::<1, 3>(9, 4).copy_from(&to_baseline.by_end(c.norm()).transpose());
     }
     let estimate = SheetEstimate {
         normal: n,

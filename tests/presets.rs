@@ -53,6 +53,7 @@ fn end_to_end_but_for(scene: &str, flag: Option<&str>) -> Record {
         }
         assert_eq!(sigmas.iter().filter(|s| **s > 0.0).count(), 6, "f, axis point, tilts and k1 of {}", c.name);
     }
+    key_quantities_have_the_sigmas_of_the_record(&record);
     let disparity = record.sheet.as_ref().unwrap().disparity_rms_px.unwrap();
     println!("rms {:.4} px, disparity {disparity:.5} px, flags {:?}", record.fit.rms_px, record.fit.flags);
     println!("not determined: {:?}", record.fit.undetermined);
@@ -66,6 +67,23 @@ fn end_to_end_but_for(scene: &str, flag: Option<&str>) -> Record {
         assert!((1e-4..1.0 - 1e-4).contains(&chi_square_above(chi2, n as f64)), "chi-square {chi2} of {n} numbers");
     }
     record
+}
+
+/// What is felt in the diagnosis (by differences) is what is stated of rig and sheet (in closed form). The scenes are symmetric: the
+/// baseline runs along the sheet, where an angle without a sign would fold.
+fn key_quantities_have_the_sigmas_of_the_record(record: &Record) {
+    let (rig, sheet) = (record.rig.as_ref().unwrap(), record.sheet.as_ref().unwrap());
+    let keys = &record.fit.diagnosis.as_ref().unwrap().key_quantities;
+    for (name, value, sigma) in [
+        ("distance of the cameras", rig.baseline_mm, rig.sigma.baseline_mm),
+        ("angle between the lens axes", rig.axes_angle_deg, rig.sigma.axes_angle_deg),
+        ("distance of the sheet", sheet.distance_mm, sheet.sigma.distance_mm),
+        ("angle of the sheet to the baseline", sheet.angle_to_baseline_deg, sheet.sigma.angle_to_baseline_deg),
+    ] {
+        let key = keys.iter().find(|k| k.name == name).unwrap();
+        assert!((key.value - value).abs() < 1e-9 * (1.0 + value.abs()), "{name}: {} and {value}", key.value);
+        assert!((key.sigma / sigma - 1.0).abs() < 1e-3, "{name}: sigma {} and {sigma}", key.sigma);
+    }
 }
 
 #[test]

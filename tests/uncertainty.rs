@@ -57,7 +57,9 @@ fn true_sheet(scene: &Scene) -> [f64; 2] {
     let plane = scene.truth.first_from_plane.expect("a sheet");
     let n: Vector3<f64> = plane.rotation.column(2).into_owned();
     let second = scene.truth.camera_from_first[1].inverse().translation_mm;
-    [n.dot(&second.normalize()).abs().asin(), n.dot(&plane.translation_mm).abs()]
+    let distance_mm = n.dot(&plane.translation_mm);
+    // The normal away from the first camera.
+    [(n * distance_mm.signum()).dot(&second.normalize()).asin(), distance_mm.abs()]
 }
 
 /// Fresh noise on the edge points and a fresh draw of the facts.

@@ -3,6 +3,7 @@
 use crate::bundle::{NamedCovariance, Natural, distance_mm};
 use crate::camera::INTRINSIC_NAMES;
 use crate::record::SHEET_QUANTITIES;
+use crate::rigid::{AxesAngle, PlaneAngle};
 use crate::sheet::{Parameter, StereoSheet, stepped_camera, stepped_motion, stepped_window};
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -21,6 +22,8 @@ pub(super) struct Keys {
     /// Whether nothing undetermined moves them.
     pub(super) determined: Vec<bool>,
     reference: Option<StereoSheet>,
+    axes: Option<AxesAngle>,
+    to_baseline: Option<PlaneAngle>,
 }
 
 fn stereo(natural: &Natural) -> Option<StereoSheet> {
@@ -28,11 +31,26 @@ fn stereo(natural: &Natural) -> Option<StereoSheet> {
     Some(StereoSheet::new(cameras, natural.cam_from_rig[1], natural.rig_from_plane.as_ref()?))
 }
 
+/// Unit normal of the plane, away from the first camera, and its distance from there, mm.
+fn plane(n: &Natural) -> Option<(Vector3<f64>, f64)> {
+    let pose = n.rig_from_plane.as_ref()?;
+    let normal: Vector3<f64> = pose.rotation.column(2).into_owned();
+    let distance_mm = normal.dot(&pose.translation_mm);
+    Some(if distance_mm < 0.0 { (-normal, -distance_mm) } else { (normal, distance_mm) })
+}
+
+/// From the first camera to the second, in the rig frame.
+fn baseline(n: &Natural) -> Option<Vector3<f64>> {
+    Some(n.cam_from_rig.get(1)?.inverse().translation_mm.normalize())
+}
+
 impl Keys {
     pub(super) fn of(covariance: &NamedCovariance, names: &[&str]) -> Self {
         let natural = &covariance.natural;
         let reference = stereo(natural).filter(|s| s.response(s, [0.0, 0.0]).is_some());
-        let mut out = Self { list: vec![], rows: vec![], determined: vec![], reference };
+        let axes = natural.cam_from_rig.get(1).map(|m| AxesAngle::of(&m.rotation));
+        let to_baseline = plane(natural).zip(baseline(natural)).map(|((n, _), b)| PlaneAngle::of(&n, &b));
+        let mut out = Self { list: vec![], rows: vec![], determined: vec![], reference, axes, to_baseline };
         let Some(values) = out.values(natural) else { return out };
         let labels = labels(natural, names, out.reference.is_some());
         let derivative = derivative(covariance, names, &|n| out.values(n)).unwrap_or_else(|| DMatrix::zeros(0, 0));
@@ -56,17 +74,13 @@ impl Keys {
             let e = camera.effective_pinhole();
             out.extend([e.f_px, e.cx_px, e.cy_px]);
         }
-        if let Some(motion) = n.cam_from_rig.get(1) {
+        if let Some((motion, axes)) = n.cam_from_rig.get(1).zip(self.axes) {
             out.push(motion.translation_mm.norm());
-            out.push(motion.rotation.m33.clamp(-1.0, 1.0).acos().to_degrees());
+            out.push(axes.of_neighbour(&motion.rotation).to_degrees());
         }
-        if let Some(plane) = &n.rig_from_plane {
-            let axis: Vector3<f64> = plane.rotation.column(2).into_owned();
-            out.push(axis.dot(&plane.translation_mm).abs());
-            if let Some(motion) = n.cam_from_rig.get(1) {
-                let b = motion.inverse().translation_mm.normalize();
-                out.push(axis.dot(&b).abs().min(1.0).asin().to_degrees());
-            }
+        if let Some((normal, distance_mm)) = plane(n) {
+            out.push(distance_mm);
+            out.extend(self.to_baseline.zip(baseline(n)).map(|(a, b)| a.of_neighbour(&normal, &b).to_degrees()));
         }
         if let Some(reference) = &self.reference {
             out.push(100.0 * stereo(n)?.response(reference, [0.0, 0.0])?.relative_gain());

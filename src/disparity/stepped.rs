@@ -13,7 +13,7 @@ use crate::camera::{Camera, EffectivePinhole, INTRINSIC_NAMES, Intrinsics, WINDO
 use crate::dewarp::SheetMap;
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::record::{self, CameraSigma, Covariance, Effective, Pose, PoseSigma, Record, RigSigma, WindowSigma};
-use crate::rigid::{Motion, rotation_exp, rotation_log};
+use crate::rigid::{AxesAngle, Motion, rotation_exp, rotation_log};
 use crate::sheet::STEP_NAMES;
 use nalgebra::{Matrix3, SVector, Vector3};
 use std::collections::BTreeMap;
@@ -229,7 +229,7 @@ pub(super) fn record_after(start: &Record, steps: &Steps<'_>) -> Option<Record> 
     let second = out.cameras.get(1).map(|c| c.cam_from_rig.motion::<Cam, Rig>());
     if let (Some(rig), Some(m)) = (&mut out.rig, second) {
         rig.baseline_mm = m.translation_mm.norm();
-        rig.axes_angle_deg = m.rotation.m33.clamp(-1.0, 1.0).acos().to_degrees();
+        rig.axes_angle_deg = AxesAngle::of(&m.rotation).rad.to_degrees();
     }
     for view in &mut out.views {
         let owner = format!("view{}", view.index);
@@ -341,14 +341,13 @@ fn effective_sigma(camera: &record::Camera, covariance: &Covariance) -> Effectiv
     Effective { f_px, cx_px, cy_px }
 }
 
-/// Of baseline and angle between the axes: `d|t| = b . dv`, `d cos = (w x axis) . z`.
+/// Of baseline and angle between the axes: `d|t| = b . dv`.
 fn rig_sigma(m: &Motion<Cam, Rig>, owner: &str, covariance: &Covariance) -> RigSigma {
     let b = m.translation_mm.normalize();
-    let axis = m.rotation.column(2);
-    let sine = (1.0 - m.rotation.m33 * m.rotation.m33).sqrt().max(1e-12);
+    let [by_rx, by_ry] = AxesAngle::of(&m.rotation).by_left_turn();
     let step = |k: usize| format!("{owner}.{}", STEP_NAMES[k]);
     let baseline = [(step(3), b.x), (step(4), b.y), (step(5), b.z)];
-    let angle = [(step(0), -axis.y / sine), (step(1), axis.x / sine)];
+    let angle = [(step(0), by_rx), (step(1), by_ry)];
     RigSigma { baseline_mm: of_terms(covariance, &baseline), axes_angle_deg: of_terms(covariance, &angle).to_degrees() }
 }
 

@@ -6,7 +6,7 @@ use crate::frames::{Cam, Rig, Sheet};
 use crate::record::{
     self, Covariance, FORMAT, Fit, PlacedCamera, Provenance, Record, RigSigma, Target, TargetSigma, VERSION,
 };
-use crate::rigid::Motion;
+use crate::rigid::{AxesAngle, Motion};
 use crate::sheet::SheetEstimate;
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
@@ -119,7 +119,7 @@ fn camera(c: &WorldCamera, pose: &Motion<Cam, Rig>) -> record::Camera {
 fn rig(second: &Motion<Cam, Rig>) -> record::Rig {
     record::Rig {
         baseline_mm: second.translation_mm.norm(),
-        axes_angle_deg: second.rotation.m33.clamp(-1.0, 1.0).acos().to_degrees(),
+        axes_angle_deg: AxesAngle::of(&second.rotation).rad.to_degrees(),
         sigma: RigSigma { baseline_mm: f64::NAN, axes_angle_deg: f64::NAN },
     }
 }

@@ -162,7 +162,7 @@ pub const SPIVCAL_SHEET_ANGLE1_DEG: i32 = 418;
 pub const SPIVCAL_SHEET_ANGLE2_DEG: i32 = 419;
 /// Angle 3 of rig_from_sheet = Rx(angle 1) Ry(angle 2) Rz(angle 3) up to the half turn about x, degrees.
 pub const SPIVCAL_SHEET_ANGLE3_DEG: i32 = 420;
-/// Angle between the sheet and the line through the projection centres, degrees.
+/// Angle between the sheet and the line from the first projection centre to the second, degrees, positive where the line runs towards the sheet.
 pub const SPIVCAL_SHEET_ANGLE_TO_BASELINE_DEG: i32 = 421;
 /// Root mean square disparity of the sheet's views, px. No sigma.
 pub const SPIVCAL_SHEET_DISPARITY_RMS_PX: i32 = 422;

@@ -11,6 +11,7 @@ use crate::record::{
     Rig, RigSigma, Scale, Sheet, Target, TargetPoint, TargetSigma, View, ViewTarget, WindowSigma,
 };
 use crate::rig_file::{Adjust, Length, Loss, Observations, Scale as ScaleFact};
+use crate::rigid::AxesAngle;
 use crate::target::Target as Kind;
 use std::collections::BTreeMap;
 
@@ -153,20 +154,17 @@ fn rig(s: &Solved) -> Option<Rig> {
     let name = &s.job.cameras[1].name;
     let t = motion.translation_mm;
     let b = t.normalize();
-    // Axes: (0, 0, 1) in each camera; the angle between them, cos = R33.
-    let cosine = motion.rotation.m33;
-    // A left turn w moves R's third row by w x z, so d cos = (w x axis) . z with axis the rig's z in the camera.
-    let axis = motion.rotation.column(2);
-    let sine = (1.0 - cosine * cosine).sqrt().max(1e-12);
+    let axes = AxesAngle::of(&motion.rotation);
+    let [by_rx, by_ry] = axes.by_left_turn();
     let step = |k: &str| format!("{name}.cam_from_rig.{k}");
     let rows = [
         vec![(step("tx_mm"), b.x), (step("ty_mm"), b.y), (step("tz_mm"), b.z)],
-        vec![(step("rx_rad"), -axis.y / sine), (step("ry_rad"), axis.x / sine)],
+        vec![(step("rx_rad"), by_rx), (step("ry_rad"), by_ry)],
     ];
     let sigmas = s.covariance.sigmas(&rows);
     Some(Rig {
         baseline_mm: t.norm(),
-        axes_angle_deg: cosine.clamp(-1.0, 1.0).acos().to_degrees(),
+        axes_angle_deg: axes.rad.to_degrees(),
         sigma: RigSigma { baseline_mm: sigmas[0], axes_angle_deg: sigmas[1].to_degrees() },
     })
 }

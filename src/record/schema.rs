@@ -289,7 +289,8 @@ pub struct Sheet {
     /// What `angles_deg` means, in words.
     #[serde(default = "angles_convention")]
     pub angles_convention: String,
-    /// Angle between the sheet and the line through the projection centres, degrees.
+    /// Angle between the sheet and the line from the first projection centre to the second, degrees: 0 where the line runs along the
+    /// sheet, positive where it runs towards it.
     #[serde(with = "maybe")]
     pub angle_to_baseline_deg: f64,
     /// Standard deviations.

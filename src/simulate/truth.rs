@@ -7,7 +7,7 @@
 //! Sheet frame and angles: z = -normal (towards the first camera), x = the rig's x axis projected into the sheet, origin
 //! where the first camera's axis meets it; `rig_from_sheet = Rx(t1) Ry(t2) Rz(t3)` times the half turn about x.
 //! `angle_to_baseline_deg = asin(normal . b)`, b the unit vector from the first camera to the second; 0 where it runs
-//! along the sheet, positive where the second camera is nearer to it.
+//! along the sheet, positive where it runs towards the sheet.
 
 use super::pattern::Feature;
 use super::rig::image_name;
@@ -16,7 +16,7 @@ use super::setup::{Bench, PlacedCamera, PlacedView, Setup, fully_inside, rim_px}
 use crate::conic::Ellipse;
 use crate::error::{Error, Result};
 use crate::frames::{Cam, Pixel, Rig, Sheet, Target};
-use crate::rigid::Motion;
+use crate::rigid::{AxesAngle, Motion, PlaneAngle};
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use serde_json::{Map, Value, json};
 
@@ -98,10 +98,9 @@ fn camera(c: &PlacedCamera, cam_from_rig: &Motion<Cam, Rig>) -> Value {
 fn rig(setup: &Setup) -> Option<Value> {
     let [a, b] = &setup.cameras[..] else { return None };
     let second = a.cam_from_bench * b.cam_from_bench.inverse();
-    let cosine = second.rotation.m33.clamp(-1.0, 1.0);
     Some(json!({
         "baseline_mm": second.translation_mm.norm(),
-        "axes_angle_deg": cosine.acos().to_degrees(),
+        "axes_angle_deg": AxesAngle::of(&second.rotation).rad.to_degrees(),
         "sigma": { "baseline_mm": 0.0, "axes_angle_deg": 0.0 },
     }))
 }
@@ -122,7 +121,7 @@ fn sheet(setup: &Setup, rig_from_bench: &Motion<Rig, Bench>) -> Value {
     let angles = [(-turned.m23).atan2(turned.m33), turned.m13.clamp(-1.0, 1.0).asin(), (-turned.m12).atan2(turned.m11)];
     let to_baseline = setup.cameras.get(1).map(|c| {
         let baseline = rig_from_bench.apply(&c.cam_from_bench.inverse().translation_mm);
-        normal.dot(&baseline.normalize()).clamp(-1.0, 1.0).asin().to_degrees()
+        PlaneAngle::of(&normal, &baseline.normalize()).rad.to_degrees()
     });
     json!({
         "normal_in_rig": normal.as_slice(),

@@ -154,7 +154,7 @@ fn sheet(second_centre: &Vector3<f64>) -> Sheet {
         abc_per_mm: list(abc),
         angles_deg: angles_deg(&pose.rotation),
         angles_convention: ANGLES_CONVENTION.into(),
-        angle_to_baseline_deg: n.dot(&second_centre.normalize()).abs().asin().to_degrees(),
+        angle_to_baseline_deg: n.dot(&second_centre.normalize()).asin().to_degrees(),
         sigma: sheet_sigma(1.0),
         rig_from_sheet: Pose::from(&pose),
         method: "joint".into(),
