@@ -72,6 +72,22 @@ fn distance_is_the_shortest_by_search() {
     close(circle.distance_px(Pixel::new(3.0, 4.0)), 2.0, 1e-12);
 }
 
+/// The rendered discs of other tests: cells that a look decides are those that the distance decides.
+#[test]
+fn cells_are_covered_as_without_the_look() {
+    let mut near = 0;
+    for (a, b, h) in [(30.0, 30.0, 0.125), (24.0, 9.0, 0.125), (5.0, 1.5, 0.5), (2.0, 0.3, 1.0)] {
+        let spot = render::Spot { u: 40.3, v: 39.8, a, b, phi: 0.5 };
+        for (i, j) in (0..160).flat_map(|i| (0..160).map(move |j| (i, j))) {
+            let (u, v) = (0.5 * f64::from(i), 0.5 * f64::from(j));
+            let (fast, plain) = (spot.cover(u, v, h), spot.cover_near_the_outline(u, v, h));
+            assert_eq!(fast, plain, "{spot:?} at ({u}, {v})");
+            near += usize::from(plain > 0.0 && plain < 1.0);
+        }
+    }
+    assert!(near > 100, "{near} cells of the outline");
+}
+
 #[test]
 fn lengths_agree_with_sums() {
     let e = ellipse();

@@ -109,6 +109,7 @@ impl Condition {
                     (ground + (disc - ground) * cover) * (1.0 + 0.05 * x - 0.05 * x * x - 0.025 * y * y)
                 }
                 Light::Slanted => (ground + (disc - ground) * cover) * (1.0 + 0.3 * (0.8 * x + 0.6 * y) / across),
+                Light::Smoke | Light::Haze if cover == 0.0 => ground,
                 Light::Smoke | Light::Haze => {
                     let smoke: f64 = waves.iter().map(|w| w[3] * (w[0] * x + w[1] * y + w[2]).sin()).sum();
                     ground + (disc * (1.0 + smoke) - ground) * cover
@@ -163,7 +164,8 @@ impl Condition {
         let middle = (self.size() / 2) as f64;
         let image = |f: &dyn Fn(f64, f64) -> f64, inside: f64, outside: f64| {
             draw(self.size(), self.size(), self.blur_px, |u, v, h| {
-                f(u - middle, v - middle) * (outside + (inside - outside) * spot.cover(u, v, h))
+                let level = outside + (inside - outside) * spot.cover(u, v, h);
+                if level == 0.0 { 0.0 } else { f(u - middle, v - middle) * level }
             })
             .grey
         };

@@ -34,6 +34,19 @@ impl Spot {
 
     /// Part of a cell of size `h` that is inside.
     pub fn cover(&self, u: f64, v: f64, h: f64) -> f64 {
+        // With q the distance from the middle in semi-axes, the distance is beyond |q - 1| b: most cells need no more than a look.
+        let r2 = (u - self.u).powi(2) + (v - self.v).powi(2);
+        if r2 > (self.a * (1.0 + 0.5 * h / self.b)).powi(2) {
+            return 0.0;
+        }
+        if r2 < (self.b - 0.5 * h).max(0.0).powi(2) {
+            return 1.0;
+        }
+        self.cover_near_the_outline(u, v, h)
+    }
+
+    /// The same without the look.
+    pub fn cover_near_the_outline(&self, u: f64, v: f64, h: f64) -> f64 {
         (0.5 - self.distance(u, v) / h).clamp(0.0, 1.0)
     }
 }
@@ -100,9 +113,11 @@ pub fn draw(width: usize, height: usize, psf: f64, scene: impl Fn(f64, f64, f64)
     let mut grey = vec![0.0; width * height];
     for v in 0..height {
         let start = (v + pad) * FINE + FINE / 2 - half;
-        for u in 0..width {
-            grey[v * width + u] = (0..2 * half).map(|k| rows[(start + k) * width + u] * kernel[k]).sum::<f64>() / total;
+        let out = &mut grey[v * width..(v + 1) * width];
+        for (weight, row) in kernel.iter().zip(rows[start * width..].chunks_exact(width)) {
+            out.iter_mut().zip(row).for_each(|(sum, x)| *sum += x * weight);
         }
+        out.iter_mut().for_each(|sum| *sum /= total);
     }
     Clean { width, height, grey }
 }
