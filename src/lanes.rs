@@ -10,6 +10,7 @@
 #![allow(unsafe_code)]
 
 mod columns;
+mod dots;
 mod greys;
 mod raster;
 mod singles;
@@ -24,6 +25,7 @@ mod x86_greys;
 mod x86_whole;
 
 pub(crate) use columns::{Column, ColumnMut};
+pub(crate) use dots::dots;
 pub(crate) use greys::Greys;
 pub(crate) use raster::{LINE, Level, Raster, fetch};
 pub(crate) use singles::{Picks, SINGLES, Singles, WithPicks, sum_of_singles};

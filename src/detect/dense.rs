@@ -3,13 +3,14 @@
 //! `A x = r` by Cholesky's factor `A = L L^T`; the last block of the factor is that of the Schur complement on the geometry, so the price of not
 //! knowing light and blur is at hand. Sums of products are eight running ones, as wide as the processor is.
 
-use crate::lanes::{self, GROUP, Kernel, Lanes};
+use crate::lanes::{self, Kernel, Lanes, dots};
 use nalgebra::{SMatrix, SVector};
 
 /// Unknowns that come last: blur and geometry.
 pub(crate) const FIXED: usize = 6;
-/// Rows of the factor that are found side by side.
-const ROWS: usize = 4;
+/// Rows and columns of the factor that are found, or used, side by side.
+const ROWS: usize = 3;
+const COLUMNS: usize = 4;
 
 /// Dense normal equations, blur and geometry last.
 #[derive(Debug, Default, Clone)]
@@ -97,7 +98,7 @@ impl Kernel for Inverse<'_> {
         let (mut column, mut out) = (vec![0.0; n], vec![0.0; count]);
         for (j, variance) in out.iter_mut().enumerate() {
             for i in j..n {
-                let [dot] = dots::<L, 1>(&column[j..i], [&factor[i * n + j..i * n + i]]);
+                let [[dot]] = dots::<L, 1, 1>([&column[j..i]], [&factor[i * n + j..i * n + i]]);
                 column[i] = (f64::from(u8::from(i == j)) - dot) / factor[i * n + i];
                 *variance += column[i] * column[i];
             }
@@ -118,24 +119,62 @@ impl<const K: usize> Kernel for SubstituteEach<'_, K> {
     fn run<L: Lanes>(self) {
         let Self { factor, right } = self;
         let n = right.len();
-        for i in 0..n {
-            let row = &factor[i * n..=i * n + i];
-            let (known, rest) = right.split_at_mut(i);
-            for (x, a) in known.iter().zip(row) {
-                for l in 0..K {
-                    rest[0][l] -= a * x[l];
-                }
-            }
-            rest[0].iter_mut().for_each(|x| *x /= row[i]);
+        (0..n).for_each(|i| forward(&factor[i * n..=i * n + i], right, i));
+        let mut end = n;
+        while end > 0 {
+            let first = end.saturating_sub(COLUMNS);
+            backward(factor, right, first, end);
+            end = first;
         }
-        for i in (0..n).rev() {
-            let row = &factor[i * n..=i * n + i];
-            let (above, rest) = right.split_at_mut(i);
-            rest[0].iter_mut().for_each(|x| *x /= row[i]);
-            for (x, a) in above.iter_mut().zip(row) {
-                for l in 0..K {
-                    x[l] -= a * rest[0][l];
-                }
+    }
+}
+
+/// Unknown `i` from those before it, by a row of the factor: four running sums, which need not wait for each other.
+#[inline(always)]
+fn forward<const K: usize>(row: &[f64], right: &mut [[f64; K]], i: usize) {
+    let (known, rest) = right.split_at_mut(i);
+    let mut sums = [[0.0; K]; COLUMNS];
+    let whole = i / COLUMNS * COLUMNS;
+    for at in (0..whole).step_by(COLUMNS) {
+        for s in 0..COLUMNS {
+            for l in 0..K {
+                sums[s][l] = row[at + s].mul_add(known[at + s][l], sums[s][l]);
+            }
+        }
+    }
+    for at in whole..i {
+        for l in 0..K {
+            sums[0][l] = row[at].mul_add(known[at][l], sums[0][l]);
+        }
+    }
+    for l in 0..K {
+        let sum = (sums[0][l] + sums[1][l]) + (sums[2][l] + sums[3][l]);
+        rest[0][l] = (rest[0][l] - sum) / row[i];
+    }
+}
+
+/// Unknowns `first` to `end`, and what they take from those before them.
+#[inline(always)]
+fn backward<const K: usize>(factor: &[f64], right: &mut [[f64; K]], first: usize, end: usize) {
+    let n = right.len();
+    for i in (first..end).rev() {
+        let row = &factor[i * n..=i * n + i];
+        let (above, rest) = right.split_at_mut(i);
+        for l in 0..K {
+            rest[0][l] /= row[i];
+        }
+        for k in first..i {
+            for l in 0..K {
+                above[k][l] = (-row[k]).mul_add(rest[0][l], above[k][l]);
+            }
+        }
+    }
+    let (above, block) = right.split_at_mut(first);
+    for (k, x) in above.iter_mut().enumerate() {
+        for (s, found) in block[..end - first].iter().enumerate() {
+            let a = factor[(first + s) * n + k];
+            for l in 0..K {
+                x[l] = (-a).mul_add(found[l], x[l]);
             }
         }
     }
@@ -150,65 +189,71 @@ struct Factor<'a> {
 impl Kernel for Factor<'_> {
     type Output = bool;
     #[inline(always)]
-    fn run<L: Lanes>(self) -> bool {
-        let Self { a, n } = self;
-        for j in 0..n {
-            let (head, below) = a.split_at_mut((j + 1) * n);
-            let own = &mut head[j * n..];
-            let before = own[j];
-            let [squares] = dots::<L, 1>(&own[..j], [&own[..j]]);
-            let diagonal = before * (1.0 + 1e-12) - squares;
-            if !(diagonal > 1e-13 * before && diagonal.is_finite()) {
-                return false;
-            }
-            let root = diagonal.sqrt();
-            own[j] = root;
-            let own = &own[..j];
-            let mut rows = below.chunks_exact_mut(n * ROWS);
-            for four in &mut rows {
-                let dot = dots::<L, ROWS>(own, std::array::from_fn(|i| &four[i * n..i * n + j]));
-                for i in 0..ROWS {
-                    four[i * n + j] = (four[i * n + j] - dot[i]) / root;
+    fn run<L: Lanes>(mut self) -> bool {
+        let n = self.n;
+        for j in (0..n).step_by(COLUMNS) {
+            let end = (j + COLUMNS).min(n);
+            for i in j..end {
+                if !self.row_of_block::<L>(j, i) {
+                    return false;
                 }
             }
-            for row in rows.into_remainder().chunks_exact_mut(n) {
-                let [dot] = dots::<L, 1>(own, [&row[..j]]);
-                row[j] = (row[j] - dot) / root;
+            let mut i = end;
+            while i + ROWS <= n {
+                self.rows_below::<L, ROWS>(j, i);
+                i += ROWS;
+            }
+            for i in i..n {
+                self.rows_below::<L, 1>(j, i);
             }
         }
         true
     }
 }
 
-/// Sums of products of one list with several as long.
-#[inline(always)]
-fn dots<L: Lanes, const K: usize>(one: &[f64], others: [&[f64]; K]) -> [f64; K] {
-    let (n, whole) = (one.len(), one.len() / GROUP * GROUP);
-    let mut sums = [[0.0; GROUP]; K];
-    let mut part = 0;
-    while part < GROUP && whole > 0 {
-        let mut running = [L::splat(0.0); K];
-        let mut at = part;
-        while at < whole {
-            let x = L::load(&one[at..]);
-            for k in 0..K {
-                running[k] = x.fused(L::load(&others[k][at..]), running[k]);
+impl Factor<'_> {
+    /// Row `i` of the block of columns from `first` on, to its diagonal; false where that is not positive.
+    #[inline(always)]
+    fn row_of_block<L: Lanes>(&mut self, first: usize, i: usize) -> bool {
+        let n = self.n;
+        let (above, row) = self.a.split_at_mut(i * n);
+        for j in first..i {
+            let other = &above[j * n..=j * n + j];
+            let [[dot]] = dots::<L, 1, 1>([&row[..j]], [&other[..j]]);
+            row[j] = (row[j] - dot) / other[j];
+        }
+        let before = row[i];
+        let [[squares]] = dots::<L, 1, 1>([&row[..i]], [&row[..i]]);
+        let diagonal = before * (1.0 + 1e-12) - squares;
+        row[i] = diagonal.sqrt();
+        diagonal > 1e-13 * before && diagonal.is_finite()
+    }
+
+    /// The columns from `first` on of `A` rows from `i` on, which lie below the block.
+    #[inline(always)]
+    fn rows_below<L: Lanes, const A: usize>(&mut self, first: usize, i: usize) {
+        let n = self.n;
+        let (above, below) = self.a.split_at_mut(i * n);
+        let (mut rows, mut own) = ([&below[..0]; A], [&above[..0]; COLUMNS]);
+        for k in 0..A {
+            rows[k] = &below[k * n..][..first];
+        }
+        for c in 0..COLUMNS {
+            own[c] = &above[(first + c) * n..][..first];
+        }
+        let dot = dots::<L, A, COLUMNS>(rows, own);
+        for k in 0..A {
+            let row = &mut below[k * n + first..][..COLUMNS];
+            for c in 0..COLUMNS {
+                let corner = &above[(first + c) * n + first..][..=c];
+                row[c] -= dot[k][c];
+                for d in 0..c {
+                    row[c] -= row[d] * corner[d];
+                }
+                row[c] /= corner[c];
             }
-            at += GROUP;
         }
-        for k in 0..K {
-            running[k].store(&mut sums[k][part..]);
-        }
-        part += L::N;
     }
-    let mut out = [0.0; K];
-    for k in 0..K {
-        for i in whole..n {
-            sums[k][i - whole] = one[i].mul_add(others[k][i], sums[k][i - whole]);
-        }
-        out[k] = lanes::sum(&sums[k]);
-    }
-    out
 }
 
 /// Solves with the factor, in place.

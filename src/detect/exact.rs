@@ -446,7 +446,7 @@ impl Exact {
                 if (0.85..1.18).contains(&factor) {
                     break;
                 }
-                state.variance[0] = (factor * state.variance[0]).max(floor);
+                state.variance[0] = (factor * state.variance[0]).min(field::loudest_noise(state)).max(floor);
                 kept = self.fit(view, state, contour, keep, &reach, &cut)?;
                 continue;
             }

@@ -10,10 +10,19 @@
 //! each strip places and weights are those of Gauss and Legendre. Places less than a blur apart leave 1e-6. Places too far from eight pixels for
 //! any of them to see are left out.
 //!
+//! The waves lie on a lattice, and a wave is the product of one along either axis: the places of a strip are summed up once for all waves of
+//! one step along the minor axis (`C`, `S`: times its cosine, its sine), the strips once for the two waves that differ in the sign of that step,
+//!
+//! ```text
+//! cos: sum cos_x C -+ sum sin_x S,   sin: sum sin_x C +- sum cos_x S
+//! ```
+//!
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
-//! | x | `Area::at` | n | px | places, in the frame of the axes |
-//! | - | `Area::waves` | n x 2 m | 1 | weight of each place times cosine and sine of each wave there |
+//! | x | `Area::at` | n | px | places, in the frame of the axes, strip by strip |
+//! | cos_x, sin_x | `Area::across` | steps x strips | 1 | weight of a strip times cosine and sine of its place along the major axis |
+//! | - | `Area::up` | steps x n | 1 | weight of a place times cosine and sine of its place along the strip |
+//! | C, S | `Area::sums` | strips | 1 | what the pixels see of each strip |
 
 use super::products::CHUNK;
 use super::waves::Each;
@@ -26,18 +35,44 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 const SPACING: f64 = 0.8;
 /// Distance beyond which a pixel sees nothing of a place, over the blur.
 const FAR: f64 = 6.0;
-/// Columns that are summed up together.
-const TILE: usize = 8;
+
+/// Waves of a lattice: the step along either axis, in units of one over the semi-axis, and how many of them each wave has.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Lattice<'a> {
+    pub(super) spacing: [f64; 2],
+    pub(super) steps: &'a [[i32; 2]],
+}
+
+/// The waves of so many steps along the major axis and `up` along the minor one, either way: their places in the list.
+#[derive(Debug, Clone, Copy)]
+struct Pair {
+    up: usize,
+    across: usize,
+    waves: [Option<usize>; 2],
+}
 
 /// Places of one disc, with its waves; and what some pixels see of them.
 #[derive(Debug, Default)]
 pub(super) struct Area {
     at: [Vec<f64>; 2],
-    waves: Vec<f64>,
-    columns: usize,
+    /// Places of a strip, and how many strips there are.
+    along: usize,
+    strips: usize,
+    across: Vec<[f64; 2]>,
+    up: Vec<[f64; 2]>,
+    pairs: Vec<Pair>,
     blur_px: f64,
-    near: Vec<usize>,
+    near: Near,
     seen: Vec<Each>,
+    sums: Vec<[Each; 2]>,
+}
+
+/// Places that some pixels see: the first strip, and of it and all that follow where their places end in the list.
+#[derive(Debug, Default)]
+struct Near {
+    first: usize,
+    ends: Vec<usize>,
+    places: Vec<usize>,
 }
 
 /// Places and weights in -1..1 that are exact for polynomials up to the degree `2 n - 1`: roots of Legendre's polynomial by Newton's method.
@@ -59,44 +94,94 @@ fn gauss_legendre(n: usize) -> impl Iterator<Item = (f64, f64)> {
 }
 
 impl Area {
-    /// Sets the places anew, for wave vectors in units of the semi-axes.
-    pub(super) fn set(&mut self, [a, b]: [f64; 2], blur_px: f64, waves: &[[f64; 2]]) {
-        let s2 = blur_px * blur_px;
-        self.at.iter_mut().for_each(Vec::clear);
-        self.waves.clear();
-        (self.columns, self.blur_px) = (2 * waves.len(), blur_px);
-        let height = |k: &[f64; 2]| (0.5 * s2 * ((k[0] / a).powi(2) + (k[1] / b).powi(2))).exp();
-        let heights: Vec<f64> = waves.iter().map(height).collect();
-        let strips = (PI * a / (SPACING * blur_px)).ceil().max(8.0);
+    /// Sets the places anew, for waves of a lattice.
+    pub(super) fn set(&mut self, [a, b]: [f64; 2], blur_px: f64, lattice: Lattice) {
+        self.blur_px = blur_px;
         let along: Vec<(f64, f64)> = gauss_legendre((2.0 * b / (SPACING * blur_px)) as usize + 5).collect();
-        for i in 0..strips as usize {
-            let (x, half) = ((i as f64 + 0.5) * PI / strips - FRAC_PI_2).sin_cos();
-            let width = a * b * half * half * PI / strips / (TAU * s2);
-            for (y, weight) in &along {
-                let y = half * y;
-                self.at[0].push(a * x);
-                self.at[1].push(b * y);
-                self.waves.extend(waves.iter().zip(&heights).flat_map(|(k, height)| {
-                    let (sin, cos) = (k[0] * x + k[1] * y).sin_cos();
-                    [cos, sin].map(|wave| wave * weight * width * height)
-                }));
+        self.along = along.len();
+        self.strips = (PI * a / (SPACING * blur_px)).ceil().max(8.0) as usize;
+        self.pair(lattice.steps);
+        let most = |of: &dyn Fn(&Pair) -> usize| self.pairs.iter().map(of).max().unwrap_or(0);
+        let (most_across, most_up) = (most(&|p| p.across), most(&|p| p.up));
+        let strip = |i: usize| ((i as f64 + 0.5) * PI / self.strips as f64 - FRAC_PI_2).sin_cos();
+        self.at.iter_mut().for_each(Vec::clear);
+        self.across.clear();
+        self.up.clear();
+        let mut waves = vec![];
+        for (x, half) in (0..self.strips).map(strip) {
+            let width = a * b * half * half * PI / self.strips as f64 / (TAU * blur_px * blur_px);
+            waves.push((lattice.spacing[0] * x, width));
+            self.at[0].extend(along.iter().map(|_| a * x));
+            self.at[1].extend(along.iter().map(|(y, _)| b * half * y));
+        }
+        turned(&waves, most_across, lattice.spacing[0] * blur_px / a, &mut self.across);
+        waves.clear();
+        for (_, half) in (0..self.strips).map(strip) {
+            waves.extend(along.iter().map(|(y, weight)| (lattice.spacing[1] * half * y, *weight)));
+        }
+        turned(&waves, most_up, lattice.spacing[1] * blur_px / b, &mut self.up);
+    }
+
+    /// Puts waves that differ in the sign of their step along the minor axis side by side, those of one step one after the other.
+    fn pair(&mut self, steps: &[[i32; 2]]) {
+        let mut waves: Vec<(usize, usize, bool, usize)> = steps
+            .iter()
+            .enumerate()
+            .map(|(k, [i, j])| (j.unsigned_abs() as usize, i.unsigned_abs() as usize, *j < 0, k))
+            .collect();
+        waves.sort_unstable();
+        self.pairs.clear();
+        for (up, across, down, k) in waves {
+            match self.pairs.last_mut().filter(|p| (p.up, p.across) == (up, across)) {
+                Some(pair) => pair.waves[usize::from(down)] = Some(k),
+                None => {
+                    let waves = if down { [None, Some(k)] } else { [Some(k), None] };
+                    self.pairs.push(Pair { up, across, waves });
+                }
             }
         }
     }
 
     /// Columns of the waves at `LANES` pixels, each times the `root` of its weight, from `columns[0]` on.
     pub(super) fn fill(&mut self, place: &[Each; 2], root: &Each, columns: &mut [f64]) {
+        self.look_near(place);
+        let (mut seen, mut sums) = (std::mem::take(&mut self.seen), std::mem::take(&mut self.sums));
+        seen.resize(self.near.places.len(), [0.0; LANES]);
+        sums.resize(self.near.ends.len(), [[0.0; LANES]; 2]);
+        lanes::run(Fill { area: self, seen: &mut seen, sums: &mut sums, place, root, columns });
+        (self.seen, self.sums) = (seen, sums);
+    }
+
+    /// The places that any of the pixels sees. Strips lie in the order of their place, so that those seen follow one another.
+    fn look_near(&mut self, place: &[Each; 2]) {
         let far = FAR * self.blur_px;
         let [x, y] = [0, 1].map(|i| {
             let (least, most) = place[i].iter().fold((f64::MAX, f64::MIN), |(l, m), p| (l.min(*p), m.max(*p)));
             least - far..most + far
         });
-        self.near.clear();
-        self.near.extend((0..self.at[0].len()).filter(|n| x.contains(&self.at[0][*n]) && y.contains(&self.at[1][*n])));
-        let mut seen = std::mem::take(&mut self.seen);
-        seen.resize(self.near.len(), [0.0; LANES]);
-        lanes::run(Fill { area: self, seen: &mut seen, place, root, columns });
-        self.seen = seen;
+        let (at, along) = (&self.at, self.along);
+        let is_near = |strip: &usize| x.contains(&at[0][strip * along]);
+        let near = &mut self.near;
+        near.first = (0..self.strips).find(is_near).unwrap_or(self.strips);
+        near.places.clear();
+        near.ends.clear();
+        for strip in (near.first..self.strips).take_while(is_near) {
+            near.places.extend((strip * along..(strip + 1) * along).filter(|n| y.contains(&at[1][*n])));
+            near.ends.push(near.places.len());
+        }
+    }
+}
+
+/// Appends weight times cosine and sine of 0 to `most` times each phase, higher by what a blur of `spread` times the step takes.
+fn turned(waves: &[(f64, f64)], most: usize, spread: f64, out: &mut Vec<[f64; 2]>) {
+    let turns: Vec<(f64, f64)> = waves.iter().map(|(phase, _)| phase.sin_cos()).collect();
+    let mut now: Vec<[f64; 2]> = waves.iter().map(|(_, weight)| [*weight, 0.0]).collect();
+    for step in 0..=most {
+        let height = (0.5 * (step as f64 * spread).powi(2)).exp();
+        out.extend(now.iter().map(|w| w.map(|x| x * height)));
+        for ([cos, sin], (s, c)) in now.iter_mut().zip(&turns) {
+            (*cos, *sin) = (*cos * c - *sin * s, *sin * c + *cos * s);
+        }
     }
 }
 
@@ -104,6 +189,7 @@ impl Area {
 struct Fill<'a> {
     area: &'a Area,
     seen: &'a mut [Each],
+    sums: &'a mut [[Each; 2]],
     place: &'a [Each; 2],
     root: &'a Each,
     columns: &'a mut [f64],
@@ -115,9 +201,15 @@ impl Kernel for Fill<'_> {
     fn run<L: Lanes>(mut self) {
         for at in (0..LANES).step_by(L::N) {
             self.look::<L>(at);
-            let whole = self.area.columns / TILE * TILE;
-            (0..whole).step_by(TILE).for_each(|j| self.sum_up::<L, TILE>(at, j));
-            (whole..self.area.columns).for_each(|j| self.sum_up::<L, 1>(at, j));
+            for pairs in self.area.pairs.chunk_by(|a, b| a.up == b.up) {
+                self.sum_up_strips::<L>(at, pairs[0].up);
+                for two in pairs.chunks(2) {
+                    match two.len() {
+                        2 => self.sum_up::<L, 2>(at, two),
+                        _ => self.sum_up::<L, 1>(at, two),
+                    }
+                }
+            }
         }
     }
 }
@@ -129,25 +221,55 @@ impl Fill<'_> {
         let [x, y] = [0, 1].map(|i| L::load(&self.place[i][at..]));
         let (root, s) = (L::load(&self.root[at..]), self.area.blur_px);
         let by_two_s2 = L::splat(0.5 / (s * s));
-        for (n, seen) in self.area.near.iter().zip(self.seen.iter_mut()) {
+        for (n, seen) in self.area.near.places.iter().zip(self.seen.iter_mut()) {
             let (dx, dy) = (L::splat(self.area.at[0][*n]) - x, L::splat(self.area.at[1][*n]) - y);
             (root * gaussian((dx * dx + dy * dy) * by_two_s2)).store(&mut seen[at..]);
         }
     }
 
-    /// `K` columns from column `j` on.
+    /// What they see of each strip, times the waves of `up` steps along it.
     #[inline(always)]
-    fn sum_up<L: Lanes, const K: usize>(&mut self, at: usize, j: usize) {
-        let mut sums = [L::splat(0.0); K];
-        for (n, seen) in self.area.near.iter().zip(self.seen.iter()) {
-            let seen = L::load(&seen[at..]);
-            let waves = &self.area.waves[n * self.area.columns + j..][..K];
+    fn sum_up_strips<L: Lanes>(&mut self, at: usize, up: usize) {
+        let near = &self.area.near;
+        let waves = &self.area.up[up * self.area.at[0].len()..];
+        let mut from = 0;
+        for (end, out) in near.ends.iter().zip(self.sums.iter_mut()) {
+            let mut sums = [L::splat(0.0); 2];
+            for (n, seen) in near.places[from..*end].iter().zip(&self.seen[from..*end]) {
+                let seen = L::load(&seen[at..]);
+                for i in 0..2 {
+                    sums[i] = seen.fused(L::splat(waves[*n][i]), sums[i]);
+                }
+            }
+            for i in 0..2 {
+                sums[i].store(&mut out[i][at..]);
+            }
+            from = *end;
+        }
+    }
+
+    /// The columns of `K` pairs of one step along the minor axis.
+    #[inline(always)]
+    fn sum_up<L: Lanes, const K: usize>(&mut self, at: usize, pairs: &[Pair]) {
+        let (first, strips) = (self.area.near.first, self.area.strips);
+        let waves: [&[[f64; 2]]; K] = std::array::from_fn(|k| &self.area.across[pairs[k].across * strips + first..]);
+        // Of each pair: cos C, sin S, sin C, cos S.
+        let mut sums = [[L::splat(0.0); 4]; K];
+        for (n, strip) in self.sums.iter().enumerate() {
+            let (c, s) = (L::load(&strip[0][at..]), L::load(&strip[1][at..]));
             for k in 0..K {
-                sums[k] = seen.fused(L::splat(waves[k]), sums[k]);
+                let (cos, sin) = (L::splat(waves[k][n][0]), L::splat(waves[k][n][1]));
+                let [cc, ss, sc, cs] = sums[k];
+                sums[k] = [c.fused(cos, cc), s.fused(sin, ss), c.fused(sin, sc), s.fused(cos, cs)];
             }
         }
-        for k in 0..K {
-            sums[k].store(&mut self.columns[(j + k) * CHUNK + at..]);
+        for (pair, [cc, ss, sc, cs]) in pairs.iter().zip(sums) {
+            for (wave, column) in pair.waves.iter().zip([[cc - ss, sc + cs], [cc + ss, sc - cs]]) {
+                let Some(wave) = wave else { continue };
+                for i in 0..2 {
+                    column[i].store(&mut self.columns[(2 * wave + i) * CHUNK + at..]);
+                }
+            }
         }
     }
 }
@@ -159,8 +281,8 @@ mod tests {
     const BLUR: f64 = 1.5;
     /// Semi-axes, px: a disc, and a flat one of which some pixels see some places only.
     const DISCS: [[f64; 2]; 2] = [[4.8, 4.0], [24.0, 3.0]];
-    /// Up to a phase of 1.57 over one blur.
-    const PHASES: [[f64; 2]; 4] = [[0.0, 0.0], [0.3, 0.2], [-0.9, 0.7], [1.1, 1.1]];
+    /// Steps of a lattice, a phase of 0.1 over one blur each, up to 1.57; one beside that which goes the other way, as a lattice has it, and some alone.
+    const STEPS: [[i32; 2]; 5] = [[0, 0], [9, -7], [3, 2], [11, 11], [3, -2]];
 
     /// Integrals over many thin strips cut into cells, cosine and sine.
     fn by_cells([a, b]: [f64; 2], [kx, ky]: [f64; 2], p: [f64; 2]) -> [f64; 2] {
@@ -193,9 +315,12 @@ mod tests {
         type Output = Vec<u64>;
         #[inline(always)]
         fn run<L: Lanes>(self) -> Vec<u64> {
-            let (mut seen, mut columns) = (vec![[0.0; LANES]; self.0.near.len()], vec![0.0; self.0.columns * CHUNK]);
+            let mut columns = vec![0.0; 2 * STEPS.len() * CHUNK];
+            let mut seen = vec![[0.0; LANES]; self.0.near.places.len()];
+            let mut sums = vec![[[0.0; LANES]; 2]; self.0.near.ends.len()];
             let (root, place) = ([1.0; LANES], &self.1);
-            Fill { area: self.0, seen: &mut seen, place, root: &root, columns: &mut columns }.run::<L>();
+            Fill { area: self.0, seen: &mut seen, sums: &mut sums, place, root: &root, columns: &mut columns }
+                .run::<L>();
             columns.into_iter().map(f64::to_bits).collect()
         }
     }
@@ -204,14 +329,13 @@ mod tests {
     fn sums_over_places_are_those_of_many_cells_and_all_widths_agree() {
         for [a, b] in DISCS {
             let mut area = Area::default();
-            let waves = PHASES.map(|[x, y]| [x * a / BLUR, y * b / BLUR]);
-            area.set([a, b], BLUR, &waves);
+            area.set([a, b], BLUR, Lattice { spacing: [0.1 * a / BLUR, 0.1 * b / BLUR], steps: &STEPS });
             let place = [0, 1].map(|i| std::array::from_fn(|l| [0.2 * a + 0.8 * l as f64, 0.9 * l as f64 - 3.0][i]));
-            let mut columns = vec![0.0; area.columns * CHUNK];
+            let mut columns = vec![0.0; 2 * STEPS.len() * CHUNK];
             area.fill(&place, &[2.0; LANES], &mut columns);
-            println!("{} of {} places", area.near.len(), area.at[0].len());
-            for (w, l) in (0..PHASES.len()).flat_map(|w| (0..LANES).map(move |l| (w, l))) {
-                let expected = by_cells([a, b], PHASES[w], [place[0][l], place[1][l]]);
+            println!("{} of {} places", area.near.places.len(), area.at[0].len());
+            for (w, l) in (0..STEPS.len()).flat_map(|w| (0..LANES).map(move |l| (w, l))) {
+                let expected = by_cells([a, b], STEPS[w].map(|n| 0.1 * f64::from(n)), [place[0][l], place[1][l]]);
                 for i in 0..2 {
                     let found = 0.5 * columns[(2 * w + i) * CHUNK + l];
                     assert!((found - expected[i]).abs() < 1e-4, "{a} {b}, wave {w}: {found} and {}", expected[i]);

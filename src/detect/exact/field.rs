@@ -54,6 +54,11 @@ fn prior_of_amplitude(amplitude: f64, step: f64) -> f64 {
     (amplitude / (AMPLE * step)).powi(2)
 }
 
+/// Variance of the noise inside beyond which it would hide the step of the light: what asks for more is not the light of a disc.
+pub(super) fn loudest_noise(state: &State) -> f64 {
+    state.step * state.step
+}
+
 /// How the variance of the waves falls with the wave number `k`, for a length `l`, before the blur takes its part.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) enum Spectrum {
@@ -134,6 +139,11 @@ impl Field {
         field
     }
 
+    /// Whether the waves are the same, whatever their variances: so are what pixels see of them, and the products of that.
+    fn has_the_waves_of(&self, other: &Self) -> bool {
+        self.spacing == other.spacing && self.steps == other.steps
+    }
+
     /// Prior variance of the heights of wave `i`.
     pub(super) fn variance(&self, i: usize) -> f64 {
         self.variances[i] * self.amplitude * self.amplitude
@@ -195,9 +205,12 @@ impl Exact {
     }
 
     /// What the fields of one spectrum and length say, with amplitudes uphill from the one given, a factor of `sqrt(2)` apart;
-    /// the best is among them.
-    fn listen(&mut self, tried: &mut State, start: f64) -> Vec<Said> {
-        self.sum_up(tried);
+    /// the best is among them. Products stand where the field `before` left them, if it had the same waves.
+    fn listen(&mut self, tried: &mut State, start: f64, before: Option<&Field>) -> Vec<Said> {
+        let stands = before.zip(tried.field.as_ref()).is_some_and(|(b, f)| f.has_the_waves_of(b));
+        if !stands {
+            self.sum_up(tried);
+        }
         let mut said: Vec<Said> = vec![];
         let mut evaluate = |amplitude: f64| {
             if let Some(f) = &mut tried.field {
@@ -226,9 +239,9 @@ impl Exact {
     /// and the least value of each field.
     fn listen_to_all(&mut self, state: &State, fields: &[Field], amplitude: f64) -> (Vec<Said>, Vec<f64>) {
         let (mut all, mut bests) = (vec![], vec![]);
-        for field in fields {
+        for (i, field) in fields.iter().enumerate() {
             let mut tried = State { field: Some(field.clone()), ..state.clone() };
-            let mut said = self.listen(&mut tried, amplitude);
+            let mut said = self.listen(&mut tried, amplitude, i.checked_sub(1).map(|i| &fields[i]));
             let noise = self.price_of_noise(state);
             said.iter_mut().for_each(|s| s.value += noise);
             bests.push(said.iter().map(|s| s.value).fold(f64::INFINITY, f64::min));
@@ -283,10 +296,9 @@ impl Exact {
         };
         let large = is_large(&state.ellipse);
         let mut best: Option<(f64, Field)> = None;
-        for field in fields {
-            let start = field.amplitude;
-            let mut tried = State { field: Some(field), ..state.clone() };
-            let top = self.likeliest(&mut tried, start);
+        for (i, field) in fields.iter().enumerate() {
+            let mut tried = State { field: Some(field.clone()), ..state.clone() };
+            let top = self.likeliest(&mut tried, field.amplitude, i.checked_sub(1).map(|i| &fields[i]));
             if let Some((value, amplitude)) = top.filter(|t| best.as_ref().is_none_or(|b| t.0 < b.0)) {
                 best = tried.field.map(|f| (value, Field { amplitude, ..f }));
             }
@@ -300,8 +312,8 @@ impl Exact {
     }
 
     /// The likeliest amplitude of the field of `tried`, sought from `start` on, and its value with the price of the noise.
-    fn likeliest(&mut self, tried: &mut State, start: f64) -> Option<(f64, f64)> {
-        let said = self.listen(tried, start);
+    fn likeliest(&mut self, tried: &mut State, start: f64, before: Option<&Field>) -> Option<(f64, f64)> {
+        let said = self.listen(tried, start, before);
         let top = said.iter().min_by(|a, b| a.value.total_cmp(&b.value))?;
         Some((top.value + self.price_of_noise(tried), top.amplitude))
     }
@@ -312,7 +324,10 @@ impl Exact {
         let mut tried = State { field: Some(field.clone()), ..state.clone() };
         for _ in 0..loudest {
             tried.variance[0] *= SQRT_2;
-            match self.likeliest(&mut tried, field.amplitude) {
+            if tried.variance[0] > loudest_noise(state) {
+                break;
+            }
+            match self.likeliest(&mut tried, field.amplitude, None) {
                 Some((now, amplitude)) if now < *value => {
                     (*value, field.amplitude, state.variance[0]) = (now, amplitude, tried.variance[0]);
                 }
@@ -342,6 +357,9 @@ impl Exact {
                 }
                 quieter = value;
                 plain.variance[0] *= SQRT_2;
+                if plain.variance[0] > loudest_noise(state) {
+                    break;
+                }
             }
             least = Some(least.map_or(quieter, |x| x.min(quieter)));
         }
@@ -446,5 +464,31 @@ impl Exact {
         let variances = self.dense.variances(2 * field.waves.len(), Self::lights(state) + FIXED);
         let spent: f64 = variances.iter().enumerate().map(|(j, v)| 1.0 - v / field.variance(j / 2)).sum();
         self.within.count * (1.0 - (spent / self.within.all).min(0.9))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detect::exact::second::tests::fitted;
+
+    /// Turbulence of any length has the same waves: what one field left says of the next what that says itself.
+    #[test]
+    fn products_stand_for_all_fields_of_the_same_waves() {
+        let (mut exact, state) = fitted();
+        let field = |spectrum, length| Field::new(spectrum, length, &state.ellipse, state.blur_px);
+        let [short, long] = [0.4, 2.5].map(|length| field(Spectrum::Karman, length));
+        assert!(long.has_the_waves_of(&short) && long.variances != short.variances);
+        assert!(!long.has_the_waves_of(&field(Spectrum::Smooth, 0.4)));
+        exact.light.clear();
+        exact.hold_steps(&state);
+        let mut listen = |field: &Field, before: Option<&Field>| {
+            let said = exact.listen(&mut State { field: Some(field.clone()), ..state.clone() }, 5.0, before);
+            said.iter().map(|s| (s.value, s.amplitude, s.change, s.covariance)).collect::<Vec<_>>()
+        };
+        let alone = listen(&long, None);
+        let first = listen(&short, None);
+        assert_ne!(first, alone);
+        assert_eq!(listen(&long, Some(&short)), alone);
     }
 }

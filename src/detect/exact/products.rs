@@ -1,14 +1,16 @@
 //! Products of the columns of many pixels.
 
-use crate::lanes::{self, GROUP, Kernel, Lanes};
+use crate::lanes::{Kernel, Lanes, dots};
 
-/// Pixels whose columns are stored before their products are taken: long enough that adding up the running sums costs little, few enough that 250
-/// columns stay in the second cache.
+/// Pixels whose columns are stored before their products are taken: long enough that adding up the running sums costs little.
 pub(super) const CHUNK: usize = 256;
 /// Columns of a tile on either side: numbers once loaded serve all of them.
-const TILE: usize = 4;
+const ROWS: usize = 4;
+const TILE: usize = 3;
+/// Columns that stay in the second cache while all others pass by; a multiple of `ROWS` and `TILE`.
+const BLOCK: usize = 48;
 
-/// Adds the products of the first `used` entries of all pairs of `n` columns to the lower triangle, row by row; `used` is a multiple of [`GROUP`].
+/// Adds the products of the first `used` entries of all pairs of `n` columns to the lower triangle, row by row.
 pub(super) struct Products<'a> {
     pub(super) columns: &'a [f64],
     pub(super) used: usize,
@@ -20,58 +22,52 @@ impl Kernel for Products<'_> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(mut self) {
-        let whole = self.n / TILE * TILE;
-        for first in (0..whole).step_by(TILE) {
-            for second in (0..=first).step_by(TILE) {
-                self.tile::<L, TILE, TILE>(first, second);
+        for block in (0..self.n).step_by(BLOCK) {
+            let end = (block + BLOCK).min(self.n);
+            let mut first = block;
+            while first + ROWS <= self.n {
+                self.row::<L, ROWS>(first, (block, end));
+                first += ROWS;
             }
-        }
-        for first in whole..self.n {
-            for second in (0..whole).step_by(TILE) {
-                self.tile::<L, 1, TILE>(first, second);
-            }
-            for second in whole..=first {
-                self.tile::<L, 1, 1>(first, second);
+            for first in first..self.n {
+                self.row::<L, 1>(first, (block, end));
             }
         }
     }
 }
 
 impl Products<'_> {
+    /// Those of `A` columns from `first` on with all of a block that do not lie behind them.
+    #[inline(always)]
+    fn row<L: Lanes, const A: usize>(&mut self, first: usize, (block, end): (usize, usize)) {
+        let end = end.min(first + A);
+        let mut second = block;
+        while second + TILE <= end {
+            self.tile::<L, A, TILE>(first, second);
+            second += TILE;
+        }
+        for second in second..end {
+            self.tile::<L, A, 1>(first, second);
+        }
+    }
+
     /// Those of `A` columns from `first` on with `B` columns from `second` on.
     #[inline(always)]
     fn tile<L: Lanes, const A: usize, const B: usize>(&mut self, first: usize, second: usize) {
         let (columns, used) = (self.columns, self.used.min(CHUNK));
-        let mut sums = [[[0.0; GROUP]; B]; A];
-        let mut part = 0;
-        while part < GROUP {
-            let mut running = [[L::splat(0.0); B]; A];
-            let mut at = part;
-            while at < used {
-                let mut right = [L::splat(0.0); B];
-                for l in 0..B {
-                    right[l] = L::load(&columns[(second + l) * CHUNK + at..]);
-                }
-                for k in 0..A {
-                    let left = L::load(&columns[(first + k) * CHUNK + at..]);
-                    for l in 0..B {
-                        running[k][l] = left.fused(right[l], running[k][l]);
-                    }
-                }
-                at += GROUP;
-            }
-            for k in 0..A {
-                for l in 0..B {
-                    running[k][l].store(&mut sums[k][l][part..]);
-                }
-            }
-            part += L::N;
+        let (mut left, mut right) = ([columns; A], [columns; B]);
+        for k in 0..A {
+            left[k] = &columns[(first + k) * CHUNK..][..used];
         }
+        for l in 0..B {
+            right[l] = &columns[(second + l) * CHUNK..][..used];
+        }
+        let sums = dots::<L, A, B>(left, right);
         for k in 0..A {
             for l in 0..B {
                 let (i, j) = (first + k, second + l);
                 if j <= i {
-                    self.gram[i * self.n + j] += lanes::sum(&sums[k][l]);
+                    self.gram[i * self.n + j] += sums[k][l];
                 }
             }
         }
@@ -81,6 +77,7 @@ impl Products<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lanes;
 
     #[derive(Clone)]
     struct Made {
@@ -100,7 +97,7 @@ mod tests {
 
     #[test]
     fn products_are_those_of_plain_sums_and_all_widths_agree() {
-        for (n, used) in [(19, 64), (4, 8), (22, CHUNK)] {
+        for (n, used) in [(19, 64), (4, 8), (22, CHUNK), (101, 40)] {
             let columns: Vec<f64> = (0..n * CHUNK).map(|i| (i as f64 * 0.618).fract() - 0.4).collect();
             let all = lanes::run_all(&Made { columns: columns.clone(), used, n });
             all.iter().for_each(|one| assert_eq!(*one, all[0]));

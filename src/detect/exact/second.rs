@@ -113,7 +113,7 @@ impl Exact {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::conic::Ellipse;
     use crate::detect::band::Reach;
@@ -126,7 +126,7 @@ mod tests {
     const SIDE: usize = 30;
 
     /// A disc in light that rises to one side, fitted once.
-    fn fitted() -> (Exact, State) {
+    pub(in crate::detect::exact) fn fitted() -> (Exact, State) {
         let center_px = Pixel::new(14.6, 15.3);
         let ellipse = Ellipse { center_px, semi_major_px: 4.8, semi_minor_px: 4.0, angle_rad: 0.4 };
         let (frame, blur_px) = (Frame::new(&ellipse), 0.8);

@@ -3,6 +3,7 @@
 //! Waves are summed up over its places (`area.rs`). Derivatives by geometry and blur are integrals along the contour over the light there, which of a
 //! wave is higher than the image shows it far from the edge, by `exp(s^2 k^2 / 2)`.
 
+use super::area::Lattice;
 use super::{Exact, State};
 use crate::conic::Frame;
 use crate::detect::band::LANES;
@@ -17,7 +18,8 @@ impl Exact {
     pub(super) fn prepare_rim(&mut self, state: &State, frame: &Frame) {
         self.rim.set(frame, state.blur_px);
         if let Some(field) = &state.field {
-            self.area.set([frame.a, frame.b], state.blur_px, &field.waves);
+            let lattice = Lattice { spacing: field.spacing, steps: &field.steps };
+            self.area.set([frame.a, frame.b], state.blur_px, lattice);
         }
         self.rim.step = if self.light.is_empty() && self.held.len() == self.rim.angles().count() {
             self.held.clone()
@@ -104,7 +106,7 @@ mod tests {
 
     fn state() -> State {
         let mut field = Field::default();
-        field.waves = vec![WAVE];
+        (field.waves, field.steps, field.spacing) = (vec![WAVE], vec![[1, 1]], WAVE);
         let ellipse =
             Ellipse { center_px: Pixel::new(0.0, 0.0), semi_major_px: AXES[0], semi_minor_px: AXES[1], angle_rad: 0.0 };
         State::in_smoke(ellipse, BLUR, 1.0, 1.0, field)
