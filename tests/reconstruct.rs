@@ -291,6 +291,24 @@ fn the_calibration_s_covariance_is_that_of_moved_calibrations() {
 }
 
 #[test]
+fn a_distance_that_no_field_has_is_refused_with_the_one_that_would_do() {
+    let texts = [0, 1].map(|c| raw_field(c, false, 0.0, 1, |_| true));
+    let (m, own) = (maps(), solved([&texts[0], &texts[1]], &options(FieldUnit::RawPixels)).grid.mm_per_px);
+    let fields = [0, 1].map(|c| PlanarField::new(&parse_field(&texts[c], "f").unwrap()).unwrap());
+    let at = |spacing_mm: f64| {
+        let o = Options { spacing_mm: Some(spacing_mm), ..options(FieldUnit::RawPixels) };
+        reconstruct([&m[0], &m[1]], [&fields[0], &fields[1]], ["left", "right"], &o)
+    };
+    // Some 10^17 vectors, which no memory holds.
+    for (spacing, words) in [(1e-7, "a tenth of the distance"), (1e4, "the shorter side"), (-1.0, "a positive number")]
+    {
+        let e = at(spacing).unwrap_err().to_string();
+        assert!(e.contains(words) && e.contains(&spacing.to_string()), "{e}");
+    }
+    assert!(at(0.5 * own).unwrap().x_mm.len() > 1000);
+}
+
+#[test]
 fn missing_vectors_are_flagged_and_the_rest_stays_right() {
     let texts = [raw_field(0, false, 0.0, 1, |_| true), raw_field(1, false, 0.0, 1, |n| n % 2 == 0 || n % 7 == 0)];
     let f = solved([&texts[0], &texts[1]], &options(FieldUnit::RawPixels));

@@ -228,7 +228,7 @@ pub(super) struct Reconstruct {
     /// Standard deviation of one component of a planar vector, in the unit of the fields [default: estimated from the residuals]
     #[arg(long, value_name = "S", allow_hyphen_values = true)]
     pub(super) sigma: Option<f64>,
-    /// Distance of the vectors of the result, mm [default: that of the finer field]
+    /// Distance of the vectors of the result, mm; at least a tenth of that of the fields [default: that of the finer field]
     #[arg(long, value_name = "MM", allow_hyphen_values = true)]
     pub(super) spacing_mm: Option<f64>,
     /// Leave the calibration's covariance out of the result

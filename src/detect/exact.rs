@@ -36,6 +36,8 @@ mod left;
 mod products;
 mod second;
 mod small;
+#[cfg(test)]
+mod tests;
 mod waves;
 pub(crate) use field::Field;
 pub(crate) use left::Share;

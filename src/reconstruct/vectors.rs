@@ -276,6 +276,9 @@ fn coverage(m: &Measured, camera: &str) -> Result<([f64; 4], f64)> {
     }
 }
 
+/// Vectors that may lie where one was measured, along either axis.
+const FINEST: f64 = 10.0;
+
 /// Places of the result: the field that both planar fields cover.
 fn places(measured: &[Measured; 2], names: [&str; 2]) -> Result<SheetGrid> {
     let options = measured[0].options;
@@ -300,6 +303,13 @@ fn places(measured: &[Measured; 2], names: [&str; 2]) -> Result<SheetGrid> {
     if spacing > shortest {
         let what =
             format!("a length of at most {shortest:.4} mm, the shorter side of the field that both cameras measured");
+        return Err(Invalid::value("distance of the vectors (spacing_mm)", spacing, what).into());
+    }
+    let least = sa.min(sb) / FINEST;
+    if spacing < least {
+        let what = format!(
+            "a length of at least {least:.4} mm, a tenth of the distance of the measured vectors: closer ones say nothing new"
+        );
         return Err(Invalid::value("distance of the vectors (spacing_mm)", spacing, what).into());
     }
     let inner = if same { common } else { inset(common, spacing) };

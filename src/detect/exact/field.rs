@@ -470,7 +470,7 @@ impl Exact {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::detect::exact::second::tests::fitted;
+    use crate::detect::exact::tests::fitted;
 
     /// Turbulence of any length has the same waves: what one field left says of the next what that says itself.
     #[test]
