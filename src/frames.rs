@@ -74,6 +74,14 @@ pub struct Plane<F> {
     pub distance_mm: f64,
 }
 
+impl<F> Plane<F> {
+    /// The plane `normal . p = distance_mm` (unit normal, mm) with its normal turned away from the origin.
+    pub fn away_from_origin(normal: Vector3<f64>, distance_mm: f64) -> Self {
+        let sign = if distance_mm < 0.0 { -1.0 } else { 1.0 };
+        Self { normal: Direction::from_vector(normal * sign), distance_mm: distance_mm * sign }
+    }
+}
+
 /// A position on the sensor in px; (0, 0) is the centre of the first pixel, u right, v down.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pixel {

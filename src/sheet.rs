@@ -43,7 +43,7 @@ pub(crate) use recorded::covariance_of_record;
 pub use recorded::determines_measurements;
 pub(crate) use rows::with_sheet;
 
-use crate::frames::{Rig, Sheet};
+use crate::frames::{Plane, Rig, Sheet};
 use crate::rigid::{Motion, PlaneAngle};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
@@ -120,7 +120,8 @@ fn plane_geometry(
     second_center_mm: Option<Vector3<f64>>,
     placement: &Placement,
 ) -> PlaneGeometry {
-    let (n, d) = if distance_mm < 0.0 { (-normal, -distance_mm) } else { (normal, distance_mm) };
+    let plane = Plane::<Rig>::away_from_origin(normal, distance_mm);
+    let (n, d) = (plane.normal.xyz, plane.distance_mm);
     let z = -n;
     let (default_x, default_turn) = laid(&Vector3::x(), &n);
     let sign = if placement.flip_x { -1.0 } else { 1.0 };

@@ -2,6 +2,7 @@
 
 use crate::bundle::{NamedCovariance, Natural, distance_mm};
 use crate::camera::INTRINSIC_NAMES;
+use crate::frames::{Plane, Rig};
 use crate::record::SHEET_QUANTITIES;
 use crate::rigid::{AxesAngle, PlaneAngle};
 use crate::sheet::{Parameter, StereoSheet, stepped_camera, stepped_motion, stepped_window};
@@ -31,12 +32,10 @@ fn stereo(natural: &Natural) -> Option<StereoSheet> {
     Some(StereoSheet::new(cameras, natural.cam_from_rig[1], natural.rig_from_plane.as_ref()?))
 }
 
-/// Unit normal of the plane, away from the first camera, and its distance from there, mm.
-fn plane(n: &Natural) -> Option<(Vector3<f64>, f64)> {
+fn plane(n: &Natural) -> Option<Plane<Rig>> {
     let pose = n.rig_from_plane.as_ref()?;
     let normal: Vector3<f64> = pose.rotation.column(2).into_owned();
-    let distance_mm = normal.dot(&pose.translation_mm);
-    Some(if distance_mm < 0.0 { (-normal, -distance_mm) } else { (normal, distance_mm) })
+    Some(Plane::away_from_origin(normal, normal.dot(&pose.translation_mm)))
 }
 
 /// From the first camera to the second, in the rig frame.
@@ -49,7 +48,7 @@ impl Keys {
         let natural = &covariance.natural;
         let reference = stereo(natural).filter(|s| s.response(s, [0.0, 0.0]).is_some());
         let axes = natural.cam_from_rig.get(1).map(|m| AxesAngle::of(&m.rotation));
-        let to_baseline = plane(natural).zip(baseline(natural)).map(|((n, _), b)| PlaneAngle::of(&n, &b));
+        let to_baseline = plane(natural).zip(baseline(natural)).map(|(p, b)| PlaneAngle::of(&p.normal.xyz, &b));
         let mut out = Self { list: vec![], rows: vec![], determined: vec![], reference, axes, to_baseline };
         let Some(values) = out.values(natural) else { return out };
         let labels = labels(natural, names, out.reference.is_some());
@@ -78,9 +77,10 @@ impl Keys {
             out.push(motion.translation_mm.norm());
             out.push(axes.of_neighbour(&motion.rotation).to_degrees());
         }
-        if let Some((normal, distance_mm)) = plane(n) {
-            out.push(distance_mm);
-            out.extend(self.to_baseline.zip(baseline(n)).map(|(a, b)| a.of_neighbour(&normal, &b).to_degrees()));
+        if let Some(plane) = plane(n) {
+            out.push(plane.distance_mm);
+            let angle = self.to_baseline.zip(baseline(n)).map(|(a, b)| a.of_neighbour(&plane.normal.xyz, &b));
+            out.extend(angle.map(f64::to_degrees));
         }
         if let Some(reference) = &self.reference {
             out.push(100.0 * stereo(n)?.response(reference, [0.0, 0.0])?.relative_gain());

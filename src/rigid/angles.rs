@@ -2,8 +2,22 @@
 //!
 //! An angle that cannot go on beyond its fold has no derivative there, and neighbours of it say nothing of its standard
 //! deviation. Both are therefore taken along the direction in which they open, a unit vector e that is kept: then they go
-//! through the fold as a straight line does. Axes: `theta = atan2(e . a, a_z)`, a the other z axis, e across z. Plane of
-//! normal n and line of direction b: `theta = atan2(n . b, e . (b - n (n . b)))`, e in the plane.
+//! through the fold as a straight line does:
+//!
+//! ```text
+//! axes:   theta = atan2(e . a, a_z)                      d theta = e_x w_y - e_y w_x
+//! plane:  theta = atan2(n . b, e . (b - n (n . b)))      d theta = w . (n x e) + dc . (n cos theta - e sin theta) / |c|
+//! ```
+//!
+//! | symbol | identifier | shape | unit | meaning |
+//! |---|---|---|---|---|
+//! | theta | `rad` | 1 | rad | the angle; of a plane positive where the line runs to the side of n |
+//! | a, e | - , `across` | 3, 2 | 1 | the other frame's z axis in the first; where it leans across the first's z |
+//! | n, e | `normal`, `along` | 3, 3 | 1 | unit normal; the line laid into the plane; both in one frame |
+//! | b, c | `direction`, - | 3, 3 | 1, mm | direction `c / |c|` of the line to its end c |
+//! | w | - | 3 | rad | turn of the second frame, seen in the first: `da = w x a`; of the plane: `dn = w x n` |
+//!
+//! Both follow by differentiating along e at the estimate, where e is the direction itself.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use std::f64::consts::TAU;

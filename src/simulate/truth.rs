@@ -15,7 +15,7 @@ use super::scene::{Kind, SceneFile};
 use super::setup::{Bench, PlacedCamera, PlacedView, Setup, fully_inside, rim_px};
 use crate::conic::Ellipse;
 use crate::error::{Error, Result};
-use crate::frames::{Cam, Pixel, Rig, Sheet, Target};
+use crate::frames::{Cam, Pixel, Plane, Rig, Sheet, Target};
 use crate::rigid::{AxesAngle, Motion, PlaneAngle};
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use serde_json::{Map, Value, json};
@@ -108,11 +108,9 @@ fn rig(setup: &Setup) -> Option<Value> {
 /// The laser plane in the rig frame and the frame in it.
 fn sheet(setup: &Setup, rig_from_bench: &Motion<Rig, Bench>) -> Value {
     let rig_from_plane: Motion<Rig, Sheet> = *rig_from_bench * setup.bench_from_sheet;
-    let mut normal = rig_from_plane.rotation.column(2).into_owned();
-    let mut distance_mm = normal.dot(&rig_from_plane.translation_mm);
-    if distance_mm < 0.0 {
-        (normal, distance_mm) = (-normal, -distance_mm);
-    }
+    let normal = rig_from_plane.rotation.column(2).into_owned();
+    let plane = Plane::<Rig>::away_from_origin(normal, normal.dot(&rig_from_plane.translation_mm));
+    let (normal, distance_mm) = (plane.normal.xyz, plane.distance_mm);
     let z = -normal;
     let x = (Vector3::x() - z * z.x).normalize();
     let rotation = Matrix3::from_columns(&[x, z.cross(&x), z]);

@@ -116,9 +116,8 @@ impl Area {
         }
         turned(&waves, most_across, lattice.spacing[0] * blur_px / a, &mut self.across);
         waves.clear();
-        for (_, half) in (0..self.strips).map(strip) {
-            waves.extend(along.iter().map(|(y, weight)| (lattice.spacing[1] * half * y, *weight)));
-        }
+        let weights = along.iter().cycle().map(|(_, weight)| *weight);
+        waves.extend(self.at[1].iter().map(|y| lattice.spacing[1] * y / b).zip(weights));
         turned(&waves, most_up, lattice.spacing[1] * blur_px / b, &mut self.up);
     }
 

@@ -491,4 +491,18 @@ mod tests {
         assert_ne!(first, alone);
         assert_eq!(listen(&long, Some(&short)), alone);
     }
+
+    /// Light that no wave may explain asks for louder noise, again and again; it gets what a disc may have and no more.
+    #[test]
+    fn noise_is_never_made_louder_than_the_step_of_the_light() {
+        let (mut exact, mut state) = fitted();
+        state.variance = [1e-4; 2];
+        state.step = 0.1;
+        let quiet = state.variance[0];
+        exact.light.clear();
+        exact.hold_steps(&state);
+        exact.choose_field(&mut state, true, MOST_LOUD);
+        println!("noise {:.3e} of {quiet:.1e}, step squared {:.1e}", state.variance[0], state.step.powi(2));
+        assert!(state.variance[0] > 10.0 * quiet && state.variance[0] <= state.step.powi(2));
+    }
 }
