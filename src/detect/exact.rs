@@ -4,8 +4,9 @@
 //! ([`crate::detect::profile`]) and light ([`crate::detect::surface`]). Gauss-Newton in geometry and blur, exact in the light.
 //!
 //! Smoke is a random field: waves on a lattice of wave vectors `k` in units of the semi-axes, whose heights are
-//! unknowns with a prior, variance of a height `~ amp^2 S(k l) exp(-s^2 k^2)`, of smooth light, `S = (1 + (k l)^2 / 6)^(-3)`, or of turbulence cut
-//! by a sheet, `S = (1 + (k l)^2)^(-4/3)`; the last factor is what the blur s takes. Spectrum, amplitude and length are those with the largest restricted likelihood of the image,
+//! unknowns with a prior, variance of a height `~ amp^2 S(k l) exp(-s^2 k^2)`, of smooth light, `S = (1 + (k l)^2 / 6)^(-3)`, of turbulence cut by a
+//! sheet, `S = (1 + (k l)^2)^(-4/3)`, or of mixed light whose short waves diffusion took, `S = exp(-(k l)^8) / (1 + (8 k l)^2)`; the last factor
+//! is what the blur s takes. Spectrum, amplitude and length are those with the largest restricted likelihood of the image,
 //!
 //! ```text
 //! -2 ln L = chi^2 + ln det(J^T W J + Lambda^-1) + ln det Lambda + sum ln variance - sum ln W

@@ -10,8 +10,6 @@ use std::f64::consts::{PI, SQRT_2, TAU};
 
 /// Phase over one blur beyond which waves are left out: the image shows less than a third of their height.
 const SHORTEST: f64 = 1.57;
-/// Wave number times length beyond which smooth light has next to nothing, which is a thousandth: pixels of a whole disc tell that from nothing.
-const CUT: f64 = 6.5;
 /// Waves at most; the shortest are left out first.
 const MOST_WAVES: f64 = 200.0;
 /// Gain in twice the logarithm of the likelihood that a field must bring in a large disc, whose light nodes along the contour follow otherwise.
@@ -68,14 +66,20 @@ pub(super) enum Spectrum {
     Smooth,
     /// `(1 + (k l)^2)^(-4/3)`: what turbulence mixes, cut by a sheet (von Karman; `E(k) ~ k^(-5/3)` in space).
     Karman,
+    /// `exp(-(k l)^8) / (1 + (8 k l)^2)`: mixed light of which diffusion has taken all that is shorter than `2 pi l`; where waves end says
+    /// more of the light at the rim than how they fall.
+    Ended,
 }
 
 impl Spectrum {
+    const ALL: [Self; 3] = [Self::Smooth, Self::Karman, Self::Ended];
+
     /// Lengths tried, in semi-axes. Of the short waves of turbulence only amplitude and length together are seen.
     const fn lengths(self) -> &'static [f64] {
         match self {
             Self::Smooth => &[0.27, 0.36, 0.48, 0.64, 0.85, 1.15, 1.6, 2.2, 3.2, 4.5, 6.4],
             Self::Karman => &[0.4, 1.0, 2.5],
+            Self::Ended => &[0.08, 0.1, 0.125, 0.16, 0.2, 0.25, 0.32, 0.4, 0.5, 0.64],
         }
     }
 
@@ -83,6 +87,25 @@ impl Spectrum {
         match self {
             Self::Smooth => (1.0 + kl * kl / 6.0).powi(-3),
             Self::Karman => (1.0 + kl * kl).powf(-4.0 / 3.0),
+            Self::Ended => (-kl.powi(8)).exp() / (1.0 + 64.0 * kl * kl),
+        }
+    }
+
+    /// Wave number times length beyond which there is next to nothing, which is a thousandth: pixels of a whole disc tell that from nothing.
+    const fn cut(self) -> f64 {
+        match self {
+            Self::Smooth => 6.5,
+            Self::Karman => f64::INFINITY,
+            Self::Ended => 1.27,
+        }
+    }
+
+    /// Least length of which a blur shows more than the slope of a longer one, in blurs.
+    const fn least_length(self) -> f64 {
+        match self {
+            Self::Smooth => 1.8,
+            Self::Karman => 0.0,
+            Self::Ended => 1.0,
         }
     }
 
@@ -91,6 +114,7 @@ impl Spectrum {
         match self {
             Self::Smooth => 3.0 * length,
             Self::Karman => 1.0,
+            Self::Ended => (8.0 * length).min(2.0),
         }
     }
 }
@@ -115,10 +139,7 @@ impl Field {
     pub(super) fn new(spectrum: Spectrum, length: f64, e: &Ellipse, blur_px: f64) -> Self {
         let axes = [e.semi_major_px, e.semi_minor_px];
         let spacing = axes.map(|a| TAU / (2.0 * (1.0 + 2.5 * blur_px / a) + spectrum.margin(length)));
-        let shortest = match spectrum {
-            Spectrum::Smooth => axes.map(|a| (CUT / length).min(SHORTEST * a / blur_px)),
-            Spectrum::Karman => axes.map(|a| SHORTEST * a / blur_px),
-        };
+        let shortest = axes.map(|a| (spectrum.cut() / length).min(SHORTEST * a / blur_px));
         let count = 0.5 * PI * shortest[0] / spacing[0] * shortest[1] / spacing[1];
         let shortest = shortest.map(|k| k * (MOST_WAVES / count).sqrt().min(1.0));
         let most = [0, 1].map(|i| (shortest[i] / spacing[i]) as i32);
@@ -387,12 +408,12 @@ impl Exact {
     fn all_fields(&self, state: &State) -> Vec<Field> {
         let (e, blur_px) = (&state.ellipse, state.blur_px);
         // Nodes follow what turbulence mixes in large discs.
-        let large = is_large(e);
-        let least = 1.8 * blur_px / (e.semi_major_px * e.semi_minor_px).sqrt();
-        [Spectrum::Smooth, Spectrum::Karman]
+        let spectra = if is_large(e) { &Spectrum::ALL[..1] } else { &Spectrum::ALL[..] };
+        let blur = blur_px / (e.semi_major_px * e.semi_minor_px).sqrt();
+        spectra
             .iter()
             .flat_map(|s| s.lengths().iter().map(move |l| (*s, *l)))
-            .filter(|(s, l)| if *s == Spectrum::Karman { !large } else { *l >= least })
+            .filter(|(s, l)| *l >= s.least_length() * blur)
             .map(|(s, l)| Field { amplitude: 0.15 * state.step.abs(), ..Field::new(s, l, e, blur_px) })
             .collect()
     }
@@ -470,7 +491,9 @@ impl Exact {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::detect::exact::tests::fitted;
+    use crate::detect::exact::tests::{fitted, looked_at};
+    use crate::frames::Pixel;
+    use crate::stats::random::Random;
 
     /// Turbulence of any length has the same waves: what one field left says of the next what that says itself.
     #[test]
@@ -490,6 +513,47 @@ mod tests {
         let first = listen(&short, None);
         assert_ne!(first, alone);
         assert_eq!(listen(&long, Some(&short)), alone);
+    }
+
+    /// By how much light that ends is likelier than light that falls off, twice the logarithm: for a disc of 12 x 10 px full of eight waves, the
+    /// longest of 40 px, the shortest as long as its semi-minor axis over `shortest`.
+    fn ended_likelier(shortest: f64, seed: u64) -> f64 {
+        let ellipse =
+            Ellipse { center_px: Pixel::new(22.3, 21.6), semi_major_px: 12.0, semi_minor_px: 10.0, angle_rad: 0.4 };
+        let state = State { field: None, ..State::in_smoke(ellipse, 0.8, 60.0, 1.0, Field::default()) };
+        let mut random = Random(seed);
+        let waves: Vec<[f64; 3]> = (0..8)
+            .map(|i| {
+                let k = TAU / 40.0 * (4.0 * shortest).powf(f64::from(i) / 7.0);
+                let (s, c) = random.in_range(0.0, TAU).sin_cos();
+                [k * c, k * s, random.in_range(0.0, TAU)]
+            })
+            .collect();
+        let light = |u: f64, v: f64| {
+            let seen = |w: &[f64; 3]| (-0.32 * (w[0] * w[0] + w[1] * w[1])).exp() * (w[0] * u + w[1] * v + w[2]).sin();
+            60.0 * (1.0 + 0.1 * waves.iter().map(seen).sum::<f64>())
+        };
+        let mut exact = looked_at(44, &state, light, || random.gauss());
+        exact.sum_up(&state);
+        exact.hold_steps(&state);
+        let mut best = [f64::INFINITY; 2];
+        for field in exact.all_fields(&state) {
+            let ended = usize::from(field.spectrum == Spectrum::Ended);
+            let mut tried = State { field: Some(field), ..state.clone() };
+            let said = exact.likeliest(&mut tried, 9.0, None);
+            best[ended] = said.map_or(f64::INFINITY, |s| s.0).min(best[ended]);
+        }
+        best[0] - best[1]
+    }
+
+    /// Six discs: light that ends well before the blur takes it is as likely to end as to fall off, and light that goes on does not pass for
+    /// light that ends.
+    #[test]
+    fn light_that_goes_on_is_not_seen_to_end() {
+        let [ends, goes_on] =
+            [1.0, 4.0].map(|shortest| (1..=6).map(|seed| ended_likelier(shortest, seed)).sum::<f64>());
+        println!("ended likelier by {ends:.1} and {goes_on:.1}");
+        assert!(ends > -50.0 && goes_on < -1000.0);
     }
 
     /// Light that no wave may explain asks for louder noise, again and again; it gets what a disc may have and no more.
