@@ -101,6 +101,11 @@ impl State {
         let e = &self.ellipse;
         self.blur_px * e.semi_major_px > SMALL * e.semi_minor_px * e.semi_minor_px
     }
+
+    /// Number of heights of waves, a cosine and a sine each.
+    fn heights(&self) -> usize {
+        self.field.as_ref().map_or(0, |f| 2 * f.waves.len())
+    }
 }
 
 /// Buffers reused from disc to disc, and the result.
@@ -160,8 +165,7 @@ impl Exact {
 
     /// Number of unknowns of the light.
     fn lights(state: &State) -> usize {
-        let waves = state.field.as_ref().map_or(0, |f| 2 * f.waves.len());
-        waves + state.sides.iter().map(Side::count).sum::<usize>()
+        state.heights() + state.sides.iter().map(Side::count).sum::<usize>()
     }
 
     fn look(&mut self, view: &GrayView, state: &State, contour: &Contour, keep: &[bool], reach: Reach) -> bool {
@@ -238,8 +242,8 @@ impl Exact {
     ) {
         let (feet, pixels) = self.feet_and_pixels(state, frame, lanes, (i, shown));
         let root = self.roots(state, i, pixels.map(|pixel| pixel.inside));
-        let (of_waves, waves) = self.fill_waves(state, &pixels, &root, at);
-        let j = Self::lights(state);
+        let of_waves = self.fill_waves(state, &pixels, &root, at);
+        let (waves, j) = (state.heights(), Self::lights(state));
         for l in 0..shown {
             let (p, at) = (i + l, at + l);
             let (root, slope) = (root[l], pixels[l].slope);
@@ -273,18 +277,11 @@ impl Exact {
         (feet, pixels)
     }
 
-    /// The columns of the waves, if any; returns the derivative of their light by the distance and how many columns they are.
-    fn fill_waves(
-        &mut self,
-        state: &State,
-        pixels: &[At; LANES],
-        root: &[f64; LANES],
-        at: usize,
-    ) -> ([f64; LANES], usize) {
-        let Some(field) = &state.field else { return ([0.0; LANES], 0) };
+    /// The columns of the waves, if any; returns the derivative of their light by the distance.
+    fn fill_waves(&mut self, state: &State, pixels: &[At; LANES], root: &[f64; LANES], at: usize) -> [f64; LANES] {
+        let Some(field) = &state.field else { return [0.0; LANES] };
         let (heights, columns, turns) = (Heights::Common(&self.light), &mut self.columns[at..], &mut self.turns);
-        let of_waves = lanes::run(Waves { field, pixels, root, heights, columns, turns });
-        (of_waves, 2 * field.waves.len())
+        lanes::run(Waves { field, pixels, root, heights, columns, turns })
     }
 
     /// The pixel at place `p`, whose profile is that of lane `l`, as the columns of light need it.
@@ -579,7 +576,7 @@ pub(crate) fn is_large(e: &Ellipse) -> bool {
 
 /// Difference of the polynomials of the two sides on the contour, at an eccentric angle, with coefficients `of` the unknowns of the light.
 fn polynomial_step(state: &State, c: f64, s: f64, of: impl Fn(usize) -> f64) -> f64 {
-    let first = 2 * state.field.as_ref().map_or(0, |f| f.waves.len());
+    let first = state.heights();
     let [inner, outer] = [0, 1].map(|i| state.sides[i].count());
     let edge = on_contour(c, s);
     let sum = |from: usize, count: usize| (0..count).map(|m| of(from + m) * edge[m]).sum::<f64>();

@@ -59,11 +59,12 @@ impl Exact {
         let (_, local) = self.feet_and_pixels(state, frame, lanes, (i, shown));
         let pixels: [At; LANES] = std::array::from_fn(|l| exactly(state, &local[l], &seen, l.min(shown - 1)));
         let root = self.roots(state, i, pixels.map(|pixel| pixel.inside.clamp(0.0, 1.0)));
-        let (of_waves, waves) = self.fill_waves(state, &local, &root, at);
+        // Of waves along the profile only what they say of the distance is wanted, which is nothing before they have heights.
+        let of_waves = if self.light.is_empty() { [0.0; LANES] } else { self.fill_waves(state, &local, &root, at) };
+        let (waves, j) = (state.heights(), Self::lights(state));
         if waves > 0 {
             self.area.fill(&place, &root, &mut self.columns[at..]);
         }
-        let j = Self::lights(state);
         for l in 0..shown {
             let (p, at, root) = (i + l, at + l, root[l]);
             let expected = self.fill_polynomials(state, &pixels[l], root, at, waves);
