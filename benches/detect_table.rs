@@ -15,7 +15,7 @@ fn main() {
     let words: Vec<String> = std::env::args().skip(1).filter(|x| !x.starts_with("--")).collect();
     let wished = |name: &str| words.iter().find_map(|w| w.strip_prefix(name).map(|x| x.parse().unwrap()));
     let (scenes_wished, shots_wished) = (wished("scenes="), wished("shots="));
-    let lights = ["even", "slanted", "smoke", "haze", "bent", "glare"];
+    let lights = ["even", "slanted", "smoke", "haze", "bent", "glare", "bubble"];
     let any_light = !words.iter().any(|w| lights.contains(&&w[..]));
     let sizes: Vec<f64> = words.iter().filter_map(|w| w.parse().ok()).collect();
     let wide = std::env::var("SPIVCAL_TABLE").is_ok_and(|x| x == "wide");
@@ -32,8 +32,9 @@ fn main() {
     for &semi_minor_px in radii {
         for (ratio, blur_px, light, bits, bright) in conditions() {
             // On small discs such light is even or slanted.
-            let added = matches!(light, Light::Bent | Light::Haze);
-            if blur_px > 0.45 * semi_minor_px || added && semi_minor_px < 40.0 {
+            let late = matches!(light, Light::Bent | Light::Haze);
+            let added = late || light == Light::Bubble;
+            if blur_px > 0.45 * semi_minor_px || late && semi_minor_px < 40.0 {
                 continue;
             }
             // Rows keep their seeds.
@@ -41,6 +42,7 @@ fn main() {
             let seed = match light {
                 Light::Bent => 1000 + semi_minor_px as u64,
                 Light::Haze => 2000 + semi_minor_px as u64,
+                Light::Bubble => 3000 + semi_minor_px as u64,
                 _ => seed,
             };
             let name = lights[light as usize];
@@ -51,7 +53,7 @@ fn main() {
             let c = Condition { semi_minor_px, ratio, blur_px, light, bits, noise: 0.015, bright };
             let (scenes, shots) = match (light, semi_minor_px > 50.0) {
                 // What smoke does to a scene it does to all its images.
-                (Light::Smoke | Light::Haze, false) => (100, 1),
+                (Light::Smoke | Light::Haze | Light::Bubble, false) => (100, 1),
                 (_, false) => (20, 8),
                 (_, true) => (4, 8),
             };
@@ -70,7 +72,7 @@ fn main() {
 }
 
 /// a/b, blur, light, bits, bright.
-fn conditions() -> [(f64, f64, Light, u32, bool); 11] {
+fn conditions() -> [(f64, f64, Light, u32, bool); 12] {
     [
         (1.2, 0.8, Light::Even, 8, false),
         (1.2, 0.8, Light::Even, 16, true),
@@ -82,6 +84,7 @@ fn conditions() -> [(f64, f64, Light, u32, bool); 11] {
         (1.2, 0.8, Light::Haze, 16, true),
         (1.2, 0.8, Light::Bent, 8, false),
         (1.2, 0.8, Light::Smoke, 16, true),
+        (1.2, 0.8, Light::Bubble, 16, true),
         (1.2, 0.8, Light::Glare, 8, false),
     ]
 }

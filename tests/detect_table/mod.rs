@@ -22,7 +22,12 @@ pub enum Light {
     Bent,
     /// A saturated spot of a quarter of the radius on the contour; where it adds more than half the noise nothing is seen.
     Glare,
+    /// As smoke, but even in the plane of the disc in place of the image: as that of a round bubble that is seen obliquely.
+    Bubble,
 }
+
+/// Angle of the major axis, rad.
+const PHI: f64 = 0.4;
 
 #[derive(Clone, Copy)]
 pub struct Condition {
@@ -69,7 +74,21 @@ impl Condition {
 
     fn spot(&self, du: f64, dv: f64) -> Spot {
         let middle = (self.size() / 2) as f64;
-        Spot { u: middle + du, v: middle + dv, a: self.semi_minor_px * self.ratio, b: self.semi_minor_px, phi: 0.4 }
+        Spot { u: middle + du, v: middle + dv, a: self.semi_minor_px * self.ratio, b: self.semi_minor_px, phi: PHI }
+    }
+
+    fn smoky(&self) -> bool {
+        matches!(self.light, Light::Smoke | Light::Haze | Light::Bubble)
+    }
+
+    /// Wave vector of smoke in the image, 1/px, of `k` (1/px along the minor axis) at the angle `t`.
+    fn wave(&self, k: f64, t: f64) -> [f64; 2] {
+        let [x, y] = [k * t.cos(), k * t.sin()];
+        if self.light != Light::Bubble {
+            return [x, y];
+        }
+        let (s, c) = PHI.sin_cos();
+        [x / self.ratio * c - y * s, x / self.ratio * s + y * c]
     }
 
     /// Grey levels of the ground and the disc.
@@ -89,8 +108,8 @@ impl Condition {
             .map(|i| {
                 let wavelength = self.wavelengths()[i];
                 let t = TAU * random.uniform();
-                let k = TAU / wavelength;
-                [k * t.cos(), k * t.sin(), TAU * random.uniform(), 0.3 / 8.0_f64.sqrt()]
+                let [x, y] = self.wave(TAU / wavelength, t);
+                [x, y, TAU * random.uniform(), 0.3 / 8.0_f64.sqrt()]
             })
             .collect()
     }
@@ -109,8 +128,8 @@ impl Condition {
                     (ground + (disc - ground) * cover) * (1.0 + 0.05 * x - 0.05 * x * x - 0.025 * y * y)
                 }
                 Light::Slanted => (ground + (disc - ground) * cover) * (1.0 + 0.3 * (0.8 * x + 0.6 * y) / across),
-                Light::Smoke | Light::Haze if cover == 0.0 => ground,
-                Light::Smoke | Light::Haze => {
+                Light::Smoke | Light::Haze | Light::Bubble if cover == 0.0 => ground,
+                Light::Smoke | Light::Haze | Light::Bubble => {
                     let smoke: f64 = waves.iter().map(|w| w[3] * (w[0] * x + w[1] * y + w[2]).sin()).sum();
                     ground + (disc * (1.0 + smoke) - ground) * cover
                 }
@@ -183,7 +202,7 @@ impl Condition {
                     [of(&|x, _| x), of(&|_, y| y), of(&|x, _| x * x), of(&|x, y| x * y), of(&|_, y| y * y)]
                 })
                 .collect(),
-            Light::Smoke | Light::Haze => self
+            Light::Smoke | Light::Haze | Light::Bubble => self
                 .wavelengths()
                 .into_iter()
                 .flat_map(|wavelength| {
@@ -193,7 +212,8 @@ impl Condition {
                     let weight = 2.0 * directions / (0.3 * 0.3 / 8.0);
                     let turned = (0..directions as usize).map(move |i| i as f64 * PI / directions);
                     turned.flat_map(move |t| {
-                        [(k * t.cos(), k * t.sin(), 0.0, weight), (k * t.cos(), k * t.sin(), 0.5 * PI, weight)]
+                        let [x, y] = self.wave(k, t);
+                        [(x, y, 0.0, weight), (x, y, 0.5 * PI, weight)]
                     })
                 })
                 .map(|(x, y, phase, weight)| (image(&|u, v| (x * u + y * v + phase).sin(), disc, 0.0), weight))
@@ -227,10 +247,7 @@ impl Condition {
         each: impl FnMut(&Spot, &[f32], Option<&Disc>),
     ) -> [f64; 4] {
         // The smoke modulates the step, a spot hides another stretch of the contour: the bound is another in each scene.
-        let bounds = match self.light {
-            Light::Smoke | Light::Haze | Light::Glare => scenes,
-            _ => 1,
-        };
+        let bounds = if self.smoky() || self.light == Light::Glare { scenes } else { 1 };
         self.expose_all([scenes, shots, bounds], seed, each)
     }
 
