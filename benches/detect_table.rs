@@ -51,10 +51,10 @@ fn main() {
                 continue;
             }
             let c = Condition { semi_minor_px, ratio, blur_px, light, bits, noise: 0.015, bright };
-            let (scenes, shots) = match (light, semi_minor_px > 50.0) {
+            let (scenes, shots) = match (light.is_smoke(), semi_minor_px > 50.0) {
                 // What smoke does to a scene it does to all its images.
-                (Light::Smoke | Light::Haze | Light::Bubble, false) => (100, 1),
-                (_, false) => (20, 8),
+                (true, false) => (100, 1),
+                (false, false) => (20, 8),
                 (_, true) => (4, 8),
             };
             let (scenes, shots) = (scenes_wished.unwrap_or(scenes), shots_wished.unwrap_or(shots));

@@ -26,6 +26,13 @@ pub enum Light {
     Bubble,
 }
 
+impl Light {
+    /// Whether the disc is full of waves.
+    pub fn is_smoke(self) -> bool {
+        matches!(self, Self::Smoke | Self::Haze | Self::Bubble)
+    }
+}
+
 /// Angle of the major axis, rad.
 const PHI: f64 = 0.4;
 
@@ -77,11 +84,8 @@ impl Condition {
         Spot { u: middle + du, v: middle + dv, a: self.semi_minor_px * self.ratio, b: self.semi_minor_px, phi: PHI }
     }
 
-    fn smoky(&self) -> bool {
-        matches!(self.light, Light::Smoke | Light::Haze | Light::Bubble)
-    }
-
-    /// Wave vector of smoke in the image, 1/px, of `k` (1/px along the minor axis) at the angle `t`.
+    /// Wave vector of smoke in the image, along u and v, 1/px: of wave number `k` (1/px) at the angle `t` from u; of a bubble from the major axis, along
+    /// which waves are longer by major over minor, as the disc is.
     fn wave(&self, k: f64, t: f64) -> [f64; 2] {
         let [x, y] = [k * t.cos(), k * t.sin()];
         if self.light != Light::Bubble {
@@ -247,7 +251,7 @@ impl Condition {
         each: impl FnMut(&Spot, &[f32], Option<&Disc>),
     ) -> [f64; 4] {
         // The smoke modulates the step, a spot hides another stretch of the contour: the bound is another in each scene.
-        let bounds = if self.smoky() || self.light == Light::Glare { scenes } else { 1 };
+        let bounds = if self.light.is_smoke() || self.light == Light::Glare { scenes } else { 1 };
         self.expose_all([scenes, shots, bounds], seed, each)
     }
 
