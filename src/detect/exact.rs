@@ -5,7 +5,7 @@
 //!
 //! Smoke is a random field: waves on a lattice of wave vectors `k` in units of the semi-axes, whose heights are
 //! unknowns with a prior, variance of a height `~ amp^2 S(k l) exp(-s^2 k^2)`, of smooth light, `S = (1 + (k l)^2 / 6)^(-3)`, of turbulence cut by a
-//! sheet, `S = (1 + (k l)^2)^(-4/3)`, or of mixed light whose short waves diffusion took, `S = exp(-(k l)^8) / (1 + (8 k l)^2)`; the last factor
+//! sheet, `S = (1 + (k l)^2)^(-4/3)`, or of waves that end with a shortest one, `S = exp(-(k l)^8) / (1 + (8 k l)^2)`; the last factor
 //! is what the blur s takes. Spectrum, amplitude and length are those with the largest restricted likelihood of the image,
 //!
 //! ```text
