@@ -31,10 +31,11 @@ fn main() {
     let mut seed = 1;
     for &semi_minor_px in radii {
         for (ratio, blur_px, light, bits, bright) in conditions() {
-            // On small discs such light is even or slanted.
+            // On small discs such light is even or slanted, large discs are hardly behind a blur.
             let late = matches!(light, Light::Bent | Light::Haze);
-            let added = late || light == Light::Bubble;
-            if blur_px > 0.45 * semi_minor_px || late && semi_minor_px < 40.0 {
+            let behind = light == Light::Smoke && blur_px > 1.0;
+            let added = late || behind || light == Light::Bubble;
+            if blur_px > 0.45 * semi_minor_px || late && semi_minor_px < 40.0 || behind && semi_minor_px > 20.0 {
                 continue;
             }
             // Rows keep their seeds.
@@ -43,6 +44,7 @@ fn main() {
                 Light::Bent => 1000 + semi_minor_px as u64,
                 Light::Haze => 2000 + semi_minor_px as u64,
                 Light::Bubble => 3000 + semi_minor_px as u64,
+                _ if behind => 1000 * blur_px as u64 + 4000 + semi_minor_px as u64,
                 _ => seed,
             };
             let name = lights[light as usize];
@@ -72,7 +74,7 @@ fn main() {
 }
 
 /// a/b, blur, light, bits, bright.
-fn conditions() -> [(f64, f64, Light, u32, bool); 12] {
+fn conditions() -> [(f64, f64, Light, u32, bool); 14] {
     [
         (1.2, 0.8, Light::Even, 8, false),
         (1.2, 0.8, Light::Even, 16, true),
@@ -84,6 +86,8 @@ fn conditions() -> [(f64, f64, Light, u32, bool); 12] {
         (1.2, 0.8, Light::Haze, 16, true),
         (1.2, 0.8, Light::Bent, 8, false),
         (1.2, 0.8, Light::Smoke, 16, true),
+        (1.2, 1.7, Light::Smoke, 16, true),
+        (1.2, 3.0, Light::Smoke, 16, true),
         (1.2, 0.8, Light::Bubble, 16, true),
         (1.2, 0.8, Light::Glare, 8, false),
     ]

@@ -20,7 +20,7 @@
 //! well, which may be four times louder where there is more light (`ln (variance / outside) ~ N(0, ln 4)`), but hardly quieter (`ln 1.3`).
 //! A small disc is asked for smoke where its inside is louder or less even than its ground, where its light rises and the ground does not, or where more is left
 //! than noise: weak slow smoke shows no more than a slope, and its bend would draw the contour. Behind a blur any smoke may look so: a few fields are
-//! asked then whether they say more (`Exact::may_be_smoke`). What light and edge do to each other in second order is taken off (`second.rs`).
+//! asked then whether they say more (`asked.rs`). What light and edge do to each other in second order is taken off (`second.rs`).
 //! Of large discs ([`is_large`]) a field is asked for where light along the contour changes slowly, and must leave no more than noise; nodes along
 //! the contour ([`crate::detect::light`]) follow what is faster.
 //!
@@ -31,6 +31,7 @@
 //! | J^T W J | `gram` | n x n | | products of all columns, the grey values last |
 
 mod area;
+mod asked;
 mod field;
 mod hidden;
 mod left;
@@ -73,7 +74,7 @@ const MOST_ROUNDS: usize = 8;
 /// well there.
 const MOST_CONTOUR_PX: f64 = 130.0;
 /// Product of curvature and blur above which the local profile no longer holds.
-pub(crate) const SMALL: f64 = 0.33;
+const SMALL: f64 = 0.33;
 /// How much `chi^2` must fall for a slope of the light: its two coefficients, 3.5 standard deviations, and 4 for having looked.
 pub(crate) const SLOPE: f64 = 13.0;
 
@@ -98,8 +99,7 @@ pub(crate) struct State {
 impl State {
     /// Whether the disc is so small against its blur that only the integrals along the contour hold.
     fn exact_rim(&self) -> bool {
-        let e = &self.ellipse;
-        self.blur_px * e.semi_major_px > SMALL * e.semi_minor_px * e.semi_minor_px
+        on_rim(&self.ellipse, self.blur_px)
     }
 
     /// Number of heights of waves, a cosine and a sine each.
@@ -567,6 +567,11 @@ impl Exact {
         q += moved;
         Some((from_regular(&q)?, moved, state.blur_px + change[0]))
     }
+}
+
+/// Whether a disc is so small against its blur that only integrals along the contour hold.
+pub(crate) fn on_rim(e: &Ellipse, blur_px: f64) -> bool {
+    blur_px * e.semi_major_px > SMALL * e.semi_minor_px * e.semi_minor_px
 }
 
 /// Whether a disc is fitted with a field only where the light changes slowly.

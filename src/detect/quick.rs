@@ -30,7 +30,7 @@ use crate::detect::contour::Contour;
 use crate::detect::correlation::Allowance;
 use crate::detect::dense::{Dense, FIXED};
 use crate::detect::edge_model::{LEAST_BLUR_PX, blur_weight};
-use crate::detect::exact::{SLOPE, SMALL, Share};
+use crate::detect::exact::{SLOPE, Share, on_rim};
 use crate::detect::light::Side;
 use crate::detect::refine::{border_px, reach_px};
 use crate::detect::shared_light::in_axes;
@@ -233,8 +233,7 @@ impl Quick {
         let noise = if is_short(e) { state.variance[0].max(state.variance[1]).sqrt() } else { 0.0 };
         let near = near_px(state.blur_px, noise / state.step.abs());
         let inner = reach.min(0.85 * e.semi_minor_px);
-        let small = state.blur_px * e.semi_major_px > SMALL * e.semi_minor_px * e.semi_minor_px;
-        if small || inner < near + 0.5 || outer_px < near + 2.0 {
+        if on_rim(e, state.blur_px) || inner < near + 0.5 || outer_px < near + 2.0 {
             return None;
         }
         let frame = Frame::new(e);

@@ -33,6 +33,16 @@ impl Light {
     }
 }
 
+/// Errors of the centre (u, v) and the semi-axes of a disc, px, and the mean square of all five numbers, the angle with them, in its sigmas.
+pub fn off(spot: &Spot, disc: &Disc) -> ([f64; 4], f64) {
+    let e = &disc.ellipse;
+    let turned = (e.angle_rad - spot.phi + 0.5 * PI).rem_euclid(PI) - 0.5 * PI;
+    let [u, v] = [e.center_px.u_px - spot.u, e.center_px.v_px - spot.v];
+    let all = SVector::<f64, 5>::from([u, v, e.semi_major_px - spot.a, e.semi_minor_px - spot.b, turned]);
+    let z2 = all.dot(&(disc.covariance.try_inverse().unwrap() * all)) / 5.0;
+    ([all[0], all[1], all[2], all[3]], z2)
+}
+
 /// Angle of the major axis, rad.
 const PHI: f64 = 0.4;
 
@@ -309,17 +319,9 @@ impl Condition {
         let (mut errors, mut z2) = (Vec::new(), 0.0);
         let bound_px = self.show(scenes, shots, seed, |spot, _, disc| {
             let Some(disc) = disc else { return };
-            let e = &disc.ellipse;
-            let turned = (e.angle_rad - spot.phi + 0.5 * PI).rem_euclid(PI) - 0.5 * PI;
-            let all = SVector::<f64, 5>::from([
-                e.center_px.u_px - spot.u,
-                e.center_px.v_px - spot.v,
-                e.semi_major_px - spot.a,
-                e.semi_minor_px - spot.b,
-                turned,
-            ]);
-            z2 += all.dot(&(disc.covariance.try_inverse().unwrap() * all)) / 5.0;
-            errors.push([all[0], all[1], all[2], all[3]]);
+            let (error, squared) = off(spot, disc);
+            z2 += squared;
+            errors.push(error);
         });
         let n = errors.len().max(2) as f64;
         let bias_px = std::array::from_fn(|k| errors.iter().map(|e| e[k]).sum::<f64>() / n);

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! `G` the Gaussian of standard deviation `s`. Strips across the major axis lie at equal steps of `t`, over whose whole turn the integrand is smooth and periodic; along
-//! each strip places and weights are those of Gauss and Legendre. Places less than a blur apart leave 1e-6. Places too far from eight pixels for
+//! each strip places and weights are those of Gauss and Legendre. Places less than a blur apart leave 1e-6, of the shortest waves 1e-5. Places too far from eight pixels for
 //! any of them to see are left out.
 //!
 //! The waves lie on a lattice, and a wave is the product of one along either axis: the places of a strip are summed up once for all waves of
@@ -280,8 +280,8 @@ mod tests {
     const BLUR: f64 = 1.5;
     /// Semi-axes, px: a disc, and a flat one of which some pixels see some places only.
     const DISCS: [[f64; 2]; 2] = [[4.8, 4.0], [24.0, 3.0]];
-    /// Steps of a lattice, a phase of 0.1 over one blur each, up to 1.57; one beside that which goes the other way, as a lattice has it, and some alone.
-    const STEPS: [[i32; 2]; 5] = [[0, 0], [9, -7], [3, 2], [11, 11], [3, -2]];
+    /// Steps of a lattice, a phase of 0.1 over one blur each, up to 2.5; one beside that which goes the other way, as a lattice has it, and some alone.
+    const STEPS: [[i32; 2]; 6] = [[0, 0], [9, -7], [3, 2], [11, 11], [3, -2], [18, -17]];
 
     /// Integrals over many thin strips cut into cells, cosine and sine.
     fn by_cells([a, b]: [f64; 2], [kx, ky]: [f64; 2], p: [f64; 2]) -> [f64; 2] {

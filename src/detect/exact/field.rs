@@ -1,6 +1,6 @@
 //! Smoke as a random field: its lattice of waves, its prior, and what not knowing it costs.
 
-use super::{Exact, SLICE, State, is_large};
+use super::{Exact, SLICE, State, is_large, on_rim};
 use crate::conic::Ellipse;
 use crate::detect::band::LANES;
 use crate::detect::dense::FIXED;
@@ -8,20 +8,16 @@ use crate::detect::light::Side;
 use nalgebra::{SMatrix, SVector};
 use std::f64::consts::{PI, SQRT_2, TAU};
 
-/// Phase over one blur beyond which waves are left out: the image shows less than a third of their height.
+/// Phase over one blur beyond which waves are left out: where the local profile of the edge holds, which says nothing of shorter ones, and on discs small against their
+/// blur, whose integrals hold for any wave. There the image shows a thirtieth of the height of the shortest far from the edge, but more at the edge.
 const SHORTEST: f64 = 1.57;
+const SHORTEST_ON_RIM: f64 = 2.5;
 /// Waves at most; the shortest are left out first.
 const MOST_WAVES: f64 = 200.0;
 /// Gain in twice the logarithm of the likelihood that a field must bring in a large disc, whose light nodes along the contour follow otherwise.
 const WORTH: f64 = 16.0;
 /// Loss in the same that a field may bring in a small disc: light without waves is among what its result is the mean over.
 const AFFORDED: f64 = 8.0;
-/// Fields that are asked whether a small disc may be full of smoke: lengths in semi-axes, amplitudes in steps of the light; and the gain in twice the
-/// logarithm of the likelihood that says so, where the light outside is even and where it rises: discs in such light gain up to 7 and, as not knowing its slopes costs
-/// 15, up to 21, smoke behind a blur 20 to 500.
-const ASKED_LENGTHS: [f64; 3] = [0.64, 1.15, 2.2];
-const ASKED_AMPLITUDES: [f64; 3] = [0.06, 0.12, 0.24];
-const LIKELIER: [f64; 2] = [10.0, 30.0];
 /// Loss in the same from which a field has no say.
 const NO_SAY: f64 = 16.0;
 /// Times that noise inside is made louder by a factor of `sqrt(2)` in its variance.
@@ -48,8 +44,13 @@ fn prior_of_noise([inside, outside]: [f64; 2], step: f64) -> f64 {
 
 /// Minus twice the logarithm of the prior of an amplitude beside a step of the light: light is nowhere negative, and a scatter of more than its mean
 /// hardly ever seen.
-fn prior_of_amplitude(amplitude: f64, step: f64) -> f64 {
+pub(super) fn prior_of_amplitude(amplitude: f64, step: f64) -> f64 {
     (amplitude / (AMPLE * step)).powi(2)
+}
+
+/// What the prior of the slopes of one side takes for them, in twice the logarithm of the likelihood.
+pub(super) fn price_of_slopes(side: &Side) -> f64 {
+    side.prior_sigmas()[2..side.count()].iter().map(|s| 2.0 * s.ln()).sum()
 }
 
 /// Variance of the noise inside beyond which it would hide the step of the light: what asks for more is not the light of a disc.
@@ -142,7 +143,8 @@ impl Field {
     pub(super) fn new(spectrum: Spectrum, length: f64, e: &Ellipse, blur_px: f64) -> Self {
         let axes = [e.semi_major_px, e.semi_minor_px];
         let spacing = axes.map(|a| TAU / (2.0 * (1.0 + 2.5 * blur_px / a) + spectrum.margin(length)));
-        let shortest = axes.map(|a| (spectrum.cut() / length).min(SHORTEST * a / blur_px));
+        let most = if on_rim(e, blur_px) { SHORTEST_ON_RIM } else { SHORTEST };
+        let shortest = axes.map(|a| (spectrum.cut() / length).min(most * a / blur_px));
         let count = 0.5 * PI * shortest[0] / spacing[0] * shortest[1] / spacing[1];
         let shortest = shortest.map(|k| k * (MOST_WAVES / count).sqrt().min(1.0));
         let most = [0, 1].map(|i| (shortest[i] / spacing[i]) as i32);
@@ -193,9 +195,9 @@ impl State {
 }
 
 /// What one field says.
-struct Said {
+pub(super) struct Said {
     /// Minus twice the logarithm of its likelihood.
-    value: f64,
+    pub(super) value: f64,
     amplitude: f64,
     change: SVector<f64, FIXED>,
     covariance: SMatrix<f64, 5, 5>,
@@ -277,35 +279,6 @@ impl Exact {
         (all, bests)
     }
 
-    /// Whether a field says clearly more of a small disc than the polynomials of `state`, to which the image was fitted last: what the blur leaves
-    /// of smoke is often no more than such light shows.
-    pub(crate) fn may_be_smoke(&mut self, state: &State) -> bool {
-        let own = (self.dense.clone(), self.found.clone(), self.light.clone());
-        self.hold_steps(state);
-        self.light.clear();
-        let plain = [0, 1].into_iter().filter_map(|degree| self.listen_plainly(state, degree));
-        let plain = plain.map(|s| s.value).fold(f64::INFINITY, f64::min);
-        let mut least = f64::INFINITY;
-        for length in ASKED_LENGTHS {
-            let field = Field::new(Spectrum::Smooth, length, &state.ellipse, state.blur_px);
-            let mut tried = State { field: Some(field), ..state.clone() };
-            tried.sides[0] = Side::plain(0, state.step.abs());
-            self.sum_up(&tried);
-            let noise = self.price_of_noise(&tried);
-            for part in ASKED_AMPLITUDES {
-                let amplitude = part * state.step.abs();
-                if let Some(f) = &mut tried.field {
-                    f.amplitude = amplitude;
-                }
-                let value = self.solve(&tried).map_or(f64::INFINITY, |x| x + prior_of_amplitude(amplitude, state.step));
-                least = least.min(value + noise);
-            }
-        }
-        self.held.clear();
-        (self.dense, self.found, self.light) = own;
-        least + LIKELIER[usize::from(state.sides[1].degree > 0)] < plain
-    }
-
     /// Spectrum, length and amplitude with the largest likelihood; no field where none is worth it, beside light without waves, both under
     /// noise inside made louder up to `loudest` times. Unless `afresh`, only the amplitude of a field chosen before is chosen anew.
     pub(super) fn choose_field(&mut self, state: &mut State, afresh: bool, loudest: usize) {
@@ -361,7 +334,7 @@ impl Exact {
     }
 
     /// Sum of the logarithms of the noise variances of the pixels summed up last, and what the prior of the noise takes for it.
-    fn price_of_noise(&self, state: &State) -> f64 {
+    pub(super) fn price_of_noise(&self, state: &State) -> f64 {
         let chosen = (0..self.count).filter(|i| (i / SLICE).is_multiple_of(self.thinned.max(1)));
         let logs: f64 = chosen.map(|i| -Self::weight(state, self.inside[i]).ln()).sum();
         logs + prior_of_noise(state.variance, state.step)
@@ -391,13 +364,11 @@ impl Exact {
     }
 
     /// What light without waves, of the degree given inside, says under the noise of the state.
-    fn listen_plainly(&mut self, state: &State, degree: usize) -> Option<Said> {
+    pub(super) fn listen_plainly(&mut self, state: &State, degree: usize) -> Option<Said> {
         let mut plain = State { field: None, ..state.clone() };
         plain.sides[0] = Side { degree, ..plain.sides[0] };
-        let (sigmas, count) = (plain.sides[0].prior_sigmas(), plain.sides[0].count());
-        let slopes: f64 = sigmas[2..count].iter().map(|s| 2.0 * s.ln()).sum();
         self.sum_up(&plain);
-        let value = self.solve(&plain)? + slopes + self.price_of_noise(&plain);
+        let value = self.solve(&plain)? + price_of_slopes(&plain.sides[0]) + self.price_of_noise(&plain);
         Some(self.said(&plain, value, 0.0))
     }
 

@@ -194,10 +194,11 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     // Nothing that lies in the light or upon it explains an edge that is no Gaussian's all around.
     let edge_alone = !(nodes && large) && s.exact.edge_alone(&state);
     let seen = !edge_alone && (nodes || looks_smoky(&state, &s.exact, large));
-    // Light that only fields explain is not to pass for something hidden.
-    let told = !seen && !edge_alone && !large && start.smoke && s.exact.may_be_smoke(&state);
-    let smoky = seen || told;
     let explained = large || s.exact.misfit() < UNEXPLAINED;
+    // Light that only fields explain is not to pass for something hidden; nor that which a slope explains, but for a few pixels.
+    let ask = !edge_alone && !large && start.smoke && (!seen || !nodes && explained);
+    let told = ask && s.exact.may_be_smoke(&state);
+    let smoky = seen || told;
     let (mut clear, mut doubtful) = (false, None);
     if start.smoke && !edge_alone && !(nodes && large) {
         // What is hidden is asked for before smoke.

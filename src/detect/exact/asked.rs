@@ -1,0 +1,67 @@
+//! Whether a small disc may be full of smoke: what the blur leaves of smoke is often no more than light that rises shows.
+//!
+//! A few fields are held against light without waves, both under the noise that the fit found. Light that rises outside has a slope there, which smoke behind a blur
+//! is often taken for: then it is asked besides what a field says with even light outside, and the prior of those slopes is counted for the light that has them.
+//!
+//! ```text
+//! gain = 2 ln L(waves, outside as it is or even) - 2 ln L(level or slope, outside as it is)
+//! ```
+//!
+//! Of 1600 discs of 3 to 8 px without smoke, behind blurs of 1.3 to 3 px in even light, 99 of 100 have a gain below 4, the most is 8.7. Where light rises by
+//! 30 % across them, inside and out, waves gain up to 22, as not knowing the slopes inside costs 15, and with even light outside they lose 1e5;
+//! smoke taken for such light gains 12 to 250, with even light outside 45 to 1100.
+
+use super::field::{Field, Spectrum, price_of_slopes, prior_of_amplitude};
+use super::{Exact, State};
+use crate::detect::light::Side;
+
+/// Fields that are asked: lengths in semi-axes, amplitudes in steps of the light.
+const LENGTHS: [f64; 3] = [0.64, 1.15, 2.2];
+const AMPLITUDES: [f64; 3] = [0.06, 0.12, 0.24];
+/// The gain that says that there may be smoke: where light outside is even, where it rises, and with even light in place of that.
+const LIKELIER: f64 = 6.0;
+const LIKELIER_ON_SLOPE: f64 = 30.0;
+const LIKELIER_THAN_SLOPE: f64 = 25.0;
+
+impl Exact {
+    /// Whether a field says clearly more of a small disc than the polynomials of `state`, to which the image was fitted last.
+    pub(crate) fn may_be_smoke(&mut self, state: &State) -> bool {
+        let own = (self.dense.clone(), self.found.clone(), self.light.clone());
+        self.hold_steps(state);
+        self.light.clear();
+        let plain = [0, 1].into_iter().filter_map(|degree| self.listen_plainly(state, degree));
+        let plain = plain.map(|s| s.value).fold(f64::INFINITY, f64::min);
+        let outside = &state.sides[1];
+        let smoky = if outside.degree == 0 {
+            plain - self.likeliest_asked(state, *outside) > LIKELIER
+        } else {
+            let even = Side { degree: 0, ..*outside };
+            plain - self.likeliest_asked(state, *outside) > LIKELIER_ON_SLOPE
+                || plain + price_of_slopes(outside) - self.likeliest_asked(state, even) > LIKELIER_THAN_SLOPE
+        };
+        self.held.clear();
+        (self.dense, self.found, self.light) = own;
+        smoky
+    }
+
+    /// Minus twice the logarithm of the likelihood of the likeliest field asked, with the light given outside.
+    fn likeliest_asked(&mut self, state: &State, outside: Side) -> f64 {
+        let mut least = f64::INFINITY;
+        for length in LENGTHS {
+            let field = Field::new(Spectrum::Smooth, length, &state.ellipse, state.blur_px);
+            let sides = [Side::plain(0, state.step.abs()), outside];
+            let mut tried = State { field: Some(field), sides, ..state.clone() };
+            self.sum_up(&tried);
+            let noise = self.price_of_noise(&tried);
+            for part in AMPLITUDES {
+                let amplitude = part * state.step.abs();
+                if let Some(f) = &mut tried.field {
+                    f.amplitude = amplitude;
+                }
+                let value = self.solve(&tried).map_or(f64::INFINITY, |x| x + prior_of_amplitude(amplitude, state.step));
+                least = least.min(value + noise);
+            }
+        }
+        least
+    }
+}
