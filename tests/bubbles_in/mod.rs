@@ -5,7 +5,12 @@
 use spivcal::simulate::Scene;
 
 /// With a seed, and of its light the share of smoke, the length of its waves in mm and the unevenness.
-pub fn bubbles_in(seed: u64, [smoke, length_mm, unevenness]: [f64; 3]) -> Scene {
+pub fn bubbles_in(seed: u64, light: [f64; 3]) -> Scene {
+    Scene::parse(&bubbles_text(seed, light), "scene.toml").unwrap()
+}
+
+/// Its file.
+pub fn bubbles_text(seed: u64, [smoke, length_mm, unevenness]: [f64; 3]) -> String {
     let line = |line: &str| match line.split(" = ").next() {
         Some("seed") => format!("seed = {seed}"),
         Some("smoke") => format!("smoke = {smoke:?}"),
@@ -14,5 +19,5 @@ pub fn bubbles_in(seed: u64, [smoke, length_mm, unevenness]: [f64; 3]) -> Scene 
         _ => line.to_string(),
     };
     let text: Vec<String> = include_str!("../../examples/bubbles/scene.toml").lines().map(line).collect();
-    Scene::parse(&text.join("\n"), "scene.toml").unwrap()
+    text.join("\n")
 }

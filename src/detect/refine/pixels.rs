@@ -41,13 +41,17 @@ const LONGEST_PX: f64 = 900.0;
 /// Stretches of a quarter of the contour that are left out in turn.
 const STRETCHES: usize = 8;
 
-/// The short way: a disc with nothing hidden and nothing beside it; none where it may be otherwise.
+/// The short way: a disc with nothing hidden and nothing beside it; none where it may be otherwise. What it is content with may be weak smoke, which shows no
+/// more than a slope: small discs that may be full of it go the longer way.
 pub(super) fn clean_disc(
     view: &GrayView,
     start: &Start,
     options: &DetectOptions,
     s: &mut Scratch,
 ) -> Option<Result<Disc, RejectionReason>> {
+    if start.smoke && !is_large(&start.ellipse) {
+        return None;
+    }
     let frame = Frame::new(&start.ellipse);
     let gap = |e: &Ellipse| least_gap_px(&frame, e);
     let outer_px = start.neighbours.iter().map(gap).fold(f64::INFINITY, f64::min) * NEIGHBOUR;
@@ -196,7 +200,7 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let seen = !edge_alone && (nodes || looks_smoky(&state, &s.exact, large));
     let explained = large || s.exact.misfit() < UNEXPLAINED;
     // Light that only fields explain is not to pass for something hidden; nor that which a slope explains, but for a few pixels.
-    let ask = !edge_alone && !large && start.smoke && (!seen || !nodes && explained);
+    let ask = !edge_alone && !large && start.smoke && (!seen || explained);
     let told = ask && s.exact.may_be_smoke(&state);
     let smoky = seen || told;
     let (mut clear, mut doubtful) = (false, None);
