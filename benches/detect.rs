@@ -18,6 +18,7 @@ fn bench(c: &mut Criterion) {
     time("two discs, 1024 x 768", 2, scenes::two_discs());
     time("900 dots, 5 MP", 900, scenes::dots(2592, 1944));
     time("a bubble of 7 x 5 px full of smoke", 1, scenes::smoke());
+    time("two bright discs of 7 x 5 px in shot noise", 2, scenes::shot_noise());
 }
 
 criterion_group! {

@@ -2,6 +2,7 @@
 
 mod around;
 mod band;
+mod beside;
 mod candidate;
 mod contour;
 mod correlation;
@@ -22,6 +23,7 @@ mod rough;
 mod rows;
 mod sectors;
 mod shared_light;
+mod shot_noise;
 mod surface;
 mod trace;
 mod whole;

@@ -3,15 +3,17 @@
 
 mod bubbles_in;
 mod detect_table;
+mod disc_errors;
 mod render;
 
 use bubbles_in::{bubbles_in, bubbles_text};
 use detect_table::{Condition, Light, off};
+use disc_errors::errors_of_discs;
 use render::accuracy::{Case, bound, cases};
 use render::{Random, Spot, draw};
-use spivcal::detect::{DetectOptions, Disc, find_discs};
+use spivcal::detect::{DetectOptions, find_discs};
 use spivcal::image::{GrayView, Samples};
-use spivcal::simulate::{Scene, simulate};
+use spivcal::simulate::Scene;
 
 struct Score {
     bias: [f64; 4],
@@ -237,7 +239,7 @@ fn large_discs_full_of_slow_smoke_are_as_accurate_as_can_be() {
 /// Bubbles of 5 to 15 px (`divisor` 12), or of 60 to 180 px, full of smoke, as the simulator renders them: light carries shot noise that the ground does not
 /// show, and smoke has waves of all lengths.
 fn sigmas_of_bubbles_are_true(divisor: f64, length_mm: f64) {
-    let errors = errors_of_bubbles(&smaller_bubbles(divisor, length_mm), 1);
+    let errors = errors_of_discs(&smaller_bubbles(divisor, length_mm), 1);
     let count = errors.len() as f64;
     let z2: [f64; 4] = std::array::from_fn(|k| errors.iter().map(|e| (e[k].0 / e[k].1).powi(2)).sum::<f64>() / count);
     println!("radii over {divisor}, smoke of {length_mm} mm: mean z^2 of {count} discs {z2:.2?}");
@@ -274,7 +276,7 @@ fn sigmas_are_true_in_large_bubbles_full_of_quick_smoke() {
 #[test]
 fn bright_smoke_draws_no_contour_outwards() {
     let scene = random_bubbles(7, 8, [8.0, 14.0], 0.9, (0.3, 0.7));
-    let errors = errors_of_bubbles(&scene, 0);
+    let errors = errors_of_discs(&scene, 0);
     let mean = |k: usize| errors.iter().map(|e| e[k].0).sum::<f64>() / errors.len() as f64;
     println!("axes of {} discs too long by {:.4} and {:.4} px", errors.len(), mean(2), mean(3));
     assert!(mean(2).abs() < 0.004 && mean(3).abs() < 0.004, "axes are off by {} and {} px", mean(2), mean(3));
@@ -285,7 +287,7 @@ fn bright_smoke_draws_no_contour_outwards() {
 #[test]
 fn sigmas_are_true_in_the_smallest_bubbles() {
     for smoke in [(0.3, 1.0), (0.15, 2.0)] {
-        let errors = errors_of_bubbles(&random_bubbles(52, share(10), [0.3, 0.7], 0.9, smoke), 0);
+        let errors = errors_of_discs(&random_bubbles(52, share(10), [0.3, 0.7], 0.9, smoke), 0);
         let z = |e: &[(f64, f64); 4], k: usize| (e[k].0 / e[k].1).abs();
         let z2: [f64; 4] =
             std::array::from_fn(|k| errors.iter().map(|e| z(e, k).powi(2)).sum::<f64>() / errors.len() as f64);
@@ -315,7 +317,7 @@ fn weak_smoke_behind_a_blur_is_no_plain_light() {
     let text: Vec<String> = bubbles_text(91, [0.15, 2.0, 0.2]).lines().map(line).collect();
     let small = Scene::parse(&text.join("\n"), "scene.toml").unwrap();
     for scene in [small, random_bubbles(52, 2, [0.35, 0.75], 1.5, (0.15, 2.0))] {
-        let errors = errors_of_bubbles(&scene, 0);
+        let errors = errors_of_discs(&scene, 0);
         let worst = errors.iter().flatten().map(|(error, sigma)| (error / sigma).abs()).fold(0.0, f64::max);
         println!("{} discs, at most {worst:.1} sigmas", errors.len());
         assert!(worst < 4.7, "one is off by {worst} sigmas");
@@ -326,9 +328,8 @@ fn weak_smoke_behind_a_blur_is_no_plain_light() {
 /// ends of the contour, and the mean z^2 of the semi-major axis was 1.5.
 #[test]
 fn light_that_hardly_bends_moves_no_contour() {
-    let errors: Vec<[(f64, f64); 4]> = (100..100 + share(6) as u64)
-        .flat_map(|seed| errors_of_bubbles(&bubbles_in(seed, [0.0, 6.0, 0.05]), 0))
-        .collect();
+    let errors: Vec<[(f64, f64); 4]> =
+        (100..100 + share(6) as u64).flat_map(|seed| errors_of_discs(&bubbles_in(seed, [0.0, 6.0, 0.05]), 0)).collect();
     let count = errors.len() as f64;
     let z2: [f64; 4] = std::array::from_fn(|k| errors.iter().map(|e| (e[k].0 / e[k].1).powi(2)).sum::<f64>() / count);
     println!("mean z^2 of {count} discs {z2:.2?}");
@@ -357,34 +358,6 @@ fn random_bubbles(
         2.5 * most
     );
     Scene::parse(&[&cameras, bubbles, &light, &poses].concat(), "scene.toml").unwrap()
-}
-
-/// Errors of the discs of a scene and their sigmas, centre u, v, semi-major, semi-minor, px, from the view `first` on.
-fn errors_of_bubbles(scene: &Scene, first: usize) -> Vec<[(f64, f64); 4]> {
-    let simulation = simulate(scene).unwrap();
-    let truth: serde_json::Value = serde_json::from_str(&simulation.truth_json).unwrap();
-    let mut errors = vec![];
-    for view in truth["views"].as_array().unwrap().iter().skip(first) {
-        for (camera, file) in view["images"].as_object().unwrap() {
-            let image = &simulation.images.iter().find(|(name, _)| Some(&name[..]) == file.as_str()).unwrap().1;
-            let found = find_discs(&image.view(), &DetectOptions::default()).unwrap().discs;
-            for disc in view["discs"].as_array().unwrap() {
-                let e = &disc["images"][camera]["ellipse"];
-                let at = |key: &str| e[key].as_f64().unwrap();
-                let (u, v) = (e["center_px"][0].as_f64().unwrap(), e["center_px"][1].as_f64().unwrap());
-                let away = |d: &&Disc| (d.ellipse.center_px.u_px - u).hypot(d.ellipse.center_px.v_px - v);
-                let d = found.iter().min_by(|a, b| away(a).total_cmp(&away(b))).unwrap();
-                let off = [
-                    d.ellipse.center_px.u_px - u,
-                    d.ellipse.center_px.v_px - v,
-                    d.ellipse.semi_major_px - at("semi_major_px"),
-                    d.ellipse.semi_minor_px - at("semi_minor_px"),
-                ];
-                errors.push(std::array::from_fn(|k| (off[k], d.covariance[(k, k)].sqrt())));
-            }
-        }
-    }
-    errors
 }
 
 /// `examples/bubbles` with its bubbles made smaller.

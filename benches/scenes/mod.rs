@@ -1,11 +1,12 @@
 //! Images whose discs are found while the time, or the instructions, are counted.
 
-/// Ellipses `(u, v, a, b)`, blurred by 1 px, in the light given inside and outside, with noise of 2 grey levels.
+/// Ellipses `(u, v, a, b)`, blurred by 1 px, in the light given inside and outside, with noise of 2 grey levels times what the light makes of it.
 fn picture(
     width: usize,
     height: usize,
     spots: impl Fn(f64, f64) -> (f64, f64, f64, f64),
     light: impl Fn(f64, f64) -> [f64; 2],
+    louder: impl Fn(f64) -> f64,
 ) -> Vec<u8> {
     let mut state = 1u64;
     let mut noise = move || {
@@ -22,7 +23,8 @@ fn picture(
             // The normal distribution to 1.4e-4.
             let inside = 1.0 / (1.0 + (0.07056 * d.powi(3) + 1.5976 * d).exp());
             let [disc, ground] = light(x, y);
-            grey.push((ground + (disc - ground) * inside + noise()).round().clamp(0.0, 255.0) as u8);
+            let clean = ground + (disc - ground) * inside;
+            grey.push((clean + noise() * louder(clean)).round().clamp(0.0, 255.0) as u8);
         }
     }
     grey
@@ -39,7 +41,7 @@ fn dark(width: usize) -> impl Fn(f64, f64) -> [f64; 2] {
 /// Two discs in 1024 x 768.
 pub(crate) fn two_discs() -> (Vec<u8>, usize, usize) {
     let spots = |x, _| if x < 512.0 { (300.3, 380.2, 120.0, 90.0) } else { (720.7, 390.6, 100.0, 75.0) };
-    (picture(1024, 768, spots, dark(1024)), 1024, 768)
+    (picture(1024, 768, spots, dark(1024), |_| 1.0), 1024, 768)
 }
 
 /// A bubble of 7 x 5 px, full of smoke, in 96 x 72.
@@ -51,12 +53,18 @@ pub(crate) fn smoke() -> (Vec<u8>, usize, usize) {
         };
         [120.0 * (1.0 + 0.1 * (0..8).map(wave).sum::<f64>()), 20.0]
     };
-    (picture(96, 72, |_, _| (47.3, 36.8, 7.0, 5.0), light), 96, 72)
+    (picture(96, 72, |_, _| (47.3, 36.8, 7.0, 5.0), light, |_| 1.0), 96, 72)
+}
+
+/// Two small bright discs in shot noise, which may pass for smoke, in 128 x 72.
+pub(crate) fn shot_noise() -> (Vec<u8>, usize, usize) {
+    let spots = |x, _| if x < 64.0 { (38.3, 36.8, 7.0, 5.0) } else { (90.6, 34.1, 6.0, 4.5) };
+    (picture(128, 72, spots, |_, _| [160.0, 12.0], |light| (light / 120.0).sqrt()), 128, 72)
 }
 
 /// A grid of dots of 13 x 11 px, 74 px apart.
 pub(crate) fn dots(width: usize, height: usize) -> (Vec<u8>, usize, usize) {
     let pitch = 74.0;
     let spots = |x: f64, y: f64| ((x / pitch).floor() * pitch + 37.0, (y / pitch).floor() * pitch + 37.0, 13.0, 11.0);
-    (picture(width, height, spots, dark(width)), width, height)
+    (picture(width, height, spots, dark(width), |_| 1.0), width, height)
 }

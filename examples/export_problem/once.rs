@@ -18,6 +18,7 @@ fn measured<T>(call: impl FnOnce() -> T) -> T {
 pub fn run(name: &str) -> ExitCode {
     match name {
         "detect_dots_48" => return detect(scenes::dots(592, 444), 48),
+        "detect_shot_noise" => return detect(scenes::shot_noise(), 2),
         "detect_smoke" => return detect(scenes::smoke(), 1),
         "detect_two_discs" => return detect(scenes::two_discs(), 2),
         _ => {}

@@ -75,6 +75,14 @@ impl Frame {
         })
     }
 
+    /// Least distance from an ellipse that lies beside this one, px; not positive where they meet. To a few per cent of the smaller radius.
+    pub(crate) fn least_gap_px(&self, other: &Ellipse) -> f64 {
+        (0..64)
+            .map(|k| other.point(f64::from(k) / 64.0 * std::f64::consts::TAU))
+            .map(|p| self.foot(p.u_px, p.v_px, None).distance)
+            .fold(f64::INFINITY, f64::min)
+    }
+
     /// A pixel in the frame of the axes.
     #[inline(always)]
     pub(crate) fn inside(&self, u: f64, v: f64) -> (f64, f64) {

@@ -56,7 +56,7 @@ pub(super) fn surroundings(candidates: &[Candidate]) -> Vec<Surroundings> {
                 } else if apart > e.semi_minor_px {
                     // A spot of the other polarity upon the contour (glare) spoils a few sectors, which show it themselves.
                     let clear = apart - e.semi_major_px - o.semi_major_px > 2.0;
-                    if clear || other.bright == c.bright || least_gap_px(e, o) > 2.0 {
+                    if clear || other.bright == c.bright || Frame::new(e).least_gap_px(o) > 2.0 {
                         around.neighbours.push(*o);
                     }
                 }
@@ -64,16 +64,6 @@ pub(super) fn surroundings(candidates: &[Candidate]) -> Vec<Surroundings> {
             around
         })
         .collect()
-}
-
-/// Least distance between two ellipses that lie side by side, px; not positive where they meet. To a few per cent of the smaller radius.
-fn least_gap_px(e: &Ellipse, other: &Ellipse) -> f64 {
-    let (frame, mut least) = (Frame::new(e), f64::INFINITY);
-    for k in 0..64 {
-        let p = other.point(f64::from(k) / 64.0 * std::f64::consts::TAU);
-        least = least.min(frame.foot(p.u_px, p.v_px, None).distance);
-    }
-    least
 }
 
 /// Which candidates are faint against a disc that they lie in, as wisps of its smoke are.

@@ -13,6 +13,12 @@ const SECTOR_PX: f64 = 1.75;
 pub(crate) const NEIGHBOUR: f64 = 0.6;
 /// Gap that is always granted, px.
 const LEAST_GAP_PX: f64 = 2.0;
+/// How far a sector looks where a neighbour is `gap` px away, px.
+#[inline(always)]
+pub(crate) fn towards_px(gap: f64) -> f64 {
+    NEIGHBOUR * gap.max(LEAST_GAP_PX)
+}
+
 /// Entries of the table from eccentric angle to arc length.
 const ARC_STEPS: usize = 256;
 
@@ -255,7 +261,7 @@ impl Kernel for Gaps<'_> {
                 }
                 let gap = other.feet(&x, &y).distance;
                 for (outer, gap) in outer_px[at..].iter_mut().zip(gap) {
-                    *outer = outer.min(NEIGHBOUR * gap.max(LEAST_GAP_PX));
+                    *outer = outer.min(towards_px(gap));
                 }
             }
         }

@@ -35,12 +35,14 @@ mod asked;
 mod field;
 mod hidden;
 mod left;
+mod louder;
 mod products;
 mod second;
 mod small;
 #[cfg(test)]
 mod tests;
 mod waves;
+pub(crate) use asked::Answer;
 pub(crate) use field::Field;
 pub(crate) use left::Share;
 
@@ -433,12 +435,7 @@ impl Exact {
             if state.field.is_none() {
                 self.judge_slopes(state);
             }
-            let found = match self.noise() {
-                [Some(a), Some(b)] => [a, b],
-                [Some(a), None] | [None, Some(a)] => [a, a],
-                [None, None] => state.variance,
-            };
-            let found = found.map(|x| x.max(floor));
+            let found = self.noise_of_sides(state, start).map(|x| x.max(floor));
             let alike = |side: usize| (0.8..1.25).contains(&(found[side] / before.0[side]));
             let richer = (0..2).any(|i| state.sides[i].degree != before.1[i].degree);
             if state.field.is_some() {

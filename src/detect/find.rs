@@ -5,15 +5,17 @@
 //! given by the user: the least gradient follows from the noise of the image itself.
 
 use crate::conic::Ellipse;
-use crate::detect::around::{MOST_SMOKY, Surroundings, surroundings, wisps};
+use crate::detect::around::{MOST_SMOKY, surroundings, wisps};
+use crate::detect::beside::refine_beside;
 use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd, scaled};
 use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::level::Level;
 use crate::detect::plane::{self, Floats, Source, check_finite};
-use crate::detect::refine::{Scratch, Start, refine};
+use crate::detect::refine::{Scratch, Start, noise_told, quantisation, refine};
 use crate::detect::rejection::told;
 use crate::detect::rows::ByRow;
 use crate::detect::shared_light::SharedLight;
+use crate::detect::shot_noise::ShotNoise;
 use crate::detect::trace::{Line, Tracer};
 use crate::detect::whole::{self, DetectMemory, LEVELS, Rows};
 use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason, Shape};
@@ -118,26 +120,35 @@ fn refine_all<'a>(
         || SharedLight::of(view, candidates),
         || NoiseCorrelation::of(view, &all, if smoke { &discs } else { &all }, !smoke),
     );
+    let each = wanted.iter().zip(&in_smoke).map(|((candidate, around), wisp)| Start {
+        ellipse: candidate.ellipse,
+        blur_px: candidate.blur_px,
+        bright: candidate.bright,
+        contrast: candidate.contrast,
+        inner_px: around.inner_px,
+        neighbours: &around.neighbours,
+        slopes: light.slopes(candidate),
+        noise: &noise,
+        level: candidate.level,
+        variance: sigma * sigma,
+        quantisation: quantisation(view),
+        clear: sigma < CLEAR * candidate.contrast * candidate.ellipse.perimeter_px().sqrt(),
+        shot_noise: None,
+        smoke: if *wisp { few(all.len()) } else { smoke },
+    });
+    let mut starts: Vec<Start> = each.collect();
     let memory = OwnMemory::<Scratch>::new();
-    let one = |((candidate, around), wisp): &((&'a Candidate, &Surroundings), bool)| {
-        let start = Start {
-            ellipse: candidate.ellipse,
-            blur_px: candidate.blur_px,
-            bright: candidate.bright,
-            contrast: candidate.contrast,
-            inner_px: around.inner_px,
-            neighbours: &around.neighbours,
-            slopes: light.slopes(candidate),
-            noise: &noise,
-            level: candidate.level,
-            variance: sigma * sigma,
-            clear: sigma < CLEAR * candidate.contrast * candidate.ellipse.perimeter_px().sqrt(),
-            smoke: if *wisp { few(all.len()) } else { smoke },
-        };
-        let disc = memory.with(|scratch| refine(view, &start, options, scratch));
-        (*candidate, disc.map_err(|reason| told(reason, view, &candidate.ellipse)))
-    };
-    threads::side_by_side(&wanted.into_iter().zip(in_smoke).collect::<Vec<_>>(), one)
+    if !smoke {
+        let ask = |start: &Start| memory.with(|scratch| noise_told(view, start, options, scratch));
+        let shot_noise = ShotNoise::of(&starts, |asked| threads::side_by_side(asked, ask));
+        starts.iter_mut().for_each(|start| start.shot_noise = shot_noise);
+    }
+    let refine = |view: &GrayView, start: &Start| memory.with(|scratch| refine(view, start, options, scratch));
+    let mut refined = threads::side_by_side(&starts, |start| refine(view, start));
+    refine_beside(view, &starts, &mut refined, sigma, refine);
+    let named =
+        |(c, disc): (&'a Candidate, std::result::Result<Disc, _>)| (c, disc.map_err(|x| told(x, view, &c.ellipse)));
+    all.into_iter().zip(refined).map(named).collect()
 }
 
 fn check_options(o: &DetectOptions) -> Result<()> {

@@ -34,6 +34,7 @@ use crate::detect::exact::{SLOPE, Share, on_rim};
 use crate::detect::light::Side;
 use crate::detect::refine::{border_px, reach_px};
 use crate::detect::shared_light::in_axes;
+use crate::detect::shot_noise::ShotNoise;
 use crate::image::GrayView;
 use crate::lanes;
 use bent::Bent;
@@ -90,6 +91,8 @@ pub(crate) struct Clean {
     pub(crate) variance: [f64; 2],
     /// What the noise of neighbours has in common.
     pub(crate) allow: Allowance,
+    /// What all discs tell of the noise inside.
+    pub(crate) shot_noise: Option<ShotNoise>,
 }
 
 impl Clean {
@@ -296,12 +299,20 @@ impl Quick {
         } else if !level {
             return None;
         }
-        let [a, b] = found;
+        let [a, b] = self.expected_noise(state, found);
         let (a, b) = (a.or(b)?, b.or(a)?);
         // As elsewhere: a clipped side has no noise at all, yet it must not outweigh the flank of the edge.
         let least = floor.max(a.max(b) / 16.0);
         state.variance = [a.max(least), b.max(least)];
         Some(seen)
+    }
+
+    /// The noise of both sides, where few pixels show that inside with what all discs tell.
+    fn expected_noise(&self, state: &Clean, found: [Option<f64>; 2]) -> [Option<f64>; 2] {
+        let counts = [0, 1].map(|side: usize| self.pixels.sums[side].count());
+        let shown = [0, 1].map(|side| found[side].map(|variance| (variance, counts[side])));
+        let expected = state.shot_noise.and_then(|x| x.fill(shown, state.step));
+        expected.map_or(found, |both| both.map(Some))
     }
 
     /// What the pixels near the edge say of light that bends together with those further off, on the sides where both say the same.

@@ -21,11 +21,12 @@ use crate::detect::band::{Band, Reach};
 use crate::detect::contour::Contour;
 use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::edge_model::{EdgeModel, Solution};
-use crate::detect::exact::Exact;
+use crate::detect::exact::{Exact, State};
 use crate::detect::light::{self, Light, Side};
 use crate::detect::quick::{Quick, contour_of};
 use crate::detect::rough::{roughen, roughness_px2};
 use crate::detect::sectors::{Lens, Sectors};
+use crate::detect::shot_noise::{ShotNoise, Told};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::{GrayView, Samples};
 use crate::target::Polarity;
@@ -54,6 +55,8 @@ pub(crate) struct Scratch {
     fine: Contour,
     quick: Quick,
     feet: Feet,
+    /// What the longer way came to, where there was neither smoke nor anything hidden.
+    plain: Option<State>,
 }
 
 /// A disc to refine.
@@ -76,8 +79,12 @@ pub(crate) struct Start<'a> {
     pub(crate) level: u32,
     /// Noise variance of a pixel of the image, roughly, grey^2.
     pub(crate) variance: f64,
+    /// Smallest variance that its samples can have, grey^2.
+    pub(crate) quantisation: f64,
     /// Whether noise hardly moved that line.
     pub(crate) clear: bool,
+    /// What the discs around tell of the noise inside.
+    pub(crate) shot_noise: Option<ShotNoise>,
     /// Whether a random field of light may be fitted, which takes thousands of times as long as a clean disc.
     pub(crate) smoke: bool,
 }
@@ -99,6 +106,14 @@ impl Start<'_> {
     }
 }
 
+/// What one disc tells of the noise inside; none where it is no disc, or its light is not plain, or it knows it.
+pub(crate) fn noise_told(view: &GrayView, start: &Start, options: &DetectOptions, s: &mut Scratch) -> Option<Told> {
+    s.plain = None;
+    refine(view, start, options, s).ok()?;
+    let state = s.plain.take()?;
+    s.exact.noise_told(&state, start.variance)
+}
+
 /// Refines one disc, or says why it is none.
 pub(crate) fn refine(
     view: &GrayView,
@@ -117,7 +132,7 @@ pub(crate) fn refine(
         }
         look(view, &model, start, fine_reach(&model, start), s);
         let (weighed, bends) = (model.variance, model.bends);
-        let coverage = fit_light(view, &mut model, options, smoke, s)?;
+        let coverage = fit_light(start, &mut model, options, smoke, s)?;
         // The sums must have been made with about the right weights.
         let alike = |side: usize| (0.75..1.33).contains(&(model.variance[side] / weighed[side]));
         let bent_alike = (bends == [0.0; 2]) == (model.bends == [0.0; 2]);
@@ -227,7 +242,7 @@ fn screen(s: &mut Scratch) -> f64 {
 
 /// Light as rich as the image asks, or nodes where there is `smoke`, noise from what it leaves, sectors that disagree dropped. Returns the share of those that stay.
 fn fit_light(
-    view: &GrayView,
+    start: &Start,
     model: &mut EdgeModel,
     options: &DetectOptions,
     smoke: bool,
@@ -253,7 +268,7 @@ fn fit_light(
         before = coverage;
         model.light = light::choose(&s.contour, &mut s.sectors, model.step, smoke);
     }
-    estimate_noise(view, model, s);
+    estimate_noise(start, model, s);
     model.bends = model.light.bends();
     Ok(before)
 }
@@ -312,7 +327,7 @@ fn check_size(model: &EdgeModel, start: &Start, options: &DetectOptions) -> Resu
 }
 
 /// Smallest noise variance that samples of this kind can have, grey^2.
-fn quantisation(view: &GrayView) -> f64 {
+pub(crate) fn quantisation(view: &GrayView) -> f64 {
     match view.samples() {
         Samples::U8(_) | Samples::U16(_) => 1.0 / 12.0,
         Samples::F32(_) => 0.0,
@@ -321,7 +336,7 @@ fn quantisation(view: &GrayView) -> f64 {
 
 /// Noise variance inside and outside: not below the quantisation, nor far apart: a clipped ground has no noise at all, yet it must
 /// not outweigh the flank of the edge.
-fn estimate_noise(view: &GrayView, model: &mut EdgeModel, s: &mut Scratch) {
+fn estimate_noise(start: &Start, model: &mut EdgeModel, s: &mut Scratch) {
     let found = match light::noise(&s.sectors, &model.light, &s.found, model.step, &mut s.sorted) {
         [Some(a), Some(b)] => [a, b],
         [Some(a), None] | [None, Some(a)] => [a, a],
@@ -336,7 +351,7 @@ fn estimate_noise(view: &GrayView, model: &mut EdgeModel, s: &mut Scratch) {
             model.variance.map(|v| v * factor)
         }
     };
-    let floor = quantisation(view).max((1e-4 * model.step).powi(2));
+    let floor = start.quantisation.max((1e-4 * model.step).powi(2));
     let least = floor.max(found[0].max(found[1]) / 16.0);
     model.variance = found.map(|x| x.max(least));
 }
@@ -526,7 +541,9 @@ mod tests {
             noise: &noise,
             level: 0,
             variance: 1.0,
+            quantisation: 0.0,
             clear: true,
+            shot_noise: None,
             smoke: false,
         };
         let course = |shift_px: f64, semi_minor_px: f64, blur_px: f64| {

@@ -18,30 +18,49 @@ use crate::detect::light::Side;
 /// Fields that are asked: lengths in semi-axes, amplitudes in steps of the light.
 const LENGTHS: [f64; 3] = [0.64, 1.15, 2.2];
 const AMPLITUDES: [f64; 3] = [0.06, 0.12, 0.24];
+/// The loss that says that there is none, whatever light looked like before: shot noise alone makes a bright disc louder than its ground.
+const UNLIKELIER: f64 = 4.0;
 /// The gain that says that there may be smoke: where light outside is even, where it rises, and with even light in place of that.
 const LIKELIER: f64 = 6.0;
 const LIKELIER_ON_SLOPE: f64 = 30.0;
 const LIKELIER_THAN_SLOPE: f64 = 25.0;
 
+/// What the fields that are asked say of smoke.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Answer {
+    /// They say clearly more than light without waves.
+    Likely,
+    /// Neither.
+    Open,
+    /// They say clearly less.
+    Unlikely,
+}
+
 impl Exact {
-    /// Whether a field says clearly more of a small disc than the polynomials of `state`, to which the image was fitted last.
-    pub(crate) fn may_be_smoke(&mut self, state: &State) -> bool {
+    /// Whether a field says clearly more, or less, of a small disc than the polynomials of `state`, to which the image was fitted last.
+    pub(crate) fn ask_for_smoke(&mut self, state: &State) -> Answer {
         let own = (self.dense.clone(), self.found.clone(), self.light.clone());
         self.hold_steps(state);
         self.light.clear();
         let plain = [0, 1].into_iter().filter_map(|degree| self.listen_plainly(state, degree));
         let plain = plain.map(|s| s.value).fold(f64::INFINITY, f64::min);
         let outside = &state.sides[1];
-        let smoky = if outside.degree == 0 {
-            plain - self.likeliest_asked(state, *outside) > LIKELIER
-        } else {
+        let as_it_is = plain - self.likeliest_asked(state, *outside);
+        let mut gains = [(as_it_is, LIKELIER); 2];
+        if outside.degree > 0 {
             let even = Side { degree: 0, ..*outside };
-            plain - self.likeliest_asked(state, *outside) > LIKELIER_ON_SLOPE
-                || plain + price_of_slopes(outside) - self.likeliest_asked(state, even) > LIKELIER_THAN_SLOPE
-        };
+            let than_slope = plain + price_of_slopes(outside) - self.likeliest_asked(state, even);
+            gains = [(as_it_is, LIKELIER_ON_SLOPE), (than_slope, LIKELIER_THAN_SLOPE)];
+        }
         self.held.clear();
         (self.dense, self.found, self.light) = own;
-        smoky
+        if gains.iter().any(|(gain, likely)| gain > likely) {
+            Answer::Likely
+        } else if gains.iter().all(|(gain, _)| *gain < -UNLIKELIER) {
+            Answer::Unlikely
+        } else {
+            Answer::Open
+        }
     }
 
     /// Minus twice the logarithm of the likelihood of the likeliest field asked, with the light given outside.

@@ -249,6 +249,11 @@ impl Exact {
         if agree == kept { Some(kept) } else { self.settle(view, state, contour, &agree, start, floor) }
     }
 
+    /// Whether all pixels count.
+    pub(crate) fn hides_nothing(&self) -> bool {
+        self.hidden.share == 0.0
+    }
+
     /// Whether some pixels are hidden, but few on either side: rather glare than smoke.
     pub(crate) fn hides_little(&self) -> bool {
         (f64::MIN_POSITIVE..LITTLE).contains(&self.hidden.share)

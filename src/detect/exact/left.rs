@@ -5,6 +5,7 @@ use super::{Exact, State};
 use crate::conic::Frame;
 use crate::detect::band::LANES;
 use crate::detect::dense::FIXED;
+use crate::detect::refine::Start;
 
 /// Pairs of neighbours below which smoke may pass for noise: chance alone makes three standard deviations of their likeness a quarter.
 const FEW: f64 = 144.0;
@@ -205,6 +206,18 @@ impl Exact {
     pub(crate) fn misfit(&self) -> f64 {
         let sum = |f: &dyn Fn(&Share) -> f64| self.shares.iter().map(f).sum::<f64>();
         sum(&|s| s.squares) / sum(&|s| s.pixels).max(1.0)
+    }
+
+    /// Noise variances of both sides, from what their pixels show and, of few pixels, what all discs tell, grey^2.
+    pub(super) fn noise_of_sides(&self, state: &State, start: &Start) -> [f64; 2] {
+        let shown = self.away.map(|[squares, n]| (n > 0.0).then(|| (squares / n, n)));
+        let outside = self.noise()[1].unwrap_or(start.variance);
+        let expected = start.shot_noise.and_then(|x| x.fill([shown[0], Some((outside, 0.0))], state.step));
+        expected.unwrap_or_else(|| match self.noise() {
+            [Some(a), Some(b)] => [a, b],
+            [Some(a), None] | [None, Some(a)] => [a, a],
+            [None, None] => state.variance,
+        })
     }
 
     /// Noise variances of either side where enough pixels show them, grey^2.

@@ -1,10 +1,10 @@
 //! The fit of one disc to single pixels: the short way of clean discs, the way of all others, and that of smoke.
 
-use super::{Found, Scratch, Start, accept, border_px, check_size, median, quantisation};
+use super::{Found, Scratch, Start, accept, border_px, check_size, median};
 use crate::conic::{Ellipse, Frame, from_regular, to_regular};
 use crate::detect::contour::{Contour, NEIGHBOUR};
 use crate::detect::edge_model::{EdgeModel, LEAST_BLUR_PX};
-use crate::detect::exact::{Exact, Field, Hidden, Share, State, is_large};
+use crate::detect::exact::{Answer, Exact, Field, Hidden, Share, State, is_large};
 use crate::detect::light::{Light, Side};
 use crate::detect::quick::Clean;
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
@@ -53,8 +53,7 @@ pub(super) fn clean_disc(
         return None;
     }
     let frame = Frame::new(&start.ellipse);
-    let gap = |e: &Ellipse| least_gap_px(&frame, e);
-    let outer_px = start.neighbours.iter().map(gap).fold(f64::INFINITY, f64::min) * NEIGHBOUR;
+    let outer_px = start.neighbours.iter().map(|e| frame.least_gap_px(e)).fold(f64::INFINITY, f64::min) * NEIGHBOUR;
     if start.inner_px < 0.89 * start.ellipse.semi_minor_px {
         return None;
     }
@@ -70,8 +69,9 @@ pub(super) fn clean_disc(
         slopes: start.slopes,
         variance: [start.variance; 2],
         allow: start.noise.allow,
+        shot_noise: start.shot_noise,
     };
-    let floor = quantisation(view).max((1e-4 * start.contrast).powi(2));
+    let floor = start.quantisation.max((1e-4 * start.contrast).powi(2));
     s.quick.fit(view, &mut state, outer_px, floor)?;
     // A small disc in slow smoke looks clean but for that, and its axes come out wrong by many sigmas.
     if start.smoke && s.quick.slanted_inside && !is_large(&state.ellipse) {
@@ -107,14 +107,6 @@ pub(super) fn clean_disc(
     // Where noise is allowed to look like light the longer way has the last word.
     let sure = disc.is_ok() || start.noise.is_none();
     sure.then_some(disc)
-}
-
-/// Least distance of an ellipse from a contour beside it, px.
-fn least_gap_px(frame: &Frame, other: &Ellipse) -> f64 {
-    (0..64)
-        .map(|k| other.point(f64::from(k) / 64.0 * std::f64::consts::TAU))
-        .map(|p| frame.foot(p.u_px, p.v_px, None).distance)
-        .fold(f64::INFINITY, f64::min)
 }
 
 /// Whether every sector of the contour says the same.
@@ -192,7 +184,7 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
         allow: start.noise.allow,
     };
     let before = state.clone();
-    let floor = quantisation(view).max((1e-4 * model.step).powi(2));
+    let floor = start.quantisation.max((1e-4 * model.step).powi(2));
     s.exact.uncovered();
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
     // Nothing that lies in the light or upon it explains an edge that is no Gaussian's all around.
@@ -201,8 +193,9 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let explained = large || s.exact.misfit() < UNEXPLAINED;
     // Light that only fields explain is not to pass for something hidden; nor that which a slope explains, but for a few pixels.
     let ask = !edge_alone && !large && start.smoke && (!seen || explained);
-    let told = ask && s.exact.may_be_smoke(&state);
-    let smoky = seen || told;
+    let answer = if ask { s.exact.ask_for_smoke(&state) } else { Answer::Open };
+    let told = answer == Answer::Likely;
+    let smoky = told || seen && answer == Answer::Open;
     let (mut clear, mut doubtful) = (false, None);
     if start.smoke && !edge_alone && !(nodes && large) {
         // What is hidden is asked for before smoke.
@@ -240,13 +233,20 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
             }
         }
     }
-    let (ellipse, change, blur_px) = s.exact.finished(&state)?;
+    finished(&state, &kept, edge_alone, s)
+}
+
+/// What the fit came to, from the state where it stands still; kept in the scratch where its light is plain.
+fn finished(state: &State, kept: &[bool], edge_alone: bool, s: &mut Scratch) -> Option<Exactly> {
+    let plain = state.field.is_none() && !edge_alone && s.exact.hides_nothing();
+    s.plain = plain.then(|| state.clone());
+    let (ellipse, change, blur_px) = s.exact.finished(state)?;
     let mut covariance = s.exact.covariance();
     if edge_alone {
         s.exact.count_misfit_as_noise();
         covariance = s.exact.covariance() + of_other_profile(&ellipse, blur_px);
     }
-    let edge = edges(&s.fine, &s.exact.shares, Some(&kept), &change);
+    let edge = edges(&s.fine, &s.exact.shares, Some(kept), &change);
     Some(Exactly::Fitted(Box::new(Found { ellipse, blur_px, covariance, followed: state.field.is_some() }), edge))
 }
 

@@ -134,6 +134,7 @@ fn start_beside() -> Clean {
         slopes: [[0.0; 2]; 2],
         variance: [1.0; 2],
         allow: Allowance::NONE,
+        shot_noise: None,
     }
 }
 
@@ -201,6 +202,7 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
         let start = Start {
             level: 1,
             variance: 1.0,
+            quantisation: 0.0,
             clear: false,
             ellipse: LARGE,
             blur_px,
@@ -210,6 +212,7 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
             neighbours: &[],
             slopes: [[0.0; 2]; 2],
             noise: &NoiseCorrelation::NONE,
+            shot_noise: None,
             smoke: false,
         };
         let (variance, field) = (state.variance, None);

@@ -1,0 +1,221 @@
+//! What the blur carries over from one disc to the next.
+//!
+//! Light adds up: with the ground taken as even, and `P_j` the share that a pixel sees of disc j,
+//!
+//! ```text
+//! grey = ground + sum_j step_j P_j
+//! ```
+//!
+//! A sector looks at three fifths of the gap to a neighbour. Where the gap is less than some 7 blurs it sees the neighbour's skirt there, which draws the
+//! contour towards it: by 0.05 px of dots of 4 x 2.5 px behind a blur of 1.2 px with 3 px between them. So discs that are close are fitted again, in the image
+//! less what was found of their neighbours, until these stand still, whose shares are exact integrals along their contours ([`crate::detect::rim`]).
+//!
+//! | symbol | identifier | unit | meaning |
+//! |---|---|---|---|
+//! | step_j | `Lit::step` | grey | inside minus outside, of disc j |
+//! | P_j | `Seen::inside` | 1 | share of disc j in a pixel |
+
+use crate::conic::{Ellipse, Frame};
+use crate::detect::band::LANES;
+use crate::detect::contour::towards_px;
+use crate::detect::refine::{Start, reach_px};
+use crate::detect::rim::Rim;
+use crate::detect::rows::ByRow;
+use crate::detect::{Disc, RejectionReason};
+use crate::frames::Pixel;
+use crate::image::{GrayView, Samples};
+use crate::stats::normal_beyond;
+use crate::target::Polarity;
+use crate::threads;
+
+/// Times that close discs are fitted again, at most.
+const MOST_ROUNDS: usize = 6;
+/// A neighbour that moved by less, in its place or its axes, need not be taken off anew, px.
+const STILL_PX: f64 = 0.005;
+/// Light of a neighbour that is felt, in standard deviations of the noise of a pixel.
+const FELT: f64 = 0.25;
+/// Blurs beyond the edge of a disc within which its light is taken off.
+const SKIRT: f64 = 5.0;
+/// Gap over the blur beyond which no neighbour is felt: there the pixels nearest to it see a millionth of its light.
+const FAR: f64 = 12.0;
+
+type Refined = Result<Disc, RejectionReason>;
+
+/// A disc that shines, or casts its shadow, upon others.
+#[derive(Debug, Clone, Copy)]
+struct Lit {
+    ellipse: Ellipse,
+    blur_px: f64,
+    step: f64,
+}
+
+impl Lit {
+    fn of(disc: &Disc) -> Self {
+        let step = if disc.polarity == Polarity::Bright { disc.contrast } else { -disc.contrast };
+        Self { ellipse: disc.ellipse, blur_px: disc.blur_px, step }
+    }
+
+    /// Whether a disc `at` sees this one where it looks towards it, beyond noise of the standard deviation `sigma`.
+    fn is_felt(&self, at: &Ellipse, sigma: f64) -> bool {
+        let apart =
+            (at.center_px.u_px - self.ellipse.center_px.u_px).hypot(at.center_px.v_px - self.ellipse.center_px.v_px);
+        let reach = at.semi_major_px + self.ellipse.semi_major_px + FAR * self.blur_px;
+        // One disc found twice is no neighbour of itself.
+        let twins = self.ellipse.implicit(at.center_px) < 0.0 || at.implicit(self.ellipse.center_px) < 0.0;
+        if apart > reach || twins {
+            return false;
+        }
+        let gap = Frame::new(at).least_gap_px(&self.ellipse);
+        let away = ((gap - towards_px(gap)) / self.blur_px).max(0.0);
+        0.5 * normal_beyond(away) * self.step.abs() > FELT * sigma
+    }
+
+    /// Takes its light off a patch of `width` pixels per row, whose first pixel is `corner`.
+    fn take_off(&self, grey: &mut [f32], width: usize, corner: [usize; 2]) {
+        let frame = Frame::new(&self.ellipse);
+        let mut rim = Rim::default();
+        rim.set(&frame, self.blur_px);
+        rim.step = rim.angles().map(|_| self.step).collect();
+        let skirt = SKIRT * self.blur_px;
+        let [a, b] = [frame.a + skirt, frame.b + skirt];
+        for (row, grey) in grey.chunks_mut(width).enumerate() {
+            let v = (corner[1] + row) as f64 - frame.v0;
+            let Some((first, last)) = frame.row_span(v, a, b) else { continue };
+            let column = |du: f64| (frame.u0 + du - corner[0] as f64).clamp(0.0, width as f64) as usize;
+            let (first, last) = (column(first.floor()), column(last.ceil()));
+            for from in (first..last).step_by(LANES) {
+                let places: [_; LANES] =
+                    std::array::from_fn(|l| frame.inside((corner[0] + from + l) as f64, v + frame.v0));
+                let inside = rim.seen(&places.map(|p| p.0), &places.map(|p| p.1)).inside;
+                let seen = grey[from..last.min(from + LANES)].iter_mut().zip(inside);
+                seen.for_each(|(g, inside)| *g -= (self.step * inside) as f32);
+            }
+        }
+    }
+}
+
+/// Fits discs again that feel their neighbours, each in the image without the light of these; `sigma` is the standard deviation of its noise. What does not hold
+/// there stays as it was.
+pub(super) fn refine_beside(
+    view: &GrayView,
+    starts: &[Start],
+    refined: &mut [Refined],
+    sigma: f64,
+    refine: impl Fn(&GrayView, &Start) -> Refined + Sync,
+) {
+    let mut moved = vec![true; refined.len()];
+    for _ in 0..MOST_ROUNDS {
+        let close = close_ones(refined, &moved, sigma);
+        let again = |(i, beside): &(usize, Vec<Lit>)| refine_in_patch(view, &starts[*i], beside, &refine);
+        let found = threads::side_by_side(&close, again);
+        moved.fill(false);
+        for ((i, _), disc) in close.iter().zip(found) {
+            if let (Some(new), Ok(old)) = (disc, &mut refined[*i]) {
+                moved[*i] = furthest_px(&new.ellipse, &old.ellipse) > STILL_PX;
+                *old = new;
+            }
+        }
+    }
+}
+
+/// The most that place or axes of two ellipses differ by, px.
+fn furthest_px(a: &Ellipse, b: &Ellipse) -> f64 {
+    (a.parameters() - b.parameters()).fixed_rows::<4>(0).amax()
+}
+
+/// The discs that feel others of which one has moved, with all that they feel.
+fn close_ones(refined: &[Refined], moved: &[bool], sigma: f64) -> Vec<(usize, Vec<Lit>)> {
+    let found = || refined.iter().enumerate().filter_map(|(i, disc)| Some((i, disc.as_ref().ok()?)));
+    let lit: Vec<(bool, Lit)> = found().map(|(i, disc)| (moved[i], Lit::of(disc))).collect();
+    let by_row = ByRow::new(lit.iter().map(|(_, l)| &l.ellipse));
+    let blur_px = lit.iter().map(|(_, l)| l.blur_px).fold(0.0, f64::max);
+    let felt_by = |own: usize, e: &Ellipse| {
+        let near = by_row.near(e.center_px, e.semi_major_px + by_row.largest_px + FAR * blur_px);
+        let felt: Vec<_> = near.filter(|k| *k != own && lit[*k].1.is_felt(e, sigma)).map(|k| lit[k]).collect();
+        felt.iter().any(|(moved, _)| *moved).then(|| felt.into_iter().map(|(_, lit)| lit).collect())
+    };
+    found().enumerate().filter_map(|(k, (i, disc))| Some((i, felt_by(k, &disc.ellipse)?))).collect()
+}
+
+/// One disc in the image around it without the light of those beside it.
+fn refine_in_patch(
+    view: &GrayView,
+    start: &Start,
+    beside: &[Lit],
+    refine: &impl Fn(&GrayView, &Start) -> Refined,
+) -> Option<Disc> {
+    let e = &start.ellipse;
+    let reach = e.semi_major_px + 1.5 * reach_px(start.blur_px.max(1.0)) + 0.5 * e.semi_minor_px + 3.0;
+    let span = |center: f64, size: usize| {
+        let first = (center - reach).floor().max(0.0) as usize;
+        (first, ((center + reach).ceil() as usize + 1).min(size))
+    };
+    let ((left, right), (top, bottom)) = (span(e.center_px.u_px, view.width()), span(e.center_px.v_px, view.height()));
+    let width = right.checked_sub(left).filter(|n| *n > 0)?;
+    let mut grey: Vec<f32> = (top..bottom).flat_map(|v| (left..right).map(move |u| view.get(u, v))).collect();
+    beside.iter().for_each(|lit| lit.take_off(&mut grey, width, [left, top]));
+    let patch = GrayView::new(Samples::F32(&grey), width, bottom.checked_sub(top)?, width).ok()?;
+    let (left, top) = (left as f64, top as f64);
+    let moved = |e: &Ellipse, sign: f64| Ellipse {
+        center_px: Pixel::new(e.center_px.u_px + sign * left, e.center_px.v_px + sign * top),
+        ..*e
+    };
+    let neighbours: Vec<Ellipse> = start.neighbours.iter().map(|n| moved(n, -1.0)).collect();
+    let mut disc = refine(&patch, &Start { ellipse: moved(e, -1.0), neighbours: &neighbours, ..*start }).ok()?;
+    disc.ellipse = moved(&disc.ellipse, 1.0);
+    disc.edge.u_px.iter_mut().for_each(|u| *u += left);
+    disc.edge.v_px.iter_mut().for_each(|v| *v += top);
+    Some(disc)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BLUR: f64 = 1.3;
+
+    fn ellipse() -> Ellipse {
+        Ellipse { center_px: Pixel::new(31.3, 22.6), semi_major_px: 4.4, semi_minor_px: 2.9, angle_rad: 0.5 }
+    }
+
+    /// Share of the blurred disc in a pixel, summed up over a fine grid.
+    fn by_grid(e: &Ellipse, u: f64, v: f64) -> f64 {
+        const STEP: f64 = 0.05;
+        let reach = (6.0 * BLUR / STEP) as i32;
+        let places = || (-reach..=reach).map(|i| f64::from(i) * STEP);
+        let weight = |du: f64, dv: f64| (-0.5 * (du * du + dv * dv) / (BLUR * BLUR)).exp();
+        let inside = |du: f64, dv: f64| e.implicit(Pixel::new(u + du, v + dv)) < 0.0;
+        let seen = places().flat_map(|du| places().map(move |dv| (du, dv))).filter(|(du, dv)| inside(*du, *dv));
+        seen.map(|(du, dv)| weight(du, dv)).sum::<f64>() * STEP * STEP / (std::f64::consts::TAU * BLUR * BLUR)
+    }
+
+    #[test]
+    fn what_is_taken_off_is_the_blurred_disc() {
+        let lit = Lit { ellipse: ellipse(), blur_px: BLUR, step: -80.0 };
+        // A patch that the disc sticks out of.
+        let (width, corner) = (23, [24, 19]);
+        let mut grey = vec![100.0_f32; width * 17];
+        lit.take_off(&mut grey, width, corner);
+        for (column, row) in [(0, 0), (3, 5), (7, 3), (12, 4), (14, 2), (22, 16), (8, 11), (10, 8)] {
+            let share = by_grid(&lit.ellipse, (corner[0] + column) as f64, (corner[1] + row) as f64);
+            let found = f64::from(grey[row * width + column]);
+            assert!(
+                (found - 100.0 - 80.0 * share).abs() < 0.02,
+                "{column} {row}: {found} and {}",
+                100.0 + 80.0 * share
+            );
+        }
+    }
+
+    #[test]
+    fn a_neighbour_is_felt_by_its_gap_and_no_disc_by_itself() {
+        let e = ellipse();
+        let lit = Lit { ellipse: e, blur_px: BLUR, step: -80.0 };
+        let at =
+            |du: f64, dv: f64| Ellipse { center_px: Pixel::new(e.center_px.u_px + du, e.center_px.v_px + dv), ..e };
+        assert!(lit.is_felt(&at(12.0, 0.0), 1.0));
+        assert!(!lit.is_felt(&at(25.0, 0.0), 1.0), "nobody sees that far");
+        assert!(!lit.is_felt(&at(0.1, 0.1), 1.0), "found twice");
+        assert!(!lit.is_felt(&at(12.0, 0.0), 1e3), "noise hides it");
+    }
+}
