@@ -61,8 +61,8 @@ impl Lit {
             (at.center_px.u_px - self.ellipse.center_px.u_px).hypot(at.center_px.v_px - self.ellipse.center_px.v_px);
         let reach = at.semi_major_px + self.ellipse.semi_major_px + FAR * self.blur_px;
         // One disc found twice is no neighbour of itself.
-        let twins = self.ellipse.implicit(at.center_px) < 0.0 || at.implicit(self.ellipse.center_px) < 0.0;
-        if apart > reach || twins {
+        let twins = || self.ellipse.implicit(at.center_px) < 0.0 || at.implicit(self.ellipse.center_px) < 0.0;
+        if apart > reach || twins() {
             return false;
         }
         let gap = Frame::new(at).least_gap_px(&self.ellipse);

@@ -1,4 +1,4 @@
-//! The order of things: zero lines at three scales, candidates, refinement, rings, polarity.
+//! The order of things: zero lines at three scales, candidates, refinement, that of close discs once more, rings, polarity.
 //!
 //! The image is looked at in full, half and quarter size: at each size the zero lines of the difference from the local mean
 //! that start at a real edge are followed. A disc seen at several sizes is kept at the finest. Nothing here depends on a threshold
