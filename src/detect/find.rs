@@ -138,11 +138,9 @@ fn refine_all<'a>(
     });
     let mut starts: Vec<Start> = each.collect();
     let memory = OwnMemory::<Scratch>::new();
-    if !smoke {
-        let ask = |start: &Start| memory.with(|scratch| noise_told(view, start, options, scratch));
-        let shot_noise = ShotNoise::of(&starts, |asked| threads::side_by_side(asked, ask));
-        starts.iter_mut().for_each(|start| start.shot_noise = shot_noise);
-    }
+    let ask = |start: &Start| memory.with(|scratch| noise_told(view, start, options, scratch));
+    let shot_noise = ShotNoise::of(&starts, |asked| threads::side_by_side(asked, ask));
+    starts.iter_mut().for_each(|start| start.shot_noise = shot_noise);
     let refine = |view: &GrayView, start: &Start| memory.with(|scratch| refine(view, start, options, scratch));
     let mut refined = threads::side_by_side(&starts, |start| refine(view, start));
     refine_beside(view, &starts, &mut refined, sigma, refine);

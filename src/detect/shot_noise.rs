@@ -24,7 +24,7 @@
 //! | c | `ROUGH` | 1 | variance that a rough edge adds where it is steepest, over that outside |
 //! | D_d | `Told::unlikely` | 1 | what one disc says of each r and c |
 //!
-//! In bright discs what light adds grows with their contrast. Few discs, whose smoke may pass for noise, are not asked.
+//! In bright discs what light adds grows with their contrast. Few bright discs, whose smoke may pass for noise, are not asked.
 
 use crate::conic::Ellipse;
 use crate::detect::refine::Start;
@@ -86,6 +86,11 @@ impl ShotNoise {
     /// From what `ask` hears of some of the discs; none where they know it themselves, do not tell, or are few.
     pub(crate) fn of<'a>(starts: &[Start<'a>], ask: impl FnOnce(&[Start<'a>]) -> Vec<Option<Told>>) -> Option<Self> {
         let bright = 2 * starts.iter().filter(|s| s.bright).count() > starts.len();
+        // Smoke may be as loud as any noise, but no quieter than its ground.
+        let smoke = starts.iter().any(|s| s.smoke);
+        if smoke && bright {
+            return None;
+        }
         let untold = |s: &&Start| s.bright == bright && is_untold(&s.ellipse, s.blur_px);
         let small: Vec<Start> = starts.iter().filter(untold).copied().collect();
         if small.len() < LEAST {
@@ -97,7 +102,7 @@ impl ShotNoise {
         if told.len() < LEAST {
             return None;
         }
-        let ratio = likeliest(&told)?;
+        let ratio = likeliest(&told).filter(|ratio| !smoke || *ratio < 1.0)?;
         let middle = told.len() / 2;
         let step = told.select_nth_unstable_by(middle, |a, b| a.step.total_cmp(&b.step)).1.step;
         Some(Self { ratio, bright, step })
