@@ -57,12 +57,12 @@ impl Lit {
 
     /// Whether a disc `at` sees this one where it looks towards it, beyond noise of the standard deviation `sigma`.
     fn is_felt(&self, at: &Ellipse, sigma: f64) -> bool {
-        let apart =
-            (at.center_px.u_px - self.ellipse.center_px.u_px).hypot(at.center_px.v_px - self.ellipse.center_px.v_px);
+        let (p, q) = (at.center_px, self.ellipse.center_px);
+        let (du, dv) = (p.u_px - q.u_px, p.v_px - q.v_px);
         let reach = at.semi_major_px + self.ellipse.semi_major_px + FAR * self.blur_px;
         // One disc found twice is no neighbour of itself.
-        let twins = || self.ellipse.implicit(at.center_px) < 0.0 || at.implicit(self.ellipse.center_px) < 0.0;
-        if apart > reach || twins() {
+        let twins = || self.ellipse.implicit(p) < 0.0 || at.implicit(q) < 0.0;
+        if du * du + dv * dv > reach * reach || twins() {
             return false;
         }
         let gap = Frame::new(at).least_gap_px(&self.ellipse);
