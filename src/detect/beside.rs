@@ -7,8 +7,8 @@
 //! ```
 //!
 //! A sector looks at three fifths of the gap to a neighbour. Where the gap is less than some 6 blurs it sees the neighbour's skirt there, which draws the
-//! contour towards it: by 0.05 px of dots of 4 x 2.5 px behind a blur of 1.2 px with 3 px between them. So discs that are close are fitted again, in the image
-//! less what was found of their neighbours, until these stand still, whose shares are exact integrals along their contours ([`crate::detect::rim`]).
+//! contour towards it: by 0.05 px of dots of 4 x 2.5 px behind a blur of 1.2 px with 3 px between them. So discs that are close are fitted again until they
+//! stand still, in the image less what was found of their neighbours: exact integrals along their contours ([`crate::detect::rim`]).
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
@@ -106,6 +106,9 @@ pub(super) fn refine_beside(
     let mut moved = vec![true; refined.len()];
     for _ in 0..MOST_ROUNDS {
         let close = close_ones(refined, &moved, sigma);
+        if close.is_empty() {
+            break;
+        }
         let again = |(i, beside): &(usize, Vec<Lit>)| refine_in_patch(view, &starts[*i], beside, &refine);
         let found = threads::side_by_side(&close, again);
         moved.fill(false);

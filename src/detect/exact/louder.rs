@@ -65,3 +65,69 @@ impl Exact {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::conic::Ellipse;
+    use crate::detect::edge_model::blur_weight;
+    use crate::detect::exact::Field;
+    use crate::detect::exact::tests::looked_at;
+    use crate::detect::light::Side;
+    use crate::frames::Pixel;
+    use nalgebra::{DMatrix, DVector};
+
+    /// Against the likelihood of the grey values themselves, whose covariance holds all that has a prior, with the geometry, which has none, taken out
+    /// (Harville 1974): no information matrix of the unknowns is in it.
+    #[test]
+    fn what_is_told_is_the_restricted_likelihood() {
+        let ellipse =
+            Ellipse { center_px: Pixel::new(14.6, 15.3), semi_major_px: 4.8, semi_minor_px: 4.0, angle_rad: 0.4 };
+        let smoky = State::in_smoke(ellipse, 0.8, 60.0, 2.0, Field::default());
+        // Levels with a prior of 60 grey levels: one a thousand times as wide leaves the covariance three digits.
+        let state = State { field: None, sides: [Side::plain(0, 0.06); 2], ..smoky };
+        let mut seed = 7_u32;
+        let mut exact = looked_at(
+            26,
+            &state,
+            |_, _| 60.0,
+            || {
+                seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                f64::from(seed >> 16) / 16_384.0 - 2.0
+            },
+        );
+        let outside = 1.7;
+        let told = exact.noise_told(&state, outside).expect("a likelihood").unlikely;
+
+        let columns =
+            DMatrix::from_column_slice(exact.count, Exact::lights(&state) + FIXED + 1, &exact.bare_columns(&state));
+        let known = Exact::lights(&state) + 1;
+        let (light, geometry) = (columns.columns(0, known), columns.columns(known, FIXED - 1));
+        let grey: DVector<f64> = columns.column(known + FIXED - 1).into_owned();
+        let sigmas = state.sides.iter().flat_map(|side| side.prior_sigmas().into_iter().take(side.count()));
+        let prior: Vec<f64> = sigmas.map(|s| s * s).chain([1.0 / blur_weight(state.expected_blur_px)]).collect();
+        let spread = light * DMatrix::from_diagonal(&DVector::from_vec(prior)) * light.transpose();
+        let steepest = exact.response[..exact.count].iter().fold(0.0_f64, |most, h| most.max(h.abs()));
+        let plainly = |(ratio, rough): (f64, f64)| {
+            let own = |p: usize| {
+                let h = exact.response[p] / steepest;
+                outside * (1.0 + (ratio - 1.0) * exact.inside[p] + rough * h * h)
+            };
+            let covariance = &spread + DMatrix::from_diagonal(&DVector::from_fn(exact.count, |p, _| own(p)));
+            let factor = covariance.cholesky().expect("a covariance");
+            let by_geometry = (geometry.transpose() * factor.solve(&geometry)).cholesky().expect("a geometry");
+            let right = geometry.transpose() * factor.solve(&grey);
+            let log_det = |l: &DMatrix<f64>| 2.0 * l.diagonal().iter().map(|x| x.ln()).sum::<f64>();
+            grey.dot(&factor.solve(&grey)) - right.dot(&by_geometry.solve(&right))
+                + log_det(&factor.l())
+                + log_det(&by_geometry.l())
+        };
+        // They differ by a constant, that of the priors.
+        let plain: Vec<f64> = asked().map(plainly).collect();
+        for (found, expected) in told.iter().zip(&plain) {
+            let (found, expected) = (found - told[0], expected - plain[0]);
+            assert!((found - expected).abs() < 1e-4, "{found} and {expected}");
+        }
+        assert!(told.iter().copied().fold(0.0, f64::min) < told[0] - 10.0, "some are far likelier than others");
+    }
+}
