@@ -1108,7 +1108,7 @@ int32_t spivcal_error_text(uint64_t handle,
  *
  * `threads`: threads that each calibration or detection may use, 1 to 1024; 0: as many as the machine has. They are started by the
  * call or job that needs them and have ended when it returns or is destroyed. Results do not depend on their number, to the bit. The context keeps
- * the memory in which images were searched (some 5 bytes per pixel, at most 128 MB for each search at a time) for the next.
+ * the memory in which images were searched (some 6 bytes per pixel, at most 128 MB for each search at a time) for the next.
  * `context`: receives the handle. Any thread.
  */
 int32_t spivcal_context_create(int32_t threads,

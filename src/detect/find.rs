@@ -201,7 +201,7 @@ fn look(view: &GrayView, [noise, range]: [f32; 2], options: &DetectOptions, memo
         Some(rows) => memory.with(|levels| {
             let gradients = &gradients;
             look_at(levels, gradients, options, |out, finer, k| {
-                out.remake(finer.map_or(rows, Rows::Finer), gradients[k])
+                out.remake(finer.map_or(rows, Rows::Finer), gradients[k], k + 1 == gradients.len())
             })
         }),
         None => look_at(&mut [(); LEVELS].map(|()| Floats::default()), &gradients, options, |out, finer, k| {

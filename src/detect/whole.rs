@@ -40,7 +40,7 @@ pub(crate) const LEVELS: usize = 3;
 const KEPT: usize = 128 << 20;
 
 /// Memory of searches for discs, to be used again by the next: what the system gives and takes back for each image costs time, most of all where
-/// threads wait for each other there. Any number of threads may search with one memory; it holds what so many searches at a time needed, some 5
+/// threads wait for each other there. Any number of threads may search with one memory; it holds what so many searches at a time needed, some 6
 /// bytes per pixel, at most 128 MB for each: what was more is given back.
 #[derive(Debug, Default)]
 pub struct DetectMemory(Mutex<Vec<[Whole; LEVELS]>>);
@@ -62,6 +62,8 @@ impl DetectMemory {
 #[derive(Debug, Default)]
 pub(crate) struct Whole {
     smooth: Vec<u16>,
+    /// Every second pixel of every second row, from which the next level is made; nothing of the last level.
+    halved: Vec<u16>,
     /// Row by row, which stretches of the field are kept.
     kept: Vec<bool>,
     /// The field, row by row in whole stretches; memory of those that are not kept is not touched.
@@ -78,7 +80,7 @@ pub(crate) struct Whole {
 pub(crate) enum Rows<'a> {
     /// Samples, times two to a power.
     Samples(&'a GrayView<'a>, u32),
-    /// Every second pixel of every second row of a finer level.
+    /// Every second pixel of every second row of a finer level, which must not be the last.
     Finer(&'a Whole),
 }
 
@@ -137,11 +139,6 @@ impl Level for Whole {
 }
 
 impl Whole {
-    #[inline(always)]
-    fn smooth_row(&self, v: usize) -> &[u16] {
-        &self.smooth[v * self.width..][..self.width]
-    }
-
     fn smoothed(&self) -> Smoothed<'_> {
         Smoothed { data: &self.smooth, width: self.width, height: self.height }
     }
@@ -155,12 +152,13 @@ impl Whole {
     /// Memory held, bytes.
     fn bytes(&self) -> usize {
         let starts: usize = self.starts.iter().map(Vec::capacity).sum();
-        2 * self.smooth.capacity() + 2 * self.field.capacity() + self.kept.capacity() + 4 * starts
+        let numbers = self.smooth.capacity() + self.halved.capacity() + self.field.capacity();
+        2 * numbers + self.kept.capacity() + 4 * starts
     }
 
-    /// Makes a level in the memory of another; lines start where the grey level changes by more than `gradient`. At least 12 rows and columns.
-    /// Within a pool its threads share the rows.
-    pub(crate) fn remake(&mut self, rows: Rows, gradient: f32) {
+    /// Makes a level in the memory of another, `last` where no coarser one is made from it; lines start where the grey level changes by more than
+    /// `gradient`. At least 12 rows and columns. Within a pool its threads share the rows.
+    pub(crate) fn remake(&mut self, rows: Rows, gradient: f32, last: bool) {
         let (width, height, per_grey) = match rows {
             Rows::Samples(view, shift) => {
                 let unit = if matches!(view.samples(), Samples::U8(_)) { 256.0 } else { (1u32 << shift) as f32 };
@@ -170,6 +168,7 @@ impl Whole {
         };
         (self.width, self.height, self.per_grey) = (width, height, per_grey);
         sized(&mut self.smooth, width * height);
+        sized(&mut self.halved, if last { 0 } else { width.div_ceil(2) * height.div_ceil(2) });
         let stretches = self.stretches() * height;
         sized(&mut self.kept, stretches);
         sized(&mut self.field, stretches * STRETCH);
@@ -185,8 +184,9 @@ impl Whole {
 
     /// Band after band, each looked at once the rows below it are smoothed, while they are still near.
     fn fill(&mut self, rows: Rows, least: u16) {
-        let Self { smooth, kept, field, starts, width, height, .. } = self;
+        let Self { smooth, halved, kept, field, starts, width, height, .. } = self;
         let (width, height, count) = (*width, *height, width.div_ceil(STRETCH));
+        let mut halves = halved.chunks_mut(ROWS / 2 * width.div_ceil(2));
         let mut finder = Finder::new(width);
         let mut bands = kept.chunks_mut(ROWS * count).zip(field.chunks_mut(ROWS * count * STRETCH)).zip(starts);
         let mut finish = |smooth: &[u16], first: usize| {
@@ -196,7 +196,7 @@ impl Whole {
         };
         for (k, first) in (0..height).step_by(ROWS).enumerate() {
             let out = &mut smooth[first * width..(first + ROWS).min(height) * width];
-            lanes::run(Smooth { rows, first, width, height, out });
+            lanes::run(Smooth { rows, first, width, height, out, halved: halves.next().unwrap_or_default() });
             if k > 0 {
                 finish(smooth, first - ROWS);
             }
@@ -207,10 +207,12 @@ impl Whole {
     /// The same with the threads of the pool.
     fn fill_side_by_side(&mut self, rows: Rows, least: u16) {
         let (width, height, count) = (self.width, self.height, self.stretches());
-        let smooth = |(k, out): (usize, &mut [u16])| {
-            lanes::run(Smooth { rows, first: k * ROWS, width, height, out });
-        };
-        self.smooth.par_chunks_mut(ROWS * width).enumerate().for_each(smooth);
+        let mut halves = self.halved.chunks_mut(ROWS / 2 * width.div_ceil(2));
+        let bands = self.smooth.chunks_mut(ROWS * width).enumerate();
+        let bands: Vec<_> = bands.map(|(k, out)| (k, out, halves.next().unwrap_or_default())).collect();
+        bands.into_par_iter().for_each(|(k, out, halved)| {
+            lanes::run(Smooth { rows, first: k * ROWS, width, height, out, halved });
+        });
         let on = Smoothed { data: &self.smooth, width, height };
         let kept = self.kept.par_chunks_mut(ROWS * count);
         let bands = kept.zip(self.field.par_chunks_mut(ROWS * count * STRETCH)).zip(&mut self.starts);
@@ -239,7 +241,7 @@ mod tests {
 
     fn made(rows: Rows, gradient: f32) -> Whole {
         let mut level = Whole::default();
-        level.remake(rows, gradient);
+        level.remake(rows, gradient, false);
         level
     }
 
@@ -316,7 +318,7 @@ mod tests {
         fn run<L: Lanes>(self) -> Self::Output {
             let (rows, width, height) = (Rows::Samples(self.0, 0), self.0.width(), self.0.height());
             let mut smooth = vec![0; width * height];
-            Smooth { rows, first: 0, width, height, out: &mut smooth }.run::<L>();
+            Smooth { rows, first: 0, width, height, out: &mut smooth, halved: &mut [] }.run::<L>();
             let on = Smoothed { data: &smooth, width, height };
             let count = height * width.div_ceil(STRETCH);
             let (mut kept, mut field, mut starts) = (vec![false; count], vec![0; count * STRETCH], vec![]);
@@ -396,7 +398,7 @@ mod tests {
             let view = GrayView::new(samples, width, height, width).expect("an image");
             let rows = rows(&view, 0.02 * ((1u32 << bits) - 1) as f32).expect("16 bits suffice");
             let gradient = (0.05 * f64::from((1u32 << bits) - 1)) as f32;
-            used.remake(rows, gradient);
+            used.remake(rows, gradient, false);
             let fresh = made(rows, gradient);
             assert_eq!((used.width, used.height, used.per_grey), (fresh.width, fresh.height, fresh.per_grey));
             assert_eq!((&used.smooth, &used.kept), (&fresh.smooth, &fresh.kept));
@@ -416,7 +418,7 @@ mod tests {
         let held = || memory.with(|levels| levels.iter().map(Whole::bytes).sum::<usize>());
         assert_eq!(held(), 0);
         memory.with(|levels| {
-            levels[0].remake(rows(&view, 1e3).expect("16 bits suffice"), 1e3);
+            levels[0].remake(rows(&view, 1e3).expect("16 bits suffice"), 1e3, true);
             assert_eq!(held(), 0, "a search beside it has its own");
         });
         assert!(held() >= 2 * 90 * 40, "{} bytes", held());

@@ -12,68 +12,61 @@ pub(super) struct Smooth<'a> {
     pub(super) width: usize,
     pub(super) height: usize,
     pub(super) out: &'a mut [u16],
+    /// Every second pixel of the rows with an even number, for the next level; no room where there is none.
+    pub(super) halved: &'a mut [u16],
 }
 
 impl Kernel for Smooth<'_> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let mut blur = Blur::new(self.width, self.first.saturating_sub(2));
-        for (k, out) in self.out.chunks_exact_mut(self.width).enumerate() {
-            blur.row(self.rows, self.first + k, self.height, out);
+        let Self { rows, first, width, height, out, halved } = self;
+        let mut blur = Blur { narrow: vec![0; width + 4], wide: vec![0; width + 4] };
+        let mut halves = halved.chunks_exact_mut(width.div_ceil(2));
+        for (v, out) in (first..).zip(out.chunks_exact_mut(width)) {
+            blur.row(rows, v, height, out);
+            // While it is near.
+            if v.is_multiple_of(2)
+                && let Some(half) = halves.next()
+            {
+                halve(out, half);
+            }
         }
     }
 }
 
+/// Every second number of a row, its first and, of an odd row, its last among them.
+#[inline(always)]
+fn halve(row: &[u16], half: &mut [u16]) {
+    // Whole pairs in a plain loop, for vectors.
+    let pairs = row.chunks_exact(2);
+    if let ([last], Some(o)) = (pairs.remainder(), half.last_mut()) {
+        *o = *last;
+    }
+    for (o, x) in half.iter_mut().zip(pairs) {
+        *o = x[0];
+    }
+}
+
 struct Blur {
-    /// Rows of a source that has to be widened, in a ring; the row that comes next.
-    ring: [Vec<u16>; 5],
-    next: usize,
     narrow: Vec<u16>,
     wide: Vec<u32>,
 }
 
 impl Blur {
-    fn new(width: usize, next: usize) -> Self {
-        let ring = std::array::from_fn(|_| vec![0; width]);
-        Self { ring, next, narrow: vec![0; width + 4], wide: vec![0; width + 4] }
-    }
-
     /// Row `v` of the blurred image.
     #[inline(always)]
     fn row(&mut self, rows: Rows, v: usize, height: usize, out: &mut [u16]) {
-        let last = height - 1;
+        let (width, last) = (out.len(), height - 1);
         let near = [v.saturating_sub(2), v.saturating_sub(1), v, (v + 1).min(last), (v + 2).min(last)];
         match rows {
             Rows::Samples(view, shift) => match view.samples() {
-                Samples::U8(s) => {
-                    self.of_bytes(near.map(|k| &s[k * view.stride()..][..view.width()]), out);
-                }
-                Samples::U16(s) => {
-                    let row = |k: usize, out: &mut [u16]| {
-                        let from = &s[k * view.stride()..][..view.width()];
-                        for (o, x) in out.iter_mut().zip(from) {
-                            *o = *x << shift;
-                        }
-                    };
-                    self.of_wide(row, near, out);
-                }
+                Samples::U8(s) => self.of_bytes(near.map(|k| &s[k * view.stride()..][..width]), out),
+                Samples::U16(s) => self.of_wide(near.map(|k| &s[k * view.stride()..][..width]), shift, out),
                 // `rows` makes none of these.
                 Samples::F32(_) => {}
             },
-            Rows::Finer(finer) => {
-                let row = |k: usize, out: &mut [u16]| {
-                    // Whole pairs in a plain loop, for vectors; of an odd row its last pixel besides.
-                    let pairs = finer.smooth_row(2 * k).chunks_exact(2);
-                    if let ([last], Some(o)) = (pairs.remainder(), out.last_mut()) {
-                        *o = *last;
-                    }
-                    for (o, x) in out.iter_mut().zip(pairs) {
-                        *o = x[0];
-                    }
-                };
-                self.of_wide(row, near, out);
-            }
+            Rows::Finer(finer) => self.of_wide(near.map(|k| &finer.halved[k * width..][..width]), 0, out),
         }
     }
 
@@ -96,19 +89,15 @@ impl Blur {
         }
     }
 
-    /// Sixteen bits: sums of 32, rounded.
+    /// Sixteen bits, times two to the power `shift`: sums of 32, rounded.
     #[inline(always)]
-    fn of_wide(&mut self, row: impl Fn(usize, &mut [u16]), near: [usize; 5], out: &mut [u16]) {
-        while self.next <= near[4] {
-            row(self.next, &mut self.ring[self.next % 5]);
-            self.next += 1;
-        }
+    fn of_wide(&mut self, r: [&[u16]; 5], shift: u32, out: &mut [u16]) {
         let n = self.wide.len() - 4;
-        let [r0, r1, r2, r3, r4] = near.map(|k| &self.ring[k % 5][..n]);
+        let (r0, r1, r2, r3, r4) = (&r[0][..n], &r[1][..n], &r[2][..n], &r[3][..n], &r[4][..n]);
         let rows = r0.iter().zip(r1).zip(r2).zip(r3).zip(r4);
         for (o, ((((a, b), c), d), e)) in self.wide[2..n + 2].iter_mut().zip(rows) {
             let (outer, inner) = (u32::from(*a) + u32::from(*e), u32::from(*b) + u32::from(*d));
-            *o = outer + 4 * inner + 6 * u32::from(*c);
+            *o = (outer + 4 * inner + 6 * u32::from(*c)) << shift;
         }
         repeat_ends(&mut self.wide, 2);
         let c = &self.wide;
