@@ -8,7 +8,8 @@
 //!
 //! A sector looks at three fifths of the gap to a neighbour. Where the gap is less than some 6 blurs it sees the neighbour's skirt there, which draws the
 //! contour towards it: by 0.05 px of dots of 4 x 2.5 px behind a blur of 1.2 px with 3 px between them. So discs that are close are fitted again until they
-//! stand still, in the image less what was found of their neighbours: exact integrals along their contours ([`crate::detect::rim`]).
+//! stand still, in the image less what was found of their neighbours: exact integrals along their contours ([`crate::detect::rim`]). Their lines are looked
+//! at there again: the skirt of a neighbour narrows the edge, and what the line tells of the blur is believed to some part.
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|

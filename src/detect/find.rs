@@ -31,8 +31,9 @@ const TEXTURE: f64 = 0.15;
 const DUST: f64 = 0.25;
 /// Noise over contrast and root of the length of a contour below which its line tells place and blur to a hundredth of a pixel, px^(-1/2).
 const CLEAR: f64 = 0.0035;
-/// So many lines are judged by one thread while others are followed.
+/// So many lines are judged by one thread while others are followed, in images of so many pixels at least.
 const LINES_AT_ONCE: usize = 16;
+const SHARED_PX: usize = 10_000;
 
 /// Everything the coarse stage saw.
 #[derive(Default)]
@@ -79,7 +80,7 @@ pub fn find_discs_with(view: &GrayView, options: &DetectOptions, memory: &Detect
     drop_texture(&mut seen, f64::from(noise), options);
     drop_repeats(&mut seen);
     let mut detection = Detection::default();
-    let refined = refine_all(view, &seen.candidates, f64::from(noise), options);
+    let refined = refine_all(view, &seen.candidates, [noise, range], options);
     let found = drop_twins(&refined);
     detection.discs.reserve(refined.len());
     for ((candidate, refined), keep) in refined.into_iter().zip(found) {
@@ -105,10 +106,10 @@ pub fn find_discs_with(view: &GrayView, options: &DetectOptions, memory: &Detect
 fn refine_all<'a>(
     view: &GrayView,
     candidates: &'a [Candidate],
-    sigma: f64,
+    [noise_grey, range]: [f32; 2],
     options: &DetectOptions,
 ) -> Vec<(&'a Candidate, std::result::Result<Disc, RejectionReason>)> {
-    let around = surroundings(candidates);
+    let (around, sigma) = (surroundings(candidates), f64::from(noise_grey));
     let wanted: Vec<_> = candidates.iter().zip(&around).filter(|(c, _)| wanted(c.bright, options.polarity)).collect();
     let all: Vec<&Candidate> = wanted.iter().map(|w| w.0).collect();
     let in_smoke = wisps(&all);
@@ -143,7 +144,11 @@ fn refine_all<'a>(
     starts.iter_mut().for_each(|start| start.shot_noise = shot_noise);
     let refine = |view: &GrayView, start: &Start| memory.with(|scratch| refine(view, start, options, scratch));
     let mut refined = threads::side_by_side(&starts, |start| refine(view, start));
-    refine_beside(view, &starts, &mut refined, sigma, refine);
+    let again = |patch: &GrayView, start: &Start| {
+        let line = seen_again(patch, start, [noise_grey, range], options);
+        refine(patch, &line.as_ref().map_or(*start, |line| start.by(line)))
+    };
+    refine_beside(view, &starts, &mut refined, sigma, again);
     let named =
         |(c, disc): (&'a Candidate, std::result::Result<Disc, _>)| (c, disc.map_err(|x| told(x, view, &c.ellipse)));
     all.into_iter().zip(refined).map(named).collect()
@@ -211,6 +216,14 @@ fn look(view: &GrayView, [noise, range]: [f32; 2], options: &DetectOptions, memo
     }
 }
 
+/// What the line of a disc tells in a small image without its neighbours, whose light narrows the edge that it shows.
+fn seen_again(patch: &GrayView, start: &Start, levels: [f32; 2], options: &DetectOptions) -> Option<Candidate> {
+    let seen = look(patch, levels, options, &DetectMemory::default());
+    let again =
+        |c: &Candidate| c.bright == start.bright && c.level == start.level && same_place(&c.ellipse, &start.ellipse);
+    seen.candidates.into_iter().find(again)
+}
+
 /// The candidates of an image, for tests of what is made of them.
 #[cfg(test)]
 pub(crate) fn candidates_of(view: &GrayView) -> Vec<Candidate> {
@@ -270,7 +283,7 @@ fn follow(on: &(impl Level + Sync), gradient: f32, level: u32, options: &DetectO
             }
         }
     };
-    if threads::several() {
+    if threads::several() && on.width() * on.height() >= SHARED_PX {
         let verdicts = threads::while_found(LINES_AT_ONCE, |found| each(&mut |line| found(line.clone())), judged);
         verdicts.into_iter().for_each(|v| seen.take(v));
     } else {

@@ -18,6 +18,7 @@ mod pixels;
 
 use crate::conic::{ContourNoise, Ellipse, Feet, covariance_from_regular, fit_geometric_from, to_regular};
 use crate::detect::band::{Band, Reach};
+use crate::detect::candidate::Candidate;
 use crate::detect::contour::Contour;
 use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::edge_model::{EdgeModel, Solution};
@@ -90,6 +91,11 @@ pub(crate) struct Start<'a> {
 }
 
 impl Start<'_> {
+    /// The same disc as another look at its line shows it.
+    pub(crate) fn by(&self, line: &Candidate) -> Self {
+        Self { ellipse: line.ellipse, blur_px: line.blur_px, contrast: line.contrast, ..*self }
+    }
+
     /// The ellipse and the blur that the line followed is that of.
     fn contour(&self) -> (Ellipse, f64) {
         let scale = f64::from(1_u32 << self.level);
