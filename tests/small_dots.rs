@@ -19,6 +19,11 @@ struct Dots {
 impl Dots {
     /// Errors over their sigmas of `(u, v, a, b)`, and the errors, of all dots: mean square and mean.
     fn measure(&self, seed: u32) -> ([f64; 4], [f64; 4]) {
+        self.measure_but(seed, 0)
+    }
+
+    /// The same of all but some, at most, that are not found.
+    fn measure_but(&self, seed: u32, missed: usize) -> ([f64; 4], [f64; 4]) {
         let text = include_str!("../examples/bubbles/scene.toml");
         let cameras = text.split("[target]").next().unwrap().replace("seed = 10", &format!("seed = {seed}"));
         let scene = format!(
@@ -27,8 +32,11 @@ impl Dots {
              [[view]]\nposition_mm = [0, 0, 0]\nrotation_deg = [3.0, 4.0, 6.0]\n[rig]\nscale = \"target\"\n",
             self.polarity, self.spacing_mm, self.radius_mm, self.count[0], self.count[1], self.blur_px
         );
-        let errors = errors_of_discs(&Scene::parse(&scene, "scene.toml").unwrap(), 0);
-        assert_eq!(errors.len(), 2 * self.count[0] * self.count[1]);
+        let mut errors = errors_of_discs(&Scene::parse(&scene, "scene.toml").unwrap(), 0);
+        // Of a dot that is not found another one is the nearest.
+        errors.retain(|e| e[0].0.hypot(e[1].0) < self.blur_px);
+        let found = errors.len() + missed;
+        assert!(found >= 2 * self.count[0] * self.count[1], "{} dots are found", errors.len());
         let mean = |f: &dyn Fn(f64, f64) -> f64| {
             std::array::from_fn(|k| errors.iter().map(|e| f(e[k].0, e[k].1)).sum::<f64>() / errors.len() as f64)
         };
@@ -80,6 +88,18 @@ fn the_blur_of_closer_dots_is_told_without_their_neighbours() {
         let (squares, bias) = dots.measure(seed);
         assert!(squares.iter().all(|x| (0.35..1.4).contains(x)), "z^2 {squares:?}");
         assert!(bias.iter().all(|x| x.abs() < 0.009), "bias {bias:?} px");
+    }
+}
+
+/// Light of neighbours passed for noise where bright dots were asked how loud it is inside: they told nothing, z^2 of the centres was 2.2 to 2.7 and their errors 0.0065 px.
+/// Four in 330 dots are turned down.
+#[test]
+fn close_bright_dots_tell_their_noise_without_their_neighbours() {
+    let dots = Dots { polarity: "bright", radius_mm: 0.3, spacing_mm: 0.9, blur_px: 1.2, count: [15, 11] };
+    for seed in [35, 38] {
+        let (squares, bias) = dots.measure_but(seed, 8);
+        assert!(squares.iter().all(|x| (0.7..1.35).contains(x)), "z^2 {squares:?}");
+        assert!(bias.iter().all(|x| x.abs() < 0.003), "bias {bias:?} px");
     }
 }
 

@@ -40,6 +40,9 @@ const SKIRT: f64 = 5.0;
 /// Gap over the blur beyond which no neighbour is felt: there the pixels nearest to it see a millionth of its light.
 const FAR: f64 = 12.0;
 
+/// The same below which what is left of a neighbour's light may be as loud as the noise.
+const CLOSEST: f64 = 2.4;
+
 type Refined = Result<Disc, RejectionReason>;
 
 /// A disc that shines, or casts its shadow, upon others.
@@ -66,9 +69,14 @@ impl Lit {
         if du * du + dv * dv > reach * reach || twins() {
             return false;
         }
-        let gap = Frame::new(at).least_gap_px(&self.ellipse);
+        let gap = self.gap_px(at);
         let away = ((gap - towards_px(gap)) / self.blur_px).max(0.0);
         0.5 * normal_beyond(away) * self.step.abs() > FELT * sigma
+    }
+
+    /// Least distance from a disc beside it, px.
+    fn gap_px(&self, at: &Ellipse) -> f64 {
+        Frame::new(at).least_gap_px(&self.ellipse)
     }
 
     /// Takes its light off a patch of `width` pixels per row, whose first pixel is `corner`.
@@ -96,19 +104,22 @@ impl Lit {
 }
 
 /// Fits discs again that feel their neighbours, each in the image without the light of these; `sigma` is the standard deviation of its noise. What does not hold
-/// there stays as it was.
+/// there stays as it was. Returns which did so at first.
 pub(super) fn refine_beside(
     view: &GrayView,
     starts: &[Start],
     refined: &mut [Refined],
     sigma: f64,
     refine: impl Fn(&GrayView, &Start) -> Refined + Sync,
-) {
-    let mut moved = vec![true; refined.len()];
-    for _ in 0..MOST_ROUNDS {
+) -> Vec<bool> {
+    let (mut moved, mut felt) = (vec![true; refined.len()], vec![false; refined.len()]);
+    for round in 0..MOST_ROUNDS {
         let close = close_ones(refined, &moved, sigma);
         if close.is_empty() {
             break;
+        }
+        if round == 0 {
+            close.iter().for_each(|(i, _)| felt[*i] = true);
         }
         let again = |(i, beside): &(usize, Vec<Lit>)| refine_in_patch(view, &starts[*i], beside, &refine);
         let found = threads::side_by_side(&close, again);
@@ -120,6 +131,25 @@ pub(super) fn refine_beside(
             }
         }
     }
+    felt
+}
+
+/// What is asked of some discs about noise, each in the image without the light of those that it feels; nothing of those nearest to others.
+pub(super) fn ask_beside<T: Send>(
+    view: &GrayView,
+    asked: &[Start],
+    refined: &[Refined],
+    sigma: f64,
+    ask: impl Fn(&GrayView, &Start) -> Option<T> + Sync,
+) -> Vec<Option<T>> {
+    let lights = Lights::of(refined.iter().filter_map(|disc| Some((true, disc.as_ref().ok()?))), sigma);
+    threads::side_by_side(asked, |start| {
+        let felt = lights.felt_by(&start.ellipse).unwrap_or_default();
+        if felt.iter().any(|lit| lit.gap_px(&start.ellipse) < CLOSEST * lit.blur_px) {
+            return None;
+        }
+        in_patch(view, start, &felt, |patch, start, _| ask(patch, start))
+    })
 }
 
 /// The most that place or axes of two ellipses differ by, px.
@@ -127,18 +157,37 @@ fn furthest_px(a: &Ellipse, b: &Ellipse) -> f64 {
     (a.parameters() - b.parameters()).fixed_rows::<4>(0).amax()
 }
 
+/// The discs of an image as they shine upon each other.
+struct Lights {
+    /// Each with whether it has moved.
+    lit: Vec<(bool, Lit)>,
+    by_row: ByRow,
+    /// The largest blur.
+    blur_px: f64,
+    sigma: f64,
+}
+
+impl Lights {
+    fn of<'a>(discs: impl Iterator<Item = (bool, &'a Disc)>, sigma: f64) -> Self {
+        let lit: Vec<(bool, Lit)> = discs.map(|(moved, disc)| (moved, Lit::of(disc))).collect();
+        let by_row = ByRow::new(lit.iter().map(|(_, l)| &l.ellipse));
+        let blur_px = lit.iter().map(|(_, l)| l.blur_px).fold(0.0, f64::max);
+        Self { lit, by_row, blur_px, sigma }
+    }
+
+    /// All that is felt by a disc at a place, itself no neighbour; none where nothing is, or none of it has moved.
+    fn felt_by(&self, e: &Ellipse) -> Option<Vec<Lit>> {
+        let near = self.by_row.near(e.center_px, e.semi_major_px + self.by_row.largest_px + FAR * self.blur_px);
+        let felt: Vec<_> = near.map(|k| self.lit[k]).filter(|(_, lit)| lit.is_felt(e, self.sigma)).collect();
+        felt.iter().any(|(moved, _)| *moved).then(|| felt.into_iter().map(|(_, lit)| lit).collect())
+    }
+}
+
 /// The discs that feel others of which one has moved, with all that they feel.
 fn close_ones(refined: &[Refined], moved: &[bool], sigma: f64) -> Vec<(usize, Vec<Lit>)> {
     let found = || refined.iter().enumerate().filter_map(|(i, disc)| Some((i, disc.as_ref().ok()?)));
-    let lit: Vec<(bool, Lit)> = found().map(|(i, disc)| (moved[i], Lit::of(disc))).collect();
-    let by_row = ByRow::new(lit.iter().map(|(_, l)| &l.ellipse));
-    let blur_px = lit.iter().map(|(_, l)| l.blur_px).fold(0.0, f64::max);
-    let felt_by = |own: usize, e: &Ellipse| {
-        let near = by_row.near(e.center_px, e.semi_major_px + by_row.largest_px + FAR * blur_px);
-        let felt: Vec<_> = near.filter(|k| *k != own && lit[*k].1.is_felt(e, sigma)).map(|k| lit[k]).collect();
-        felt.iter().any(|(moved, _)| *moved).then(|| felt.into_iter().map(|(_, lit)| lit).collect())
-    };
-    found().enumerate().filter_map(|(k, (i, disc))| Some((i, felt_by(k, &disc.ellipse)?))).collect()
+    let lights = Lights::of(found().map(|(i, disc)| (moved[i], disc)), sigma);
+    found().filter_map(|(i, disc)| Some((i, lights.felt_by(&disc.ellipse)?))).collect()
 }
 
 /// One disc in the image around it without the light of those beside it.
@@ -148,6 +197,27 @@ fn refine_in_patch(
     beside: &[Lit],
     refine: &impl Fn(&GrayView, &Start) -> Refined,
 ) -> Option<Disc> {
+    in_patch(view, start, beside, |patch, start, [left, top]| {
+        let mut disc = refine(patch, start).ok()?;
+        disc.ellipse = moved(&disc.ellipse, [left, top]);
+        disc.edge.u_px.iter_mut().for_each(|u| *u += left);
+        disc.edge.v_px.iter_mut().for_each(|v| *v += top);
+        Some(disc)
+    })
+}
+
+/// An ellipse further on, px.
+fn moved(e: &Ellipse, [du, dv]: [f64; 2]) -> Ellipse {
+    Ellipse { center_px: Pixel::new(e.center_px.u_px + du, e.center_px.v_px + dv), ..*e }
+}
+
+/// Work on the image around a disc without the light of those beside it, given the start there and the place of the first pixel, px.
+fn in_patch<T>(
+    view: &GrayView,
+    start: &Start,
+    beside: &[Lit],
+    work: impl Fn(&GrayView, &Start, [f64; 2]) -> Option<T>,
+) -> Option<T> {
     let e = &start.ellipse;
     let reach = e.semi_major_px + 1.5 * reach_px(start.blur_px.max(1.0)) + 0.5 * e.semi_minor_px + 3.0;
     let span = |center: f64, size: usize| {
@@ -160,16 +230,8 @@ fn refine_in_patch(
     beside.iter().for_each(|lit| lit.take_off(&mut grey, width, [left, top]));
     let patch = GrayView::new(Samples::F32(&grey), width, bottom.checked_sub(top)?, width).ok()?;
     let (left, top) = (left as f64, top as f64);
-    let moved = |e: &Ellipse, sign: f64| Ellipse {
-        center_px: Pixel::new(e.center_px.u_px + sign * left, e.center_px.v_px + sign * top),
-        ..*e
-    };
-    let neighbours: Vec<Ellipse> = start.neighbours.iter().map(|n| moved(n, -1.0)).collect();
-    let mut disc = refine(&patch, &Start { ellipse: moved(e, -1.0), neighbours: &neighbours, ..*start }).ok()?;
-    disc.ellipse = moved(&disc.ellipse, 1.0);
-    disc.edge.u_px.iter_mut().for_each(|u| *u += left);
-    disc.edge.v_px.iter_mut().for_each(|v| *v += top);
-    Some(disc)
+    let neighbours: Vec<Ellipse> = start.neighbours.iter().map(|n| moved(n, [-left, -top])).collect();
+    work(&patch, &Start { ellipse: moved(e, [-left, -top]), neighbours: &neighbours, ..*start }, [left, top])
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@
 
 use crate::conic::Ellipse;
 use crate::detect::around::{MOST_SMOKY, surroundings, wisps};
-use crate::detect::beside::refine_beside;
+use crate::detect::beside::{ask_beside, refine_beside};
 use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd, scaled};
 use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::level::Level;
@@ -139,16 +139,28 @@ fn refine_all<'a>(
     });
     let mut starts: Vec<Start> = each.collect();
     let memory = OwnMemory::<Scratch>::new();
-    let ask = |start: &Start| memory.with(|scratch| noise_told(view, start, options, scratch));
-    let shot_noise = ShotNoise::of(&starts, |asked| threads::side_by_side(asked, ask));
-    starts.iter_mut().for_each(|start| start.shot_noise = shot_noise);
+    let ask = |view: &GrayView, start: &Start| memory.with(|scratch| noise_told(view, start, options, scratch));
     let refine = |view: &GrayView, start: &Start| memory.with(|scratch| refine(view, start, options, scratch));
-    let mut refined = threads::side_by_side(&starts, |start| refine(view, start));
     let again = |patch: &GrayView, start: &Start| {
         let line = seen_again(patch, start, [noise_grey, range], options);
         refine(patch, &line.as_ref().map_or(*start, |line| start.by(line)))
     };
-    refine_beside(view, &starts, &mut refined, sigma, again);
+    let shot_noise = ShotNoise::of(&starts, |asked| threads::side_by_side(asked, |start| ask(view, start)));
+    starts.iter_mut().for_each(|start| start.shot_noise = shot_noise);
+    let mut refined = threads::side_by_side(&starts, |start| refine(view, start));
+    let close = refine_beside(view, &starts, &mut refined, sigma, again);
+    if shot_noise.is_none() && close.contains(&true) {
+        // Light of neighbours may have passed for noise.
+        let told = ShotNoise::of(&starts, |asked| ask_beside(view, asked, &refined, sigma, ask));
+        if told.is_some() {
+            starts.iter_mut().for_each(|start| start.shot_noise = told);
+            // Close ones start from what is known of their neighbours.
+            let alone: Vec<usize> = (0..starts.len()).filter(|i| !close[*i]).collect();
+            let found = threads::side_by_side(&alone, |i| refine(view, &starts[*i]));
+            alone.into_iter().zip(found).for_each(|(i, disc)| refined[i] = disc);
+            refine_beside(view, &starts, &mut refined, sigma, again);
+        }
+    }
     let named =
         |(c, disc): (&'a Candidate, std::result::Result<Disc, _>)| (c, disc.map_err(|x| told(x, view, &c.ellipse)));
     all.into_iter().zip(refined).map(named).collect()

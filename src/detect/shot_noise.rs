@@ -24,7 +24,7 @@
 //! | c | `ROUGH` | 1 | variance that a rough edge adds where it is steepest, over that outside |
 //! | D_d | `Told::unlikely` | 1 | what one disc says of each r and c |
 //!
-//! In bright discs what light adds grows with their contrast. Few bright discs, whose smoke may pass for noise, are not asked.
+//! Light of neighbours would pass for noise: discs that are close and told nothing are asked again without it ([`crate::detect::beside`]). In bright discs what light adds grows with their contrast. Few bright discs, whose smoke may pass for noise, are not asked.
 
 use crate::conic::Ellipse;
 use crate::detect::refine::Start;
