@@ -83,11 +83,13 @@ fn close_dots_do_not_draw_each_other() {
 /// wrong by up to 0.025 px. In the image without the neighbours it is looked at again.
 #[test]
 fn the_blur_of_closer_dots_is_told_without_their_neighbours() {
-    for (seed, (radius_mm, blur_px, pitch)) in (23..).zip([(0.2, 0.8, 2.75), (0.2, 1.2, 3.0), (0.3, 1.2, 2.75)]) {
+    for (seed, (radius_mm, blur_px, pitch, most_px)) in
+        (23..).zip([(0.2, 0.8, 2.75, 0.003), (0.2, 1.2, 3.0, 0.006), (0.3, 1.2, 2.75, 0.003)])
+    {
         let dots = Dots { polarity: "dark", radius_mm, spacing_mm: pitch * radius_mm, blur_px, count: [15, 11] };
         let (squares, bias) = dots.measure(seed);
         assert!(squares.iter().all(|x| (0.35..1.4).contains(x)), "z^2 {squares:?}");
-        assert!(bias.iter().all(|x| x.abs() < 0.009), "bias {bias:?} px");
+        assert!(bias.iter().all(|x| x.abs() < most_px), "bias {bias:?} px");
     }
 }
 

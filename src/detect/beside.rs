@@ -39,7 +39,6 @@ const FELT: f64 = 1.0;
 const SKIRT: f64 = 5.0;
 /// Gap over the blur beyond which no neighbour is felt: there the pixels nearest to it see a millionth of its light.
 const FAR: f64 = 12.0;
-
 /// The same below which what is left of a neighbour's light may be as loud as the noise.
 const CLOSEST: f64 = 2.4;
 
@@ -104,7 +103,7 @@ impl Lit {
 }
 
 /// Fits discs again that feel their neighbours, each in the image without the light of these; `sigma` is the standard deviation of its noise. What does not hold
-/// there stays as it was. Returns which did so at first.
+/// there stays as it was. Returns which of them felt any before the first round.
 pub(super) fn refine_beside(
     view: &GrayView,
     starts: &[Start],

@@ -138,6 +138,20 @@ fn refine_all<'a>(
         smoke: if *wisp { few(all.len()) } else { smoke },
     });
     let mut starts: Vec<Start> = each.collect();
+    let refined = fit_all(view, &mut starts, [noise_grey, range], options);
+    let named =
+        |(c, disc): (&'a Candidate, std::result::Result<Disc, _>)| (c, disc.map_err(|x| told(x, view, &c.ellipse)));
+    all.into_iter().zip(refined).map(named).collect()
+}
+
+/// Fits all discs: alone, then those that are close without each other's light, with the noise that all of them tell together.
+fn fit_all(
+    view: &GrayView,
+    starts: &mut [Start],
+    [noise_grey, range]: [f32; 2],
+    options: &DetectOptions,
+) -> Vec<std::result::Result<Disc, RejectionReason>> {
+    let sigma = f64::from(noise_grey);
     let memory = OwnMemory::<Scratch>::new();
     let ask = |view: &GrayView, start: &Start| memory.with(|scratch| noise_told(view, start, options, scratch));
     let refine = |view: &GrayView, start: &Start| memory.with(|scratch| refine(view, start, options, scratch));
@@ -145,25 +159,23 @@ fn refine_all<'a>(
         let line = seen_again(patch, start, [noise_grey, range], options);
         refine(patch, &line.as_ref().map_or(*start, |line| start.by(line)))
     };
-    let shot_noise = ShotNoise::of(&starts, |asked| threads::side_by_side(asked, |start| ask(view, start)));
+    let shot_noise = ShotNoise::of(starts, |asked| threads::side_by_side(asked, |start| ask(view, start)));
     starts.iter_mut().for_each(|start| start.shot_noise = shot_noise);
-    let mut refined = threads::side_by_side(&starts, |start| refine(view, start));
-    let close = refine_beside(view, &starts, &mut refined, sigma, again);
+    let mut refined = threads::side_by_side(starts, |start| refine(view, start));
+    let close = refine_beside(view, starts, &mut refined, sigma, again);
     if shot_noise.is_none() && close.contains(&true) {
         // Light of neighbours may have passed for noise.
-        let told = ShotNoise::of(&starts, |asked| ask_beside(view, asked, &refined, sigma, ask));
+        let told = ShotNoise::of(starts, |asked| ask_beside(view, asked, &refined, sigma, ask));
         if told.is_some() {
             starts.iter_mut().for_each(|start| start.shot_noise = told);
             // Close ones start from what is known of their neighbours.
             let alone: Vec<usize> = (0..starts.len()).filter(|i| !close[*i]).collect();
             let found = threads::side_by_side(&alone, |i| refine(view, &starts[*i]));
             alone.into_iter().zip(found).for_each(|(i, disc)| refined[i] = disc);
-            refine_beside(view, &starts, &mut refined, sigma, again);
+            refine_beside(view, starts, &mut refined, sigma, again);
         }
     }
-    let named =
-        |(c, disc): (&'a Candidate, std::result::Result<Disc, _>)| (c, disc.map_err(|x| told(x, view, &c.ellipse)));
-    all.into_iter().zip(refined).map(named).collect()
+    refined
 }
 
 fn check_options(o: &DetectOptions) -> Result<()> {

@@ -401,7 +401,7 @@ mod tests {
             used.remake(rows, gradient, false);
             let fresh = made(rows, gradient);
             assert_eq!((used.width, used.height, used.per_grey), (fresh.width, fresh.height, fresh.per_grey));
-            assert_eq!((&used.smooth, &used.kept), (&fresh.smooth, &fresh.kept));
+            assert_eq!((&used.smooth, &used.halved, &used.kept), (&fresh.smooth, &fresh.halved, &fresh.kept));
             assert!(fresh.starts().count() > 10 && used.starts().eq(fresh.starts()));
             for (u, v) in (0..height).flat_map(|v| (0..width).map(move |u| (u, v))) {
                 assert_eq!(kept(&used, u, v), kept(&fresh, u, v), "({u}, {v}) of {width} x {height}");
