@@ -9,7 +9,8 @@
 //! A sector looks at three fifths of the gap to a neighbour. Where the gap is less than some 6 blurs it sees the neighbour's skirt there, which draws the
 //! contour towards it: by 0.05 px of dots of 4 x 2.5 px behind a blur of 1.2 px with 3 px between them. So discs that are close are fitted again until they
 //! stand still, in the image less what was found of their neighbours: exact integrals along their contours ([`crate::detect::rim`]). Their lines are looked
-//! at there again: the skirt of a neighbour narrows the edge, and what the line tells of the blur is believed to some part.
+//! at there again: the skirt of a neighbour narrows the edge, and what the line tells of the blur is believed to some part. A disc that looked hidden or bent in
+//! its neighbours' light is looked for again as well.
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
@@ -42,6 +43,9 @@ const FAR: f64 = 12.0;
 /// The same below which what is left of a neighbour's light may be as loud as the noise.
 const CLOSEST: f64 = 2.4;
 
+/// Times by which axes and contrast of discs that are alike differ, at most.
+const ALIKE: [f64; 3] = [1.4, 1.4, 2.0];
+
 type Refined = Result<Disc, RejectionReason>;
 
 /// A disc that shines, or casts its shadow, upon others.
@@ -71,6 +75,13 @@ impl Lit {
         let gap = self.gap_px(at);
         let away = ((gap - towards_px(gap)) / self.blur_px).max(0.0);
         0.5 * normal_beyond(away) * self.step.abs() > FELT * sigma
+    }
+
+    /// Whether an ellipse with a step of light is about as large, and as bright or dark.
+    fn is_like(&self, e: &Ellipse, step: f64) -> bool {
+        let own = &self.ellipse;
+        let times = [own.semi_major_px / e.semi_major_px, own.semi_minor_px / e.semi_minor_px, self.step / step];
+        times.iter().zip(ALIKE).all(|(x, most)| (1.0 / most..most).contains(x))
     }
 
     /// Least distance from a disc beside it, px.
@@ -103,7 +114,7 @@ impl Lit {
 }
 
 /// Fits discs again that feel their neighbours, each in the image without the light of these; `sigma` is the standard deviation of its noise. What does not hold
-/// there stays as it was. Returns which of them felt any before the first round.
+/// there stays as it was; what was turned down for its contour may hold there. Returns which of them felt any before the first round.
 pub(super) fn refine_beside(
     view: &GrayView,
     starts: &[Start],
@@ -113,7 +124,7 @@ pub(super) fn refine_beside(
 ) -> Vec<bool> {
     let (mut moved, mut felt) = (vec![true; refined.len()], vec![false; refined.len()]);
     for round in 0..MOST_ROUNDS {
-        let close = close_ones(refined, &moved, sigma);
+        let close = close_ones(starts, refined, &moved, sigma);
         if close.is_empty() {
             break;
         }
@@ -124,10 +135,9 @@ pub(super) fn refine_beside(
         let found = threads::side_by_side(&close, again);
         moved.fill(false);
         for ((i, _), disc) in close.iter().zip(found) {
-            if let (Some(new), Ok(old)) = (disc, &mut refined[*i]) {
-                moved[*i] = furthest_px(&new.ellipse, &old.ellipse) > STILL_PX;
-                *old = new;
-            }
+            let Some(new) = disc else { continue };
+            moved[*i] = refined[*i].as_ref().map_or(true, |old| furthest_px(&new.ellipse, &old.ellipse) > STILL_PX);
+            refined[*i] = Ok(new);
         }
     }
     felt
@@ -183,10 +193,20 @@ impl Lights {
 }
 
 /// The discs that feel others of which one has moved, with all that they feel.
-fn close_ones(refined: &[Refined], moved: &[bool], sigma: f64) -> Vec<(usize, Vec<Lit>)> {
-    let found = || refined.iter().enumerate().filter_map(|(i, disc)| Some((i, disc.as_ref().ok()?)));
-    let lights = Lights::of(found().map(|(i, disc)| (moved[i], disc)), sigma);
-    found().filter_map(|(i, disc)| Some((i, lights.felt_by(&disc.ellipse)?))).collect()
+fn close_ones(starts: &[Start], refined: &[Refined], moved: &[bool], sigma: f64) -> Vec<(usize, Vec<Lit>)> {
+    let found = refined.iter().zip(moved).filter_map(|(disc, moved)| Some((*moved, disc.as_ref().ok()?)));
+    let lights = Lights::of(found, sigma);
+    let felt_by = |start: &Start, disc: &Refined| match disc {
+        Ok(disc) => lights.felt_by(&disc.ellipse),
+        // The light of others may be what made it look hidden or bent. What is no disc is hardly like them.
+        Err(RejectionReason::Incomplete { .. } | RejectionReason::NotElliptical { .. }) => {
+            let step = if start.bright { start.contrast } else { -start.contrast };
+            lights.felt_by(&start.ellipse).filter(|felt| felt.iter().any(|lit| lit.is_like(&start.ellipse, step)))
+        }
+        Err(_) => None,
+    };
+    let all = starts.iter().zip(refined).enumerate();
+    all.filter_map(|(i, (start, disc))| Some((i, felt_by(start, disc)?))).collect()
 }
 
 /// One disc in the image around it without the light of those beside it.
@@ -282,5 +302,17 @@ mod tests {
         assert!(!lit.is_felt(&at(25.0, 0.0), 1.0), "nobody sees that far");
         assert!(!lit.is_felt(&at(0.1, 0.1), 1.0), "found twice");
         assert!(!lit.is_felt(&at(12.0, 0.0), 1e3), "noise hides it");
+    }
+
+    /// A dot of a target is like its neighbours, a letter beside one is not.
+    #[test]
+    fn discs_are_alike_in_both_axes_and_light() {
+        let e = ellipse();
+        let lit = Lit { ellipse: e, blur_px: BLUR, step: -80.0 };
+        assert!(lit.is_like(&Ellipse { semi_major_px: 5.5, semi_minor_px: 2.3, ..e }, -60.0));
+        assert!(!lit.is_like(&Ellipse { semi_major_px: 6.5, ..e }, -60.0));
+        assert!(!lit.is_like(&Ellipse { semi_minor_px: 1.8, ..e }, -60.0));
+        assert!(!lit.is_like(&e, -30.0));
+        assert!(!lit.is_like(&e, 80.0), "of the other polarity");
     }
 }
