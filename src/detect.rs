@@ -12,6 +12,7 @@ mod exact;
 mod find;
 mod level;
 mod light;
+mod of_target;
 pub mod pattern;
 mod plane;
 mod profile;

@@ -190,6 +190,20 @@ fn smoke_behind_a_blur_is_asked_for() {
     }
 }
 
+/// Twelve small discs of one image, which tell the noise together, do not take smoke for it: they would be off by twice what their sigmas say.
+#[test]
+fn many_discs_full_of_smoke_do_not_pass_for_noise() {
+    let light = Light::Bubble;
+    let c = Condition { semi_minor_px: 4.0, ratio: 1.2, blur_px: 0.8, light, bits: 16, noise: 0.015, bright: true };
+    let mut all = vec![];
+    for seed in 70..72 {
+        c.show_together([4, 3], 1.0, seed, |spot, disc| all.push(off(spot, disc.expect("a disc")).1));
+    }
+    let mean = all.iter().sum::<f64>() / all.len() as f64;
+    println!("mean z^2 {mean:.2}");
+    assert!(mean < 1.1 + 3.0 * of_mean_square(5 * all.len()), "sigmas are not true, z^2 {all:.1?}");
+}
+
 /// Light that rises across a disc behind a blur is not asked for smoke, which would make the sigmas of the axes a third larger.
 #[test]
 fn light_that_rises_is_not_taken_for_smoke() {

@@ -150,6 +150,11 @@ impl Ellipse {
         PI * self.semi_major_px * self.semi_minor_px
     }
 
+    /// Radius of the circle of the same area, px.
+    pub fn mean_radius_px(&self) -> f64 {
+        (self.semi_major_px * self.semi_minor_px).sqrt()
+    }
+
     /// Length of the contour, px.
     pub fn perimeter_px(&self) -> f64 {
         let (mut x, mut y) = (self.semi_major_px, self.semi_minor_px);

@@ -109,7 +109,7 @@ pub(crate) fn judge(
         rms_px: rms_px * scale,
         level,
     };
-    let radius = (rough.semi_major_px * rough.semi_minor_px).sqrt();
+    let radius = rough.mean_radius_px();
     let limit = 0.5 + 0.05 * radius;
     let direct = fit_direct(&u, &v).unwrap_or(rough);
     let rms = rms_gap(&direct, &u, &v);
@@ -147,7 +147,7 @@ pub(crate) fn judge_odd(odd: &Odd, options: &DetectOptions) -> Verdict {
     if let Some(ellipse) = robust_ellipse(u, v, options.min_axis_ratio) {
         return Verdict::Disc(found(&ellipse, rms_gap(&ellipse, u, v)));
     }
-    let limit_px = 0.5 * scale + 0.05 * (rough.ellipse.semi_major_px * rough.ellipse.semi_minor_px).sqrt();
+    let limit_px = 0.5 * scale + 0.05 * rough.ellipse.mean_radius_px();
     let reason = RejectionReason::NotElliptical { rms_px: rough.rms_px, limit_px };
     if *share > 0.9 { Verdict::Rejected(*rough, reason) } else { Verdict::Nothing }
 }

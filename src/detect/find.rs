@@ -10,25 +10,23 @@ use crate::detect::beside::{ask_beside, refine_beside};
 use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd, scaled};
 use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::level::Level;
+use crate::detect::of_target::{keep_target, within};
 use crate::detect::plane::{self, Floats, Source, check_finite};
-use crate::detect::refine::{Scratch, Start, noise_told, quantisation, refine};
+use crate::detect::refine::{Scratch, Start, noise_told, quantisation, refine, smoke_told};
 use crate::detect::rejection::told;
 use crate::detect::rows::ByRow;
 use crate::detect::shared_light::SharedLight;
 use crate::detect::shot_noise::ShotNoise;
 use crate::detect::trace::{Line, Tracer};
 use crate::detect::whole::{self, DetectMemory, LEVELS, Rows};
-use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason, Shape};
+use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason};
 use crate::error::{Invalid, Result};
-use crate::frames::Pixel;
 use crate::image::GrayView;
 use crate::target::{MarkKind, Polarity};
 use crate::threads::{self, OwnMemory};
 
 /// A region with less than this part of the typical contrast is texture.
 const TEXTURE: f64 = 0.15;
-/// A disc with less than this part of the typical radius is dust.
-const DUST: f64 = 0.25;
 /// Noise over contrast and root of the length of a contour below which its line tells place and blur to a hundredth of a pixel, px^(-1/2).
 const CLEAR: f64 = 0.0035;
 /// So many lines are judged by one thread while others are followed, in images of so many pixels at least.
@@ -93,11 +91,7 @@ pub fn find_discs_with(view: &GrayView, options: &DetectOptions, memory: &Detect
     for (candidate, reason) in seen.rejected.iter().filter(|(c, _)| wanted(c.bright, options.polarity)) {
         detection.rejections.push(rejection(candidate, *reason));
     }
-    mark_rings(&mut detection.discs, &seen.candidates);
-    keep_one_polarity(&mut detection, options.polarity);
-    keep_marks(&mut detection, &seen.marks);
-    drop_dust(&mut detection);
-    keep_telling_rejections(&mut detection);
+    keep_target(&mut detection, &seen.candidates, &seen.marks, options.polarity);
     Ok(detection)
 }
 
@@ -160,10 +154,17 @@ fn fit_all(
         refine(patch, &line.as_ref().map_or(*start, |line| start.by(line)))
     };
     let shot_noise = ShotNoise::of(starts, |asked| threads::side_by_side(asked, |start| ask(view, start)));
-    starts.iter_mut().for_each(|start| start.shot_noise = shot_noise);
+    let shot_noise = shot_noise.filter(|noise| {
+        let ask = |start: &Start| memory.with(|scratch| smoke_told(view, start, noise, options, scratch));
+        noise.without_smoke(starts, |asked| threads::side_by_side(asked, ask))
+    });
+    for start in starts.iter_mut() {
+        start.smoke &= !(start.bright && shot_noise.is_some_and(|noise| noise.is_all_of(start)));
+        start.shot_noise = shot_noise;
+    }
     let mut refined = threads::side_by_side(starts, |start| refine(view, start));
     let close = refine_beside(view, starts, &mut refined, sigma, again);
-    if shot_noise.is_none() && close.contains(&true) {
+    if shot_noise.is_none() && close.contains(&true) && !starts.iter().any(|start| start.smoke && start.bright) {
         // Light of neighbours may have passed for noise.
         let told = ShotNoise::of(starts, |asked| ask_beside(view, asked, &refined, sigma, ask));
         if told.is_some() {
@@ -208,7 +209,7 @@ fn wanted(bright: bool, polarity: Polarity) -> bool {
 
 fn rejection(c: &Candidate, reason: RejectionReason) -> Rejection {
     let e = &c.ellipse;
-    Rejection { center_px: e.center_px, radius_px: mean_radius_px(e), reason }
+    Rejection { center_px: e.center_px, radius_px: e.mean_radius_px(), reason }
 }
 
 /// Follows and judges the zero lines of every pyramid level.
@@ -315,12 +316,6 @@ fn follow(on: &(impl Level + Sync), gradient: f32, level: u32, options: &DetectO
     }
 }
 
-/// Whether two points are less than `limit_px` apart.
-fn within(a: Pixel, b: Pixel, limit_px: f64) -> bool {
-    let (du, dv) = (a.u_px - b.u_px, a.v_px - b.v_px);
-    du * du + dv * dv < limit_px * limit_px
-}
-
 /// Drops what is far weaker than the discs that dominate the image: paper, cloth, smoke. What has the size of a disc is named.
 fn drop_texture(seen: &mut Seen, noise: f64, options: &DetectOptions) {
     let weight = |c: &Candidate| c.contrast * c.ellipse.perimeter_px();
@@ -328,7 +323,7 @@ fn drop_texture(seen: &mut Seen, noise: f64, options: &DetectOptions) {
         .candidates
         .iter()
         .chain(seen.odd.iter().map(|o| &o.rough))
-        .map(|c| (c.contrast, weight(c), mean_radius_px(&c.ellipse)))
+        .map(|c| (c.contrast, weight(c), c.ellipse.mean_radius_px()))
         .collect();
     let total: f64 = weights.iter().map(|w| w.1).sum();
     weights.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -342,7 +337,7 @@ fn drop_texture(seen: &mut Seen, noise: f64, options: &DetectOptions) {
     let (least, radius) = (TEXTURE * typical.0, typical.2);
     let mut weak = Vec::new();
     seen.candidates.retain(|c| {
-        let size = mean_radius_px(&c.ellipse);
+        let size = c.ellipse.mean_radius_px();
         let strong = c.contrast >= least;
         if !strong && size > 0.5 * radius && size < 2.0 * radius && size > 4.0 {
             let contrast_to_noise = if noise > 0.0 { c.contrast / noise } else { c.contrast };
@@ -407,7 +402,7 @@ fn swallows(coarse: &Candidate, fine: &Candidate) -> bool {
     if coarse.level <= fine.level || coarse.bright != fine.bright {
         return false;
     }
-    let (big, small) = (mean_radius_px(&coarse.ellipse), mean_radius_px(&fine.ellipse));
+    let (big, small) = (coarse.ellipse.mean_radius_px(), fine.ellipse.mean_radius_px());
     !same(coarse, fine)
         && small > 0.3 * big
         && small < big
@@ -454,109 +449,11 @@ fn drop_repeats(seen: &mut Seen) {
     seen.rejected = rejected;
 }
 
-/// A disc around a region of the other polarity is a ring; the hole itself is no disc.
-fn mark_rings(discs: &mut Vec<Disc>, candidates: &[Candidate]) {
-    let holes = [false, true].map(|bright| candidates.iter().filter(|c| c.bright == bright).collect::<Vec<_>>());
-    for d in discs.iter_mut() {
-        let e = &d.ellipse;
-        let hole = holes[usize::from(d.polarity != Polarity::Bright)].iter().any(|c| {
-            if !within(c.ellipse.center_px, e.center_px, 0.1 * e.semi_minor_px + 0.5) {
-                return false;
-            }
-            let ratio = c.ellipse.semi_minor_px / e.semi_minor_px;
-            c.rms_px < 0.25 + 0.06 * c.ellipse.semi_minor_px
-                && (0.1..0.8).contains(&ratio)
-                && c.contrast > 0.5 * d.contrast
-        });
-        if hole {
-            d.mark = Some(MarkKind::Ring);
-        }
-    }
-    let rings: Vec<Disc> = discs.iter().filter(|d| d.mark.is_some()).cloned().collect();
-    discs.retain(|d| {
-        !rings.iter().any(|r| {
-            r.polarity != d.polarity
-                && within(r.ellipse.center_px, d.ellipse.center_px, 0.5 * r.ellipse.semi_minor_px)
-                && d.ellipse.semi_major_px < 0.9 * r.ellipse.semi_minor_px
-        })
-    });
-}
-
-/// Under `Auto` the polarity whose contours weigh more (length times contrast) stays; a target has one.
-fn keep_one_polarity(detection: &mut Detection, polarity: Polarity) {
-    if polarity != Polarity::Auto {
-        return;
-    }
-    let weight = |p: Polarity| -> f64 {
-        let of_p = detection.discs.iter().filter(|d| d.polarity == p);
-        of_p.map(|d| d.contrast * d.ellipse.perimeter_px()).sum()
-    };
-    let winner = if weight(Polarity::Bright) > weight(Polarity::Dark) { Polarity::Bright } else { Polarity::Dark };
-    for d in detection.discs.extract_if(.., |d| d.polarity != winner) {
-        let e = &d.ellipse;
-        detection.rejections.push(Rejection {
-            center_px: e.center_px,
-            radius_px: mean_radius_px(e),
-            reason: RejectionReason::OtherPolarity,
-        });
-    }
-}
-
-/// Radius in whose size class the discs of the image lie, px (weighted by length times contrast).
-fn typical_radius_px(discs: &[Disc]) -> Option<f64> {
-    let mut sizes: Vec<(f64, f64)> =
-        discs.iter().map(|d| (mean_radius_px(&d.ellipse), d.contrast * d.ellipse.perimeter_px())).collect();
-    sizes.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let half = 0.5 * sizes.iter().map(|s| s.1).sum::<f64>();
-    let mut sum = 0.0;
-    sizes.into_iter().find_map(|(radius, weight)| {
-        sum += weight;
-        (sum >= half).then_some(radius)
-    })
-}
-
-fn mean_radius_px(e: &Ellipse) -> f64 {
-    (e.semi_major_px * e.semi_minor_px).sqrt()
-}
-
-/// Specks far smaller than the discs of the image are no discs of the target.
-fn drop_dust(detection: &mut Detection) {
-    let Some(typical) = typical_radius_px(&detection.discs) else { return };
-    let dust = detection.discs.extract_if(.., |d| mean_radius_px(&d.ellipse) <= DUST * typical);
-    detection.rejections.extend(dust.map(|d| Rejection {
-        center_px: d.ellipse.center_px,
-        radius_px: mean_radius_px(&d.ellipse),
-        reason: RejectionReason::TooSmall { semi_minor_px: d.ellipse.semi_minor_px },
-    }));
-}
-
-/// Structure inside an accepted disc, or a coarser view of one, is not worth a word.
-fn keep_telling_rejections(detection: &mut Detection) {
-    let discs = &detection.discs;
-    detection.rejections.retain(|r| {
-        !discs.iter().any(|d| {
-            let radius = mean_radius_px(&d.ellipse);
-            within(d.ellipse.center_px, r.center_px, radius.max(r.radius_px.min(4.0 * radius)))
-        })
-    });
-}
-
-/// Marks of the discs' polarity and of about their size.
-fn keep_marks(detection: &mut Detection, marks: &[(Candidate, MarkKind)]) {
-    let Some(typical) = typical_radius_px(&detection.discs) else { return };
-    let bright = detection.discs[0].polarity == Polarity::Bright;
-    for (c, kind) in marks.iter().filter(|(c, _)| c.bright == bright) {
-        let radius_px = mean_radius_px(&c.ellipse);
-        if radius_px > typical / 3.0 && radius_px < 3.0 * typical {
-            detection.shapes.push(Shape { center_px: c.ellipse.center_px, radius_px, mark: *kind });
-        }
-    }
-}
-
 #[cfg(test)]
 #[allow(clippy::expect_used)]
 mod tests {
     use super::*;
+    use crate::frames::Pixel;
 
     fn candidate(u_px: f64, v_px: f64, semi_px: (f64, f64), level: u32) -> Candidate {
         let ellipse = Ellipse::new(Pixel::new(u_px, v_px), semi_px.0, semi_px.1, 0.3).expect("an ellipse");

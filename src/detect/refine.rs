@@ -114,10 +114,28 @@ impl Start<'_> {
 
 /// What one disc tells of the noise inside; none where it is no disc, or its light is not plain, or it knows it.
 pub(crate) fn noise_told(view: &GrayView, start: &Start, options: &DetectOptions, s: &mut Scratch) -> Option<Told> {
+    let state = plain(view, start, options, s)?;
+    s.exact.noise_told(&state, start.variance)
+}
+
+/// What one disc says of smoke, under the noise that all discs tell; none as of [`noise_told`].
+pub(crate) fn smoke_told(
+    view: &GrayView,
+    start: &Start,
+    noise: &ShotNoise,
+    options: &DetectOptions,
+    s: &mut Scratch,
+) -> Option<Vec<f64>> {
+    let mut state = plain(view, start, options, s)?;
+    state.variance = noise.fill([None, Some((state.variance[1], 0.0))], state.step)?;
+    Some(s.exact.smoke_told(&state))
+}
+
+/// The disc that was fitted to single pixels, if its light is plain.
+fn plain(view: &GrayView, start: &Start, options: &DetectOptions, s: &mut Scratch) -> Option<State> {
     s.plain = None;
     refine(view, start, options, s).ok()?;
-    let state = s.plain.take()?;
-    s.exact.noise_told(&state, start.variance)
+    s.plain.take()
 }
 
 /// Refines one disc, or says why it is none.

@@ -24,7 +24,10 @@
 //! | c | `ROUGH` | 1 | variance that a rough edge adds where it is steepest, over that outside |
 //! | D_d | `Told::unlikely` | 1 | what one disc says of each r and c |
 //!
-//! Light of neighbours would pass for noise: discs that are close and told nothing are asked again without it ([`crate::detect::beside`]). In bright discs what light adds grows with their contrast. Few bright discs, whose smoke may pass for noise, are not asked.
+//! Light of neighbours would pass for noise: discs that are close and told nothing are asked again without it ([`crate::detect::beside`]). In bright discs what light adds grows with their contrast.
+//!
+//! Few bright discs may be full of smoke, which passes for noise. They are asked besides what they say of fields of smoke that all of them have in common,
+//! under the noise that they told or less, and are believed where each field is clearly less likely than noise alone.
 
 use crate::conic::Ellipse;
 use crate::detect::refine::Start;
@@ -42,6 +45,8 @@ const ASKED: usize = 32;
 const LEAST: usize = 8;
 /// Loss in all of what the discs say by which one ratio must surpass no difference.
 const SURE: f64 = 9.0;
+/// Discs that are asked for smoke, at most.
+const ASKED_FOR_SMOKE: usize = 12;
 /// Blurs from the edge at which a pixel sees one side only, to a part in 200.
 const CLEAR_OF_EDGE: f64 = 2.6;
 /// Number of pixels that tell the noise inside for themselves.
@@ -86,26 +91,35 @@ impl ShotNoise {
     /// From what `ask` hears of some of the discs; none where they know it themselves, do not tell, or are few.
     pub(crate) fn of<'a>(starts: &[Start<'a>], ask: impl FnOnce(&[Start<'a>]) -> Vec<Option<Told>>) -> Option<Self> {
         let bright = 2 * starts.iter().filter(|s| s.bright).count() > starts.len();
-        // Smoke may be as loud as any noise, but no quieter than its ground.
-        let smoke = starts.iter().any(|s| s.smoke);
-        if smoke && bright {
-            return None;
-        }
-        let untold = |s: &&Start| s.bright == bright && is_untold(&s.ellipse, s.blur_px);
-        let small: Vec<Start> = starts.iter().filter(untold).copied().collect();
-        if small.len() < LEAST {
-            return None;
-        }
-        let every = small.len().div_ceil(ASKED);
-        let asked: Vec<Start> = small.iter().step_by(every).copied().collect();
-        let mut told: Vec<Told> = ask(&asked).into_iter().flatten().collect();
+        let mut told: Vec<Told> = ask(&some_of(starts, bright, ASKED)?).into_iter().flatten().collect();
         if told.len() < LEAST {
             return None;
         }
-        let ratio = likeliest(&told).filter(|ratio| !smoke || *ratio < 1.0)?;
+        // Smoke may be as loud as any noise, but no quieter than its ground.
+        let smoke = starts.iter().any(|s| s.smoke);
+        let ratio = likeliest(&told).filter(|ratio| bright || !smoke || *ratio < 1.0)?;
         let middle = told.len() / 2;
         let step = told.select_nth_unstable_by(middle, |a, b| a.step.total_cmp(&b.step)).1.step;
         Some(Self { ratio, bright, step })
+    }
+
+    /// Whether smoke has no part in it: bright discs that may be full of it say so, as `ask` hears of some of them.
+    pub(crate) fn without_smoke<'a>(
+        &self,
+        starts: &[Start<'a>],
+        ask: impl FnOnce(&[Start<'a>]) -> Vec<Option<Vec<f64>>>,
+    ) -> bool {
+        if !self.bright || starts.iter().all(|s| !s.smoke) {
+            return true;
+        }
+        let Some(asked) = some_of(starts, self.bright, ASKED_FOR_SMOKE) else { return false };
+        let told: Vec<Vec<f64>> = ask(&asked).into_iter().flatten().collect();
+        told.len() >= LEAST && no_smoke(&told)
+    }
+
+    /// Whether it is all that makes a disc louder than its ground, where smoke has no part in it.
+    pub(crate) fn is_all_of(&self, start: &Start) -> bool {
+        start.bright == self.bright && is_untold(&start.ellipse, start.blur_px)
     }
 
     /// The variance inside a disc whose ground has the variance `outside`, with a step of the light inside less outside.
@@ -125,6 +139,20 @@ impl ShotNoise {
         });
         Some([inside, outside])
     }
+}
+
+/// Some of the small discs that have the light of most, asked as if there were no smoke in bright ones; none where they are few.
+fn some_of<'a>(starts: &[Start<'a>], bright: bool, most: usize) -> Option<Vec<Start<'a>>> {
+    let untold = |s: &&Start| s.bright == bright && is_untold(&s.ellipse, s.blur_px);
+    let small: Vec<Start> = starts.iter().filter(untold).map(|s| Start { smoke: s.smoke && !bright, ..*s }).collect();
+    let every = small.len().div_ceil(most);
+    (small.len() >= LEAST).then(|| small.into_iter().step_by(every).collect())
+}
+
+/// Whether all fields of smoke that discs are asked for are clearly less likely than none.
+fn no_smoke(told: &[Vec<f64>]) -> bool {
+    let mut fields = 0..told.first().map_or(0, Vec::len);
+    fields.all(|k| told.iter().map(|disc| disc[k].clamp(-FURTHEST, FURTHEST)).sum::<f64>() > SURE)
 }
 
 /// The ratio that most discs call likely; none where they hardly prefer it to no difference, or the likeliest is the last that was tried.
@@ -181,6 +209,19 @@ mod tests {
         assert_eq!(likeliest(&vec![preferring(12.0, 9.0); 9]), None, "an edge rougher than all that was tried");
         // A clipped side has no noise at all.
         assert_eq!(likeliest(&vec![preferring(-3.0, 0.0); 9]), Some(LEAST_RATIO));
+    }
+
+    /// One disc that calls smoke unlikely is not enough, and one that is dirty does not change what eleven say.
+    #[test]
+    fn smoke_is_ruled_out_by_many() {
+        let disc = |says: f64| vec![says, says + 3.0];
+        assert!(no_smoke(&vec![disc(2.0); 12]));
+        assert!(!no_smoke(&[disc(100.0), disc(0.1), disc(-0.3)]));
+        let mut told = vec![disc(2.0); 12];
+        told[3] = disc(-100.0);
+        assert!(no_smoke(&told));
+        told[4] = disc(-100.0);
+        assert!(!no_smoke(&told), "two of twelve are not dirt");
     }
 
     /// What few pixels show counts by their number; the other polarity has light of its own.

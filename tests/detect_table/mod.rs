@@ -24,6 +24,8 @@ pub enum Light {
     Glare,
     /// As smoke, but even in the plane of the disc in place of the image: as that of a round bubble that is seen obliquely.
     Bubble,
+    /// Even, with noise whose variance grows with the light: nine times as loud where it is lighter, be that the disc or the ground.
+    Shot,
 }
 
 impl Light {
@@ -54,7 +56,7 @@ pub struct Condition {
     pub blur_px: f64,
     pub light: Light,
     pub bits: u32,
-    /// Of the step.
+    /// Of the step; in shot noise that of the darker side.
     pub noise: f64,
     pub bright: bool,
 }
@@ -115,6 +117,14 @@ impl Condition {
         (self.levels().1 - self.levels().0).abs()
     }
 
+    /// Standard deviation of the noise where the clean image has this grey level.
+    fn sigma(&self, grey: f64) -> f64 {
+        let (ground, disc) = self.levels();
+        let light = (grey - ground.min(disc)) / self.step();
+        let louder = if self.light == Light::Shot { 1.0 + 8.0 * light } else { 1.0 };
+        self.noise * self.step() * louder.max(0.0).sqrt()
+    }
+
     /// Waves of smoke about the middle of the image: wave numbers (1/px), phase, height.
     fn waves(&self, seed: u64) -> Vec<[f64; 4]> {
         let mut random = Random(seed);
@@ -136,7 +146,7 @@ impl Condition {
             let (x, y) = (u - middle, v - middle);
             let cover = spot.cover(u, v, h);
             match self.light {
-                Light::Even | Light::Glare => ground + (disc - ground) * cover,
+                Light::Even | Light::Glare | Light::Shot => ground + (disc - ground) * cover,
                 Light::Bent => {
                     let (x, y) = (x / self.semi_minor_px, y / self.semi_minor_px);
                     (ground + (disc - ground) * cover) * (1.0 + 0.05 * x - 0.05 * x * x - 0.025 * y * y)
@@ -153,7 +163,7 @@ impl Condition {
 
     /// Cramer-Rao covariance of (u, v, a, b) with angle, blur, levels and light unknown, by differences of drawn images. Of the
     /// light is known what kind it is: slanted, with slopes of its own on either side; or smoke, a random field of which the spectrum is
-    /// known (the eight wavelengths, equal strength, any direction and phase), not the waves of the scene.
+    /// known (the eight wavelengths, equal strength, any direction and phase), not the waves of the scene. Of the noise it is known how loud each pixel's is.
     fn bound(&self, waves: &[[f64; 4]], light: &[(Vec<f64>, f64)], hidden: &dyn Fn(f64, f64) -> bool) -> [f64; 4] {
         let spot = self.spot(0.0, 0.0);
         let span = self.step();
@@ -175,13 +185,14 @@ impl Condition {
             .collect();
         columns.extend_from_slice(light);
         let quantised = if self.bits == 8 { 1.0 / 12.0 } else { 0.0 };
-        let variance = (self.noise * span).powi(2) + quantised;
+        let clean = at([0.0; 8]);
+        let weight: Vec<f64> = clean.iter().map(|grey| 1.0 / (self.sigma(*grey).powi(2) + quantised)).collect();
         let size = self.size();
         let seen: Vec<usize> = (0..size * size).filter(|i| !hidden((i % size) as f64, (i / size) as f64)).collect();
         let n = columns.len();
         let fisher = DMatrix::from_fn(n, n, |i, j| {
-            let dot: f64 = seen.iter().map(|p| columns[i].0[*p] * columns[j].0[*p]).sum();
-            dot / variance + if i == j { columns[i].1 } else { 0.0 }
+            let dot: f64 = seen.iter().map(|p| weight[*p] * columns[i].0[*p] * columns[j].0[*p]).sum();
+            dot + if i == j { columns[i].1 } else { 0.0 }
         });
         // Unknowns differ by orders of magnitude: scale before inverting.
         let scale: Vec<f64> = (0..n).map(|i| fisher[(i, i)].sqrt()).collect();
@@ -203,7 +214,7 @@ impl Condition {
             .grey
         };
         match self.light {
-            Light::Even | Light::Glare => vec![],
+            Light::Even | Light::Glare | Light::Shot => vec![],
             Light::Slanted => [(disc, 0.0), (0.0, ground)]
                 .iter()
                 .flat_map(|(i, o)| [(image(&|x, _| x, *i, *o), 0.0), (image(&|_, y| y, *i, *o), 0.0)])
@@ -237,7 +248,7 @@ impl Condition {
 
     /// One noisy image, as grey levels, and the discs in it.
     fn expose(&self, clean: &Clean, random: &mut Random) -> (Vec<f32>, Vec<Disc>) {
-        let (w, h, sigma) = (clean.width, clean.height, self.noise * self.step());
+        let (w, h, sigma) = (clean.width, clean.height, |grey| self.sigma(grey));
         let options = DetectOptions::default();
         let (levels, found) = if self.bits == 8 {
             let p = clean.noisy_u8(sigma, random);
@@ -270,6 +281,44 @@ impl Condition {
         self.expose_all([scenes, 1, 0], seed, |spot, _, disc| each(spot, disc));
     }
 
+    /// The place of the disc and the smoke of a scene.
+    fn scene(&self, scene: usize, seed: u64) -> (Spot, Vec<[f64; 4]>) {
+        let spot = self.spot((scene as f64 * 0.618).fract() - 0.5, (scene as f64 * 0.414).fract() - 0.5);
+        (spot, self.waves(seed * 1000 + scene as u64))
+    }
+
+    /// Draws so many columns and rows of scenes, without spots of glare, side by side in one noisy image, the heights of their waves so many times those of a scene alone,
+    /// and shows each disc as it is and as it is found.
+    pub fn show_together(
+        &self,
+        [columns, rows]: [usize; 2],
+        heights: f64,
+        seed: u64,
+        mut each: impl FnMut(&Spot, Option<&Disc>),
+    ) {
+        let size = self.size();
+        let mut all =
+            Clean { width: columns * size, height: rows * size, grey: vec![0.0; columns * rows * size * size] };
+        let mut spots = vec![];
+        for scene in 0..columns * rows {
+            let (spot, mut waves) = self.scene(scene, seed);
+            waves.iter_mut().for_each(|w| w[3] *= heights);
+            let [left, top] = [scene % columns * size, scene / columns * size];
+            let one = self.draw(&spot, self.blur_px, self.levels(), &waves);
+            for (v, row) in one.grey.chunks(size).enumerate() {
+                all.grey[(top + v) * all.width + left..][..size].copy_from_slice(row);
+            }
+            spots.push(Spot { u: spot.u + left as f64, v: spot.v + top as f64, ..spot });
+        }
+        let (_, discs) = self.expose(&all, &mut Random(seed));
+        for spot in &spots {
+            let away = |d: &&Disc| {
+                (d.ellipse.center_px.u_px - spot.u).hypot(d.ellipse.center_px.v_px - spot.v) < self.semi_minor_px
+            };
+            each(spot, discs.iter().find(away));
+        }
+    }
+
     /// As [`Condition::show`], with the bound of the first `bounds` scenes.
     fn expose_all(
         &self,
@@ -281,8 +330,7 @@ impl Condition {
         let mut bound = [0.0; 4];
         let light = if bounds > 0 { self.light_columns() } else { vec![] };
         for scene in 0..scenes {
-            let spot = self.spot((scene as f64 * 0.618).fract() - 0.5, (scene as f64 * 0.414).fract() - 0.5);
-            let waves = self.waves(seed * 1000 + scene as u64);
+            let (spot, waves) = self.scene(scene, seed);
             let mut clean = self.draw(&spot, self.blur_px, self.levels(), &waves);
             let (radius, turn) = (0.25 * self.semi_minor_px, TAU * random.uniform());
             let (s, c) = spot.phi.sin_cos();

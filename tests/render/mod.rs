@@ -122,19 +122,41 @@ pub fn draw(width: usize, height: usize, psf: f64, scene: impl Fn(f64, f64, f64)
     Clean { width, height, grey }
 }
 
+/// Standard deviation of the noise where the clean image has a grey level: the same everywhere, or a function of that.
+pub trait Noise {
+    fn sigma(&self, grey: f64) -> f64;
+}
+
+impl Noise for f64 {
+    fn sigma(&self, _: f64) -> f64 {
+        *self
+    }
+}
+
+impl<F: Fn(f64) -> f64> Noise for F {
+    fn sigma(&self, grey: f64) -> f64 {
+        self(grey)
+    }
+}
+
 impl Clean {
-    /// With Gaussian noise of `sigma` grey levels, rounded to 8 bit.
-    pub fn noisy_u8(&self, sigma: f64, random: &mut Random) -> Vec<u8> {
-        self.grey.iter().map(|g| (g + sigma * random.normal()).round().clamp(0.0, 255.0) as u8).collect()
-    }
-
-    /// With Gaussian noise of `sigma` grey levels, rounded to 16 bit.
-    pub fn noisy_u16(&self, sigma: f64, random: &mut Random) -> Vec<u16> {
-        self.grey.iter().map(|g| (g + sigma * random.normal()).round().clamp(0.0, 65535.0) as u16).collect()
-    }
-
     /// With Gaussian noise, as floats.
-    pub fn noisy_f32(&self, sigma: f64, random: &mut Random) -> Vec<f32> {
-        self.grey.iter().map(|g| (g + sigma * random.normal()) as f32).collect()
+    fn noisy(&self, noise: impl Noise, random: &mut Random) -> impl Iterator<Item = f64> {
+        self.grey.iter().map(move |g| g + noise.sigma(*g) * random.normal())
+    }
+
+    /// The same, rounded to 8 bit.
+    pub fn noisy_u8(&self, noise: impl Noise, random: &mut Random) -> Vec<u8> {
+        self.noisy(noise, random).map(|g| g.round().clamp(0.0, 255.0) as u8).collect()
+    }
+
+    /// The same, rounded to 16 bit.
+    pub fn noisy_u16(&self, noise: impl Noise, random: &mut Random) -> Vec<u16> {
+        self.noisy(noise, random).map(|g| g.round().clamp(0.0, 65535.0) as u16).collect()
+    }
+
+    /// The same in single precision.
+    pub fn noisy_f32(&self, noise: impl Noise, random: &mut Random) -> Vec<f32> {
+        self.noisy(noise, random).map(|g| g as f32).collect()
     }
 }

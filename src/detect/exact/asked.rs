@@ -11,13 +11,15 @@
 //! 30 % across them, inside and out, waves gain up to 22, as not knowing the slopes inside costs 15, and with even light outside they lose 1e5;
 //! smoke taken for such light gains 10 to 1080, with even light outside 45 to 1110 (4 px behind 1.7 px, 8 px behind 3 px, 93 discs).
 
-use super::field::{Field, Spectrum, price_of_slopes, prior_of_amplitude};
+use super::field::{Field, Spectrum, price_of_slopes, prior_of_amplitude, prior_of_noise};
 use super::{Exact, State};
 use crate::detect::light::Side;
 
 /// Fields that are asked: lengths in semi-axes, amplitudes in steps of the light.
 const LENGTHS: [f64; 3] = [0.64, 1.15, 2.2];
 const AMPLITUDES: [f64; 3] = [0.06, 0.12, 0.24];
+/// Where the noise inside is known if there is no smoke: what of it, as a power of its ratio to that outside, may be noise if there is.
+const POWERS: [f64; 3] = [0.0, 0.5, 1.0];
 /// The loss that says that there is none, whatever light looked like before: shot noise alone makes a bright disc louder than its ground.
 const UNLIKELIER: f64 = 4.0;
 /// The gain that says that there may be smoke: where light outside is even, where it rises, and with even light in place of that.
@@ -63,24 +65,48 @@ impl Exact {
         }
     }
 
+    /// By how much each field that is asked is less likely than light that is at most slanted, for discs that have the noise of `state` in common, to which the image
+    /// was fitted last: with that noise, and with so much less of it inside as the smoke may be. In twice the logarithm of the likelihood.
+    pub(crate) fn smoke_told(&mut self, state: &State) -> Vec<f64> {
+        self.hold_steps(state);
+        self.light.clear();
+        let plain = [0, 1].into_iter().filter_map(|degree| self.listen_plainly(state, degree));
+        let plain = plain.map(|s| s.value).fold(f64::INFINITY, f64::min) - prior_of_noise(state.variance, state.step);
+        let ([inside, outside], mut told) = (state.variance, vec![]);
+        for power in POWERS {
+            let quieter = State { variance: [outside * (inside / outside).powf(power), outside], ..state.clone() };
+            self.each_asked(&quieter, state.sides[1], |exact, tried, value| {
+                told.push(value + exact.price_of_known_noise(tried) - plain);
+            });
+        }
+        self.held.clear();
+        told
+    }
+
     /// Minus twice the logarithm of the likelihood of the likeliest field asked, with the light given outside.
     fn likeliest_asked(&mut self, state: &State, outside: Side) -> f64 {
         let mut least = f64::INFINITY;
+        self.each_asked(state, outside, |exact, tried, value| {
+            let amplitude = tried.field.as_ref().map_or(0.0, |f| f.amplitude);
+            least = least.min(value + prior_of_amplitude(amplitude, state.step) + exact.price_of_noise(tried));
+        });
+        least
+    }
+
+    /// What is left by each field asked, with the light given outside.
+    fn each_asked(&mut self, state: &State, outside: Side, mut take: impl FnMut(&Self, &State, f64)) {
         for length in LENGTHS {
             let field = Field::new(Spectrum::Smooth, length, &state.ellipse, state.blur_px);
             let sides = [Side::plain(0, state.step.abs()), outside];
             let mut tried = State { field: Some(field), sides, ..state.clone() };
             self.sum_up(&tried);
-            let noise = self.price_of_noise(&tried);
             for part in AMPLITUDES {
-                let amplitude = part * state.step.abs();
                 if let Some(f) = &mut tried.field {
-                    f.amplitude = amplitude;
+                    f.amplitude = part * state.step.abs();
                 }
-                let value = self.solve(&tried).map_or(f64::INFINITY, |x| x + prior_of_amplitude(amplitude, state.step));
-                least = least.min(value + noise);
+                let value = self.solve(&tried).unwrap_or(f64::INFINITY);
+                take(self, &tried, value);
             }
         }
-        least
     }
 }

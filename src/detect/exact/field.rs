@@ -37,7 +37,7 @@ const PRIOR_PIXELS: usize = 3000;
 
 /// Minus twice the logarithm of the prior of the noise inside, beside that outside: with more light comes more shot noise, of a factor
 /// that may well be `LIKELY`; less noise with more light is hardly more than another ground.
-fn prior_of_noise([inside, outside]: [f64; 2], step: f64) -> f64 {
+pub(super) fn prior_of_noise([inside, outside]: [f64; 2], step: f64) -> f64 {
     let louder = (inside / outside).ln() * step.signum();
     (louder / if louder > 0.0 { LIKELY } else { UNLIKELY }.ln()).powi(2)
 }
@@ -335,9 +335,13 @@ impl Exact {
 
     /// Sum of the logarithms of the noise variances of the pixels summed up last, and what the prior of the noise takes for it.
     pub(super) fn price_of_noise(&self, state: &State) -> f64 {
+        self.price_of_known_noise(state) + prior_of_noise(state.variance, state.step)
+    }
+
+    /// The same of noise that has no prior of its own.
+    pub(super) fn price_of_known_noise(&self, state: &State) -> f64 {
         let chosen = (0..self.count).filter(|i| (i / SLICE).is_multiple_of(self.thinned.max(1)));
-        let logs: f64 = chosen.map(|i| -Self::weight(state, self.inside[i]).ln()).sum();
-        logs + prior_of_noise(state.variance, state.step)
+        chosen.map(|i| -Self::weight(state, self.inside[i]).ln()).sum()
     }
 
     /// Least value of light that is at most slanted, under the noise inside that explains it best: light carries shot noise that the
@@ -383,7 +387,7 @@ impl Exact {
         let (e, blur_px) = (&state.ellipse, state.blur_px);
         // Nodes follow what turbulence mixes in large discs.
         let large = is_large(e);
-        let blur = blur_px / (e.semi_major_px * e.semi_minor_px).sqrt();
+        let blur = blur_px / e.mean_radius_px();
         Spectrum::ALL
             .iter()
             .filter(|s| !large || **s == Spectrum::Smooth)

@@ -22,7 +22,7 @@ fn shape(d: &Disc) -> Matrix2<f64> {
 }
 
 fn radius(d: &Disc) -> f64 {
-    (d.ellipse.semi_major_px * d.ellipse.semi_minor_px).sqrt()
+    d.ellipse.mean_radius_px()
 }
 
 /// Eigenvalues of the second shape in the metric of the first, and the distance of the centres in radii of the first.

@@ -370,7 +370,7 @@ fn plate_scene(r: &mut Random, view: &View, missing: f64, marks: &[Mark]) -> Sce
     }
     for m in marks {
         let d = view.disc(r, &place(&m.at), 1.6, 0.1);
-        let radius_px = (d.ellipse.semi_major_px * d.ellipse.semi_minor_px).sqrt();
+        let radius_px = d.ellipse.mean_radius_px();
         if inside(&d) {
             scene.detection.shapes.push(Shape { center_px: d.ellipse.center_px, radius_px, mark: m.kind });
         }

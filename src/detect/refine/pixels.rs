@@ -253,7 +253,7 @@ fn finished(state: &State, kept: &[bool], edge_alone: bool, s: &mut Scratch) -> 
 /// What not knowing the profile of an edge adds to the covariance of the regular coordinates. A blurred edge of curvature k (1/px) lies `k s^2 / 2` px inside of
 /// the sharp one, s the standard deviation of the profile; s^2 is known to [`OTHER_PROFILE`] alone, and k is taken as 1 / sqrt(a b) all around.
 fn of_other_profile(e: &Ellipse, blur_px: f64) -> SMatrix<f64, 5, 5> {
-    let size = (e.semi_major_px * e.semi_minor_px).sqrt();
+    let size = e.mean_radius_px();
     let moved_px = 0.5 * OTHER_PROFILE * blur_px * blur_px / size;
     let larger = Ellipse { semi_major_px: e.semi_major_px + moved_px, semi_minor_px: e.semi_minor_px + moved_px, ..*e };
     let change = to_regular(&larger) - to_regular(e);

@@ -1,0 +1,124 @@
+//! Which of the discs found are those of a target: of one polarity and no dust, with rings named and marks beside them.
+
+use crate::detect::candidate::Candidate;
+use crate::detect::{Detection, Disc, Rejection, RejectionReason, Shape};
+use crate::frames::Pixel;
+use crate::target::{MarkKind, Polarity};
+
+/// A disc with less than this part of the typical radius is dust.
+const DUST: f64 = 0.25;
+
+/// Whether two points are less than `limit_px` apart.
+pub(super) fn within(a: Pixel, b: Pixel, limit_px: f64) -> bool {
+    let (du, dv) = (a.u_px - b.u_px, a.v_px - b.v_px);
+    du * du + dv * dv < limit_px * limit_px
+}
+
+/// Leaves of all discs and rejections those that say something of a target; `candidates` and `marks` are what the coarse stage saw.
+pub(super) fn keep_target(
+    detection: &mut Detection,
+    candidates: &[Candidate],
+    marks: &[(Candidate, MarkKind)],
+    polarity: Polarity,
+) {
+    mark_rings(&mut detection.discs, candidates);
+    keep_one_polarity(detection, polarity);
+    keep_marks(detection, marks);
+    drop_dust(detection);
+    keep_telling_rejections(detection);
+}
+
+/// A disc around a region of the other polarity is a ring; the hole itself is no disc.
+fn mark_rings(discs: &mut Vec<Disc>, candidates: &[Candidate]) {
+    let holes = [false, true].map(|bright| candidates.iter().filter(|c| c.bright == bright).collect::<Vec<_>>());
+    for d in discs.iter_mut() {
+        let e = &d.ellipse;
+        let hole = holes[usize::from(d.polarity != Polarity::Bright)].iter().any(|c| {
+            if !within(c.ellipse.center_px, e.center_px, 0.1 * e.semi_minor_px + 0.5) {
+                return false;
+            }
+            let ratio = c.ellipse.semi_minor_px / e.semi_minor_px;
+            c.rms_px < 0.25 + 0.06 * c.ellipse.semi_minor_px
+                && (0.1..0.8).contains(&ratio)
+                && c.contrast > 0.5 * d.contrast
+        });
+        if hole {
+            d.mark = Some(MarkKind::Ring);
+        }
+    }
+    let rings: Vec<Disc> = discs.iter().filter(|d| d.mark.is_some()).cloned().collect();
+    discs.retain(|d| {
+        !rings.iter().any(|r| {
+            r.polarity != d.polarity
+                && within(r.ellipse.center_px, d.ellipse.center_px, 0.5 * r.ellipse.semi_minor_px)
+                && d.ellipse.semi_major_px < 0.9 * r.ellipse.semi_minor_px
+        })
+    });
+}
+
+/// Under `Auto` the polarity whose contours weigh more (length times contrast) stays; a target has one.
+fn keep_one_polarity(detection: &mut Detection, polarity: Polarity) {
+    if polarity != Polarity::Auto {
+        return;
+    }
+    let weight = |p: Polarity| -> f64 {
+        let of_p = detection.discs.iter().filter(|d| d.polarity == p);
+        of_p.map(|d| d.contrast * d.ellipse.perimeter_px()).sum()
+    };
+    let winner = if weight(Polarity::Bright) > weight(Polarity::Dark) { Polarity::Bright } else { Polarity::Dark };
+    for d in detection.discs.extract_if(.., |d| d.polarity != winner) {
+        let e = &d.ellipse;
+        detection.rejections.push(Rejection {
+            center_px: e.center_px,
+            radius_px: e.mean_radius_px(),
+            reason: RejectionReason::OtherPolarity,
+        });
+    }
+}
+
+/// Radius in whose size class the discs of the image lie, px (weighted by length times contrast).
+fn typical_radius_px(discs: &[Disc]) -> Option<f64> {
+    let mut sizes: Vec<(f64, f64)> =
+        discs.iter().map(|d| (d.ellipse.mean_radius_px(), d.contrast * d.ellipse.perimeter_px())).collect();
+    sizes.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half = 0.5 * sizes.iter().map(|s| s.1).sum::<f64>();
+    let mut sum = 0.0;
+    sizes.into_iter().find_map(|(radius, weight)| {
+        sum += weight;
+        (sum >= half).then_some(radius)
+    })
+}
+
+/// Specks far smaller than the discs of the image are no discs of the target.
+fn drop_dust(detection: &mut Detection) {
+    let Some(typical) = typical_radius_px(&detection.discs) else { return };
+    let dust = detection.discs.extract_if(.., |d| d.ellipse.mean_radius_px() <= DUST * typical);
+    detection.rejections.extend(dust.map(|d| Rejection {
+        center_px: d.ellipse.center_px,
+        radius_px: d.ellipse.mean_radius_px(),
+        reason: RejectionReason::TooSmall { semi_minor_px: d.ellipse.semi_minor_px },
+    }));
+}
+
+/// Structure inside an accepted disc, or a coarser view of one, is not worth a word.
+fn keep_telling_rejections(detection: &mut Detection) {
+    let discs = &detection.discs;
+    detection.rejections.retain(|r| {
+        !discs.iter().any(|d| {
+            let radius = d.ellipse.mean_radius_px();
+            within(d.ellipse.center_px, r.center_px, radius.max(r.radius_px.min(4.0 * radius)))
+        })
+    });
+}
+
+/// Marks of the discs' polarity and of about their size.
+fn keep_marks(detection: &mut Detection, marks: &[(Candidate, MarkKind)]) {
+    let Some(typical) = typical_radius_px(&detection.discs) else { return };
+    let bright = detection.discs[0].polarity == Polarity::Bright;
+    for (c, kind) in marks.iter().filter(|(c, _)| c.bright == bright) {
+        let radius_px = c.ellipse.mean_radius_px();
+        if radius_px > typical / 3.0 && radius_px < 3.0 * typical {
+            detection.shapes.push(Shape { center_px: c.ellipse.center_px, radius_px, mark: *kind });
+        }
+    }
+}
