@@ -262,7 +262,7 @@ impl Exact {
     }
 
     /// What the fields given and, of a small disc, light without waves say under the noise of the state, that noise and its prior counted;
-    /// and the least value of each field.
+    /// and the least value of each field. Light without waves is as likely beforehand as all fields together.
     fn listen_to_all(&mut self, state: &State, fields: &[Field], amplitude: f64) -> (Vec<Said>, Vec<f64>) {
         let (mut all, mut bests) = (vec![], vec![]);
         for (i, field) in fields.iter().enumerate() {
@@ -274,7 +274,9 @@ impl Exact {
             all.extend(said);
         }
         if !is_large(&state.ellipse) {
-            all.extend([0, 1].into_iter().filter_map(|degree| self.listen_plainly(state, degree)));
+            let share = 2.0 * (all.len() as f64).ln();
+            let plain = [0, 1].into_iter().filter_map(|degree| self.listen_plainly(state, degree));
+            all.extend(plain.map(|s| Said { value: s.value - share, ..s }));
         }
         (all, bests)
     }

@@ -195,7 +195,7 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let ask = !edge_alone && !large && start.smoke && (!seen || explained);
     let answer = if ask { s.exact.ask_for_smoke(&state) } else { Answer::Open };
     let told = answer == Answer::Likely;
-    let smoky = told || seen && answer == Answer::Open;
+    let smoky = told || answer == Answer::Possible || seen && answer == Answer::Open;
     let (mut clear, mut doubtful) = (false, None);
     if start.smoke && !edge_alone && !(nodes && large) {
         // What is hidden is asked for before smoke.
