@@ -100,16 +100,16 @@ fn close_bright_dots_tell_their_noise_without_their_neighbours() {
 }
 
 /// In images of few discs, which may be full of smoke, dark ones are told to be quieter inside as well: their mean z^2 were 0.4 to 0.6. Bright ones tell together that
-/// there is no smoke: they had been fitted with smoke each for itself, with a z^2 of 2.0 of the minor axis, in twenty times the time.
+/// there is no smoke: they had been fitted with smoke each for itself, with a z^2 of 2.0 of the minor axis, in five times the time.
 #[test]
 fn few_dots_tell_the_noise_inside() {
-    for (polarity, radius_mm) in [("dark", 0.3), ("bright", 0.2)] {
+    for (polarity, radius_mm, least) in [("dark", 0.3, 0.7), ("bright", 0.2, 0.6)] {
         let mut sum = [0.0; 4];
         for seed in 50..55 {
             let dots = Dots { polarity, radius_mm, spacing_mm: 6.0 * radius_mm, blur_px: 1.2, count: [5, 4] };
             let (squares, _) = dots.measure(seed);
             sum.iter_mut().zip(squares).for_each(|(sum, x)| *sum += x / 5.0);
         }
-        assert!(sum.iter().all(|x| (0.6..1.4).contains(x)), "mean z^2 of 200 {polarity} dots {sum:?}");
+        assert!(sum.iter().all(|x| (least..1.4).contains(x)), "mean z^2 of 200 {polarity} dots {sum:?}");
     }
 }

@@ -200,8 +200,8 @@ fn close_ones(starts: &[Start], refined: &[Refined], moved: &[bool], sigma: f64)
         Ok(disc) => lights.felt_by(&disc.ellipse),
         // The light of others may be what made it look hidden or bent. What is no disc is hardly like them.
         Err(RejectionReason::Incomplete { .. } | RejectionReason::NotElliptical { .. }) => {
-            let step = if start.bright { start.contrast } else { -start.contrast };
-            lights.felt_by(&start.ellipse).filter(|felt| felt.iter().any(|lit| lit.is_like(&start.ellipse, step)))
+            let like = |felt: &Vec<Lit>| felt.iter().any(|lit| lit.is_like(&start.ellipse, start.step()));
+            lights.felt_by(&start.ellipse).filter(like)
         }
         Err(_) => None,
     };

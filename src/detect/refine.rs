@@ -91,6 +91,11 @@ pub(crate) struct Start<'a> {
 }
 
 impl Start<'_> {
+    /// Light inside minus outside, roughly, grey.
+    pub(crate) fn step(&self) -> f64 {
+        if self.bright { self.contrast } else { -self.contrast }
+    }
+
     /// The same disc as another look at its line shows it.
     pub(crate) fn by(&self, line: &Candidate) -> Self {
         Self { ellipse: line.ellipse, blur_px: line.blur_px, contrast: line.contrast, ..*self }
@@ -220,7 +225,7 @@ fn rough_model(view: &GrayView, start: &Start, s: &mut Scratch) -> Result<EdgeMo
         // Weights in units of the contrast, until the noise is known.
         variance: [(0.05 * start.contrast).powi(2).max(1e-300); 2],
         bends: [0.0; 2],
-        step: if start.bright { start.contrast } else { -start.contrast },
+        step: start.step(),
     };
     for _ in 0..MOST_ROUNDS {
         let wanted = 2.5 * model.blur_px + 1.0;

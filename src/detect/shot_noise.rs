@@ -29,7 +29,6 @@
 //! Few bright discs may be full of smoke, which passes for noise. They are asked besides what they say of fields of smoke that all of them have in common,
 //! under the noise that they told or less, and are believed where each field is clearly less likely than noise alone.
 
-use crate::conic::Ellipse;
 use crate::detect::refine::Start;
 use std::f64::consts::SQRT_2;
 
@@ -81,10 +80,11 @@ fn ratio(step: f64) -> f64 {
     SQRT_2.powf(step - f64::from(QUIETER))
 }
 
-/// Whether a disc has too few pixels inside that its edge does not reach.
-fn is_untold(e: &Ellipse, blur_px: f64) -> bool {
-    let [a, b] = [e.semi_major_px, e.semi_minor_px].map(|axis| (axis - CLEAR_OF_EDGE * blur_px).max(0.0));
-    std::f64::consts::PI * a * b < ENOUGH
+/// Whether a disc, of the light given, has too few pixels inside that its edge does not reach.
+fn is_untold(start: &Start, bright: bool) -> bool {
+    let e = &start.ellipse;
+    let [a, b] = [e.semi_major_px, e.semi_minor_px].map(|axis| (axis - CLEAR_OF_EDGE * start.blur_px).max(0.0));
+    start.bright == bright && std::f64::consts::PI * a * b < ENOUGH
 }
 
 impl ShotNoise {
@@ -119,7 +119,7 @@ impl ShotNoise {
 
     /// Whether it is all that makes a disc louder than its ground, where smoke has no part in it.
     pub(crate) fn is_all_of(&self, start: &Start) -> bool {
-        start.bright == self.bright && is_untold(&start.ellipse, start.blur_px)
+        is_untold(start, self.bright)
     }
 
     /// The variance inside a disc whose ground has the variance `outside`, with a step of the light inside less outside.
@@ -143,8 +143,8 @@ impl ShotNoise {
 
 /// Some of the small discs that have the light of most, asked as if there were no smoke in bright ones; none where they are few.
 fn some_of<'a>(starts: &[Start<'a>], bright: bool, most: usize) -> Option<Vec<Start<'a>>> {
-    let untold = |s: &&Start| s.bright == bright && is_untold(&s.ellipse, s.blur_px);
-    let small: Vec<Start> = starts.iter().filter(untold).map(|s| Start { smoke: s.smoke && !bright, ..*s }).collect();
+    let untold = starts.iter().filter(|s| is_untold(s, bright));
+    let small: Vec<Start> = untold.map(|s| Start { smoke: s.smoke && !bright, ..*s }).collect();
     let every = small.len().div_ceil(most);
     (small.len() >= LEAST).then(|| small.into_iter().step_by(every).collect())
 }

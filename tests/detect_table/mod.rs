@@ -262,6 +262,12 @@ impl Condition {
         (levels, found.unwrap().discs)
     }
 
+    /// The disc that was found for the one drawn.
+    fn at<'a>(&self, spot: &Spot, discs: &'a [Disc]) -> Option<&'a Disc> {
+        let off_px = |d: &Disc| (d.ellipse.center_px.u_px - spot.u).hypot(d.ellipse.center_px.v_px - spot.v);
+        discs.iter().find(|d| off_px(d) < self.semi_minor_px)
+    }
+
     /// Draws `scenes` scenes, each at another place within the pixel and in other smoke, and shows `shots` noisy images of each:
     /// the disc as it is, the grey levels, the disc found. Returns the Cramer-Rao bound, as standard deviations.
     pub fn show(
@@ -312,10 +318,7 @@ impl Condition {
         }
         let (_, discs) = self.expose(&all, &mut Random(seed));
         for spot in &spots {
-            let away = |d: &&Disc| {
-                (d.ellipse.center_px.u_px - spot.u).hypot(d.ellipse.center_px.v_px - spot.v) < self.semi_minor_px
-            };
-            each(spot, discs.iter().find(away));
+            each(spot, self.at(spot, &discs));
         }
     }
 
@@ -353,10 +356,7 @@ impl Condition {
             }
             for _ in 0..shots {
                 let (levels, discs) = self.expose(&clean, &mut random);
-                let away = |d: &&Disc| {
-                    (d.ellipse.center_px.u_px - spot.u).hypot(d.ellipse.center_px.v_px - spot.v) < self.semi_minor_px
-                };
-                each(&spot, &levels, discs.iter().find(away));
+                each(&spot, &levels, self.at(&spot, &discs));
             }
         }
         bound.map(f64::sqrt)

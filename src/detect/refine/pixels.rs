@@ -65,7 +65,7 @@ pub(super) fn clean_disc(
         blur_px,
         expected_blur_px: blur_px,
         near: near && start.clear,
-        step: if start.bright { start.contrast } else { -start.contrast },
+        step: start.step(),
         slopes: start.slopes,
         variance: [start.variance; 2],
         allow: start.noise.allow,
