@@ -213,6 +213,12 @@
 #define SPIVCAL_DETECT_MIN_COVERAGE 6
 
 /**
+ * 1: bright discs are known to be full of smoke (bubbles cut by the sheet), so that sigmas hold for weak smoke behind a blur; 0: each disc is asked
+ * (default).
+ */
+#define SPIVCAL_DETECT_FULL_OF_SMOKE 7
+
+/**
  * Centres of the ellipses, u, px; one per disc.
  */
 #define SPIVCAL_DISC_U_PX 101

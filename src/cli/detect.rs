@@ -31,7 +31,8 @@ struct Found {
 pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Bar) -> Result<Done> {
     let stems = stems(&command.images)?;
     stems.iter().try_for_each(|stem| spare_other_json(&command.output.join(format!("{stem}.json"))))?;
-    let options = DetectOptions { polarity: command.polarity.into(), ..DetectOptions::default() };
+    let (polarity, full_of_smoke) = (command.polarity.into(), command.smoke);
+    let options = DetectOptions { polarity, full_of_smoke, ..DetectOptions::default() };
     progress.stage("finding discs", command.images.len());
     let memory = DetectMemory::default();
     let one = |(path, stem): (&PathBuf, &String)| -> Result<Found> {

@@ -94,6 +94,8 @@ pub(crate) struct State {
     pub(crate) variance: [f64; 2],
     /// Inside minus outside, grey.
     pub(crate) step: f64,
+    /// Whether it is a small disc known to be full of smoke.
+    pub(crate) full_of_smoke: bool,
     /// What the noise of neighbours has in common.
     pub(crate) allow: Allowance,
 }

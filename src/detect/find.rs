@@ -130,6 +130,7 @@ fn refine_all<'a>(
         clear: sigma < CLEAR * candidate.contrast * candidate.ellipse.perimeter_px().sqrt(),
         shot_noise: None,
         smoke: if *wisp { few(all.len()) } else { smoke },
+        full_of_smoke: options.full_of_smoke && candidate.bright && few(all.len()),
     });
     let mut starts: Vec<Start> = each.collect();
     let refined = fit_all(view, &mut starts, [noise_grey, range], options);
@@ -156,7 +157,8 @@ fn fit_all(
     let shot_noise = ShotNoise::of(starts, |asked| threads::side_by_side(asked, |start| ask(view, start)));
     let shot_noise = shot_noise.filter(|noise| {
         let ask = |start: &Start| memory.with(|scratch| smoke_told(view, start, noise, options, scratch));
-        noise.without_smoke(starts, |asked| threads::side_by_side(asked, ask))
+        !starts.iter().any(|start| start.full_of_smoke)
+            && noise.without_smoke(starts, |asked| threads::side_by_side(asked, ask))
     });
     for start in starts.iter_mut() {
         start.smoke &= !(start.bright && shot_noise.is_some_and(|noise| noise.is_all_of(start)));

@@ -88,6 +88,8 @@ pub(crate) struct Start<'a> {
     pub(crate) shot_noise: Option<ShotNoise>,
     /// Whether a random field of light may be fitted, which takes thousands of times as long as a clean disc.
     pub(crate) smoke: bool,
+    /// Whether it is known to have one.
+    pub(crate) full_of_smoke: bool,
 }
 
 impl Start<'_> {
@@ -574,6 +576,7 @@ mod tests {
             clear: true,
             shot_noise: None,
             smoke: false,
+            full_of_smoke: false,
         };
         let course = |shift_px: f64, semi_minor_px: f64, blur_px: f64| {
             let center_px = Pixel::new(50.0 + shift_px, 60.0);

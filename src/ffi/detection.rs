@@ -56,6 +56,13 @@ pub extern "C" fn spivcal_detection_set_number(detection: u64, key: i32, value: 
                     _ => return refused("0 (auto), 1 (bright) or 2 (dark)"),
                 }
             }
+            SPIVCAL_DETECT_FULL_OF_SMOKE => {
+                o.full_of_smoke = match value {
+                    0.0 => false,
+                    1.0 => true,
+                    _ => return refused("0 (not known) or 1 (full of smoke)"),
+                }
+            }
             SPIVCAL_DETECT_MIN_SEMI_MINOR_PX | SPIVCAL_DETECT_MAX_SEMI_MAJOR_PX if !positive => {
                 return refused("a positive length in px");
             }

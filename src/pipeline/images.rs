@@ -8,7 +8,8 @@ use crate::error::{Insufficient, Invalid, Result, Unusable};
 use crate::image::GrayImage;
 use crate::record::ImageFile;
 use crate::rig::OpenImage;
-use crate::rig_file::RigDescription;
+use crate::rig_file::{RigDescription, TargetDescription};
+use crate::target::Target;
 use rayon::prelude::*;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -91,6 +92,12 @@ pub(super) fn see_all(
     Ok(images)
 }
 
+/// What is known of the discs of a target.
+fn options_for(target: &TargetDescription) -> DetectOptions {
+    let full_of_smoke = matches!(target.target, Target::Bubbles(_));
+    DetectOptions { polarity: target.polarity, full_of_smoke, ..DetectOptions::default() }
+}
+
 fn see(
     job: &RigDescription,
     source: &Source,
@@ -98,8 +105,7 @@ fn see(
     memory: &DetectMemory,
 ) -> Result<SeenImage> {
     let image = source(view, camera)?;
-    let options = DetectOptions { polarity: job.target.polarity, ..DetectOptions::default() };
-    let detection = find_discs_with(&image.view(), &options, memory)?;
+    let detection = find_discs_with(&image.view(), &options_for(&job.target), memory)?;
     let labelling: Labelling = label_discs(name, &detection, &job.target.target)
         .map_err(|e| explained(e, &job.target, name, &image.view()))?;
     if labelling.discs.is_empty() {
@@ -151,4 +157,21 @@ fn refuse_repeated(job: &RigDescription, images: &[SeenImage]) -> Result<()> {
         .into());
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig_file::Adjust;
+    use crate::target::{Pair, Polarity};
+
+    /// Bubbles are full of smoke, printed discs are not.
+    #[test]
+    fn the_target_says_what_its_discs_are_full_of() {
+        let (polarity, adjust, point_sigma_mm) = (Polarity::Bright, Adjust::Shape, None);
+        let of = |target| options_for(&TargetDescription { target, polarity, adjust, point_sigma_mm });
+        let bubbles = of(Target::Bubbles(Pair::default()));
+        assert!(bubbles.full_of_smoke && bubbles.polarity == Polarity::Bright);
+        assert!(!of(Target::TwoDiscs(Pair::default())).full_of_smoke);
+    }
 }

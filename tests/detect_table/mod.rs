@@ -247,16 +247,15 @@ impl Condition {
     }
 
     /// One noisy image, as grey levels, and the discs in it.
-    fn expose(&self, clean: &Clean, random: &mut Random) -> (Vec<f32>, Vec<Disc>) {
+    fn expose(&self, clean: &Clean, options: &DetectOptions, random: &mut Random) -> (Vec<f32>, Vec<Disc>) {
         let (w, h, sigma) = (clean.width, clean.height, |grey| self.sigma(grey));
-        let options = DetectOptions::default();
         let (levels, found) = if self.bits == 8 {
             let p = clean.noisy_u8(sigma, random);
-            let found = find_discs(&GrayView::new(Samples::U8(&p), w, h, w).unwrap(), &options);
+            let found = find_discs(&GrayView::new(Samples::U8(&p), w, h, w).unwrap(), options);
             (p.iter().map(|x| f32::from(*x)).collect(), found)
         } else {
             let p = clean.noisy_u16(sigma, random);
-            let found = find_discs(&GrayView::new(Samples::U16(&p), w, h, w).unwrap(), &options);
+            let found = find_discs(&GrayView::new(Samples::U16(&p), w, h, w).unwrap(), options);
             (p.iter().map(|x| f32::from(*x)).collect(), found)
         };
         (levels, found.unwrap().discs)
@@ -299,6 +298,7 @@ impl Condition {
         &self,
         [columns, rows]: [usize; 2],
         heights: f64,
+        options: &DetectOptions,
         seed: u64,
         mut each: impl FnMut(&Spot, Option<&Disc>),
     ) {
@@ -316,7 +316,7 @@ impl Condition {
             }
             spots.push(Spot { u: spot.u + left as f64, v: spot.v + top as f64, ..spot });
         }
-        let (_, discs) = self.expose(&all, &mut Random(seed));
+        let (_, discs) = self.expose(&all, options, &mut Random(seed));
         for spot in &spots {
             each(spot, self.at(spot, &discs));
         }
@@ -355,7 +355,7 @@ impl Condition {
                 (0..4).for_each(|k| bound[k] += b[k] * b[k] / bounds as f64);
             }
             for _ in 0..shots {
-                let (levels, discs) = self.expose(&clean, &mut random);
+                let (levels, discs) = self.expose(&clean, &DetectOptions::default(), &mut random);
                 each(&spot, &levels, self.at(&spot, &discs));
             }
         }

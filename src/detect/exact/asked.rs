@@ -98,7 +98,7 @@ impl Exact {
         let mut least = f64::INFINITY;
         self.each_asked(state, outside, |exact, tried, value| {
             let amplitude = tried.field.as_ref().map_or(0.0, |f| f.amplitude);
-            least = least.min(value + prior_of_amplitude(amplitude, state.step) + exact.price_of_noise(tried));
+            least = least.min(value + prior_of_amplitude(amplitude, state) + exact.price_of_noise(tried));
         });
         least
     }

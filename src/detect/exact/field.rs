@@ -25,8 +25,11 @@ pub(super) const MOST_LOUD: usize = 24;
 /// Factors by which the variance of the noise on the side with more light may well be larger or smaller.
 const LIKELY: f64 = 4.0;
 const UNLIKELY: f64 = 1.3;
-/// Standard deviation of the amplitude of a field before seeing it, in steps of the light.
+/// Standard deviation of the amplitude of a field before seeing it, in steps of the light, and the least that a disc known to be full of smoke may have.
 const AMPLE: f64 = 0.5;
+const FAINTEST: f64 = 0.03;
+/// How likely light without waves is beforehand, beside all fields together: of a disc of which nothing is known, and of one known to be full of smoke.
+const EVEN: [f64; 2] = [1.0, 0.1];
 /// Degrees of freedom from which the noise inside is known well enough.
 const NOISE_KNOWN: f64 = 150.0;
 /// Loss in twice the logarithm of the likelihood at which other noise is no longer tried, and steps of it at most, either way.
@@ -42,10 +45,12 @@ pub(super) fn prior_of_noise([inside, outside]: [f64; 2], step: f64) -> f64 {
     (louder / if louder > 0.0 { LIKELY } else { UNLIKELY }.ln()).powi(2)
 }
 
-/// Minus twice the logarithm of the prior of an amplitude beside a step of the light: light is nowhere negative, and a scatter of more than its mean
-/// hardly ever seen.
-pub(super) fn prior_of_amplitude(amplitude: f64, step: f64) -> f64 {
-    (amplitude / (AMPLE * step)).powi(2)
+/// Minus twice the logarithm of the prior of an amplitude, per factor, beside the step of the light: light is nowhere negative, and a scatter of more than
+/// its mean hardly ever seen. As any blur hides fainter smoke, of all factors below most would say what even light says: where smoke is known to be there
+/// it is not that faint.
+pub(super) fn prior_of_amplitude(amplitude: f64, state: &State) -> f64 {
+    let part = amplitude / state.step.abs();
+    if state.full_of_smoke && part < FAINTEST { f64::INFINITY } else { (part / AMPLE).powi(2) }
 }
 
 /// What the prior of the slopes of one side takes for them, in twice the logarithm of the likelihood.
@@ -189,6 +194,7 @@ impl State {
             slopes: [[0.0; 2]; 2],
             variance: [variance; 2],
             step,
+            full_of_smoke: false,
             allow: crate::detect::correlation::Allowance::NONE,
         }
     }
@@ -242,7 +248,7 @@ impl Exact {
             if let Some(f) = &mut tried.field {
                 f.amplitude = amplitude;
             }
-            let value = self.solve(tried)? + prior_of_amplitude(amplitude, tried.step);
+            let value = self.solve(tried)? + prior_of_amplitude(amplitude, tried);
             said.push(self.said(tried, value, amplitude));
             Some(value)
         };
@@ -262,7 +268,7 @@ impl Exact {
     }
 
     /// What the fields given and, of a small disc, light without waves say under the noise of the state, that noise and its prior counted;
-    /// and the least value of each field. Light without waves is as likely beforehand as all fields together.
+    /// and the least value of each field. Light without waves has its share beforehand ([`EVEN`]).
     fn listen_to_all(&mut self, state: &State, fields: &[Field], amplitude: f64) -> (Vec<Said>, Vec<f64>) {
         let (mut all, mut bests) = (vec![], vec![]);
         for (i, field) in fields.iter().enumerate() {
@@ -274,7 +280,7 @@ impl Exact {
             all.extend(said);
         }
         if !is_large(&state.ellipse) {
-            let share = 2.0 * (all.len() as f64).ln();
+            let share = 2.0 * (EVEN[usize::from(state.full_of_smoke)] * all.len() as f64).ln();
             let plain = [0, 1].into_iter().filter_map(|degree| self.listen_plainly(state, degree));
             all.extend(plain.map(|s| Said { value: s.value - share, ..s }));
         }
@@ -282,7 +288,7 @@ impl Exact {
     }
 
     /// Spectrum, length and amplitude with the largest likelihood; no field where none is worth it, beside light without waves, both under
-    /// noise inside made louder up to `loudest` times. Unless `afresh`, only the amplitude of a field chosen before is chosen anew.
+    /// noise inside made louder up to `loudest` times; a field where there is smoke. Unless `afresh`, only the amplitude of a field chosen before is chosen anew.
     pub(super) fn choose_field(&mut self, state: &mut State, afresh: bool, loudest: usize) {
         let before = state.field.take().filter(|f| !afresh && !f.waves.is_empty());
         self.light.clear();
@@ -306,7 +312,11 @@ impl Exact {
             self.make_louder(state, best, loudest);
         }
         self.thinned = 1;
-        let worth = if large { WORTH } else { -AFFORDED };
+        let worth = match (large, state.full_of_smoke) {
+            (true, _) => WORTH,
+            (false, false) => -AFFORDED,
+            (false, true) => f64::NEG_INFINITY,
+        };
         state.field = best.filter(|b| without.is_some_and(|w| b.0 + worth < w)).map(|b| b.1);
     }
 

@@ -181,6 +181,7 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
         slopes: start.slopes,
         variance: model.variance,
         step: model.step,
+        full_of_smoke: start.full_of_smoke && !large,
         allow: start.noise.allow,
     };
     let before = state.clone();
@@ -193,7 +194,11 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let explained = large || s.exact.misfit() < UNEXPLAINED;
     // Light that only fields explain is not to pass for something hidden; nor that which a slope explains, but for a few pixels.
     let ask = !edge_alone && !large && start.smoke && (!seen || explained);
-    let answer = if ask { s.exact.ask_for_smoke(&state) } else { Answer::Open };
+    let answer = match (state.full_of_smoke && !edge_alone, ask) {
+        (true, _) => Answer::Likely,
+        (false, true) => s.exact.ask_for_smoke(&state),
+        (false, false) => Answer::Open,
+    };
     let told = answer == Answer::Likely;
     let smoky = told || answer == Answer::Possible || seen && answer == Answer::Open;
     let (mut clear, mut doubtful) = (false, None);

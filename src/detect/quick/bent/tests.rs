@@ -214,6 +214,7 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
             noise: &NoiseCorrelation::NONE,
             shot_noise: None,
             smoke: false,
+            full_of_smoke: false,
         };
         let (variance, field) = (state.variance, None);
         let mut plain = State {
@@ -225,6 +226,7 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
             slopes: [[0.0; 2]; 2],
             variance,
             step: state.step,
+            full_of_smoke: false,
             allow: Allowance::NONE,
         };
         let mut exact = Exact::default();
