@@ -14,7 +14,8 @@
 //!
 //! with all unknowns, geometry and blur among them, integrated out; the result is the mean over all of them, each with its
 //! likelihood as weight: so the sigmas say what not knowing the smoke, nor of which kind it is, costs. Of small discs light that is
-//! at most slanted is one of them; in large ones there is no smoke where such light says as much under louder noise. An amplitude is hardly ever more than
+//! at most slanted is one of them, with a tenth of the weight, and no smoke fainter than 3 %, where it is known that there is smoke; in large ones there
+//! is no smoke where such light says as much under louder noise. An amplitude is hardly ever more than
 //! half the step (`N(0, 1/2)`), for light is nowhere negative. Noise inside is what is left over the degrees of freedom that the waves did not
 //! spend, for light carries shot noise that the ground does not show. Of small discs these are few: then the mean is over the noise as
 //! well, which may be four times louder where there is more light (`ln (variance / outside) ~ N(0, ln 4)`), but hardly quieter (`ln 1.3`).
