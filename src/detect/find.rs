@@ -115,22 +115,25 @@ fn refine_all<'a>(
         || SharedLight::of(view, candidates),
         || NoiseCorrelation::of(view, &all, if smoke { &discs } else { &all }, !smoke),
     );
-    let each = wanted.iter().zip(&in_smoke).map(|((candidate, around), wisp)| Start {
-        ellipse: candidate.ellipse,
-        blur_px: candidate.blur_px,
-        bright: candidate.bright,
-        contrast: candidate.contrast,
-        inner_px: around.inner_px,
-        neighbours: &around.neighbours,
-        slopes: light.slopes(candidate),
-        noise: &noise,
-        level: candidate.level,
-        variance: sigma * sigma,
-        quantisation: quantisation(view),
-        clear: sigma < CLEAR * candidate.contrast * candidate.ellipse.perimeter_px().sqrt(),
-        shot_noise: None,
-        smoke: if *wisp { few(all.len()) } else { smoke },
-        full_of_smoke: options.full_of_smoke && candidate.bright && few(all.len()),
+    let each = wanted.iter().zip(&in_smoke).map(|((candidate, around), wisp)| {
+        let smoke = if *wisp { few(all.len()) } else { smoke };
+        Start {
+            ellipse: candidate.ellipse,
+            blur_px: candidate.blur_px,
+            bright: candidate.bright,
+            contrast: candidate.contrast,
+            inner_px: around.inner_px,
+            neighbours: &around.neighbours,
+            slopes: light.slopes(candidate),
+            noise: &noise,
+            level: candidate.level,
+            variance: sigma * sigma,
+            quantisation: quantisation(view),
+            clear: sigma < CLEAR * candidate.contrast * candidate.ellipse.perimeter_px().sqrt(),
+            shot_noise: None,
+            smoke,
+            full_of_smoke: smoke && options.full_of_smoke && candidate.bright,
+        }
     });
     let mut starts: Vec<Start> = each.collect();
     let refined = fit_all(view, &mut starts, [noise_grey, range], options);
