@@ -6,6 +6,7 @@
 //! | weak directions | which numbers move together? | principal directions of the covariance, in parts of 0.5 % and 5 mrad |
 //! | model tests | is a lens term lacking? is the plate bent, are its dots displaced? | [`crate::bundle::extension_tests`] |
 //! | views | what does each view contribute, does it agree with the others, and which one does not? | [`crate::bundle::ViewsLeftOut`], and an adjustment without it |
+//! | spread | do the views scatter as their noise says? what standard deviations do they tell? | the same changes, all together |
 //! | mapping | what do errors of the calibration do to u, v, w and to dewarped images? | [`crate::sheet::SheetUncertainty`] |
 //!
 //! Every yes-or-no finding allows 1 % false alarms over all tests of its kind together (Bonferroni). A finding becomes a flag only where
@@ -17,6 +18,7 @@ mod mapping;
 mod model_tests;
 mod outliers;
 mod priors;
+mod spread;
 mod views;
 mod weak;
 
@@ -30,6 +32,7 @@ use crate::rigid::Motion;
 use crate::target::DotId;
 use crate::threads;
 use keys::Keys;
+use spread::Spread;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// False alarms allowed over all tests of a kind.
@@ -110,7 +113,6 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
     watch.check()?;
     let keys = Keys::of(s.covariance, &names);
     let mut out = Findings { near_null: weak::near_null(s.covariance, &names, &keys), ..Findings::default() };
-    out.diagnosis.key_quantities = quantities(s.covariance, &keys);
     out.diagnosis.priors = priors::priors(s, &mut out.flags);
     watch.check()?;
     // Each part has flags of its own, so that they stand in one order whoever is done first.
@@ -128,19 +130,21 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
     };
     let (views, others) = threads::both(views, others);
     let ((views, of_views), (tests, of_tests, mapping, of_mapping)) = (views?, others?);
-    (out.diagnosis.model_tests, out.diagnosis.views, out.mapping) = (tests, views, mapping);
-    out.diagnosis.outliers = outliers::outliers(s);
+    out.diagnosis.key_quantities = quantities(s.covariance, &keys, &views.spreads);
+    (out.diagnosis.model_tests, out.diagnosis.views, out.mapping) = (tests, views.influences, mapping);
+    out.diagnosis.outliers = outliers::outliers(s, !of_tests.is_empty());
     out.flags.extend([of_tests, of_views, of_mapping].concat());
     Ok(out)
 }
 
-fn quantities(covariance: &NamedCovariance, keys: &Keys) -> Vec<KeyQuantity> {
+fn quantities(covariance: &NamedCovariance, keys: &Keys, spreads: &[Option<Spread>]) -> Vec<KeyQuantity> {
     let sigmas = covariance.sigmas(&keys.rows);
     let quantity = |(k, key): (usize, &keys::Key)| KeyQuantity {
         name: key.name.clone(),
         unit: key.unit.into(),
         value: key.value,
         sigma: sigmas[k],
+        sigma_by_views: spreads.get(k).copied().flatten().map_or(f64::NAN, |s| s.factor * sigmas[k]),
     };
     keys.list.iter().enumerate().map(quantity).collect()
 }

@@ -8,7 +8,7 @@ mod scene;
 use roxmltree::{Document, ParsingOptions};
 use scene::pictures;
 use spivcal::image::GrayImage;
-use spivcal::record::{Diagnosis, Known, Record, ResidualTable, ViewInfluence};
+use spivcal::record::{Diagnosis, KeyQuantity, Known, OutlierReason, Record, ResidualTable, ViewInfluence};
 use spivcal::report::{self, Level, OverlayInput, OverlayShapes};
 
 fn parse(html: &str) -> Document<'_> {
@@ -217,6 +217,35 @@ fn influences_have_names_or_dashes() {
     let text = words(&parse(&html));
     assert!(!text.contains("unknown ()") && !text.contains("unknown sigma"), "{text}");
     assert!(text.contains("207 sigma") && text.contains("5.9 (out-of-plane gain)"), "{text}");
+}
+
+/// Standard deviations that the views tell have a row where they are known; of many discs set aside the first are listed and the rest counted.
+#[test]
+fn what_the_views_tell_is_told_and_long_lists_say_that_they_go_on() {
+    let mut record = scene::record();
+    let key = |name: &str, sigma_by_views: f64| {
+        let (name, unit) = (name.into(), "px".into());
+        KeyQuantity { name, unit, value: 1474.31, sigma: 0.085, sigma_by_views }
+    };
+    let aside = |row: i32| OutlierReason {
+        view: 3,
+        camera: "left".into(),
+        disc: [9, row, 0],
+        distance_px: 0.5,
+        reason: "0.5 px from where the other discs expect it".into(),
+    };
+    record.fit.diagnosis = Some(Diagnosis {
+        key_quantities: vec![key("effective focal length", 0.442), key("effective principal point", f64::NAN)],
+        outliers: (0..43).map(aside).collect(),
+        ..Diagnosis::default()
+    });
+    let html = report::write_html(&record, &[], &ResidualTable::default()).unwrap();
+    for text in [words(&parse(&html)), report::text(&record).split_whitespace().collect::<Vec<_>>().join(" ")] {
+        assert!(text.contains("(1474.310 ± 0.085) px 0.44 px × 5.2"), "{text}");
+        assert!(!text.contains("effective principal point"), "{text}");
+        assert!(text.contains("disc 9, 39, 0: 0.5 px") && !text.contains("disc 9, 40, 0"), "{text}");
+        assert!(text.contains("nd 3 more: all are in calibration.json"), "{text}");
+    }
 }
 
 #[test]

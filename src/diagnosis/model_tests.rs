@@ -44,6 +44,15 @@ pub(super) fn model_tests(s: &Subject<'_>, keys: &Keys, flags: &mut Vec<String>)
     out
 }
 
+/// Pupil ratios that lenses have, retrofocus and telephoto among them.
+const PUPIL_RATIOS: std::ops::RangeInclusive<f64> = 0.3..=3.0;
+
+/// Whether a camera's parameter with the change that a test asks for would be a pupil ratio of no lens.
+fn no_lens_has(s: &Subject<'_>, t: &ExtensionTest, camera: usize, parameter: usize) -> bool {
+    let now = s.adjustment.state.cameras[camera].pupil_ratio;
+    crate::camera::INTRINSIC_NAMES[parameter] == "pupil_ratio" && !PUPIL_RATIOS.contains(&(now + t.size))
+}
+
 fn shown(e: Extension) -> (f64, &'static str) {
     match e {
         Extension::Intrinsic { parameter, .. } => intrinsic_unit(parameter),
@@ -94,6 +103,9 @@ fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f
     let advice = match t.extension {
         Extension::Intrinsic { parameter: parameter @ 6..=8, .. } => {
             format!("add \"{}\" to estimate in [solve]", crate::camera::INTRINSIC_NAMES[parameter])
+        }
+        Extension::Intrinsic { camera, parameter } if no_lens_has(s, t, camera, parameter) => {
+            "no lens has that, so something else bends the images in such a way (a decentred lens, a window); results that it moves are as uncertain".into()
         }
         Extension::Intrinsic { parameter, .. } => {
             let key = crate::camera::INTRINSIC_NAMES[parameter];

@@ -2,6 +2,7 @@
 
 use super::culprit::{Culprit, culprits};
 use super::keys::Keys;
+use super::spread::{self, Change, Spread};
 use super::{FALSE_ALARMS, FELT_SIGMAS, Subject, Watch, digits, listed};
 use crate::bundle::{Prediction, SolveOptions, Termination, ViewsLeftOut, named_rows, natural_of};
 use crate::error::{Result, Unusable};
@@ -24,30 +25,75 @@ struct Left {
     adjusted: Option<DVector<f64>>,
 }
 
+impl Left {
+    /// Change of the keys, as adjusted or else as predicted.
+    fn shift(&self) -> &DVector<f64> {
+        self.adjusted.as_ref().unwrap_or(&self.prediction.shift)
+    }
+}
+
+/// What the views say, each left out once.
+#[derive(Default)]
+pub(super) struct Views {
+    pub(super) influences: Vec<ViewInfluence>,
+    /// Of each key, how the views scatter about it; none where that cannot be said.
+    pub(super) spreads: Vec<Option<Spread>>,
+}
+
 pub(super) fn views(
     s: &Subject<'_>,
     names: &[&str],
     keys: &Keys,
     watch: &Watch<'_>,
     flags: &mut Vec<String>,
-) -> Result<Vec<ViewInfluence>> {
+) -> Result<Views> {
     let model = &s.adjustment.model;
     if model.views.len() < 2 || keys.list.is_empty() {
-        return Ok(vec![]);
+        return Ok(Views::default());
     }
-    let Some(rows) = named_rows(s.adjustment, &keys.rows) else { return Ok(vec![]) };
+    let Some(rows) = named_rows(s.adjustment, &keys.rows) else { return Ok(Views::default()) };
     let full = s.covariance.propagate(&keys.rows);
     let seen: Vec<usize> = (0..model.views.len()).filter(|v| model.images.iter().any(|i| i.view == *v)).collect();
     let without = ViewsLeftOut::of(s.adjustment);
     let left: Result<Vec<Option<Left>>> = gathered(true, &seen, |v| left_out(s, (keys, &rows), (&without, *v), watch));
     let tests = (seen.len() * keys.list.len()) as f64;
-    let mut out: Vec<ViewInfluence> =
-        seen.into_iter().zip(left?).filter_map(|(v, left)| Some(influence(keys, &full, v, &left?, tests))).collect();
-    if out.iter().any(|v| v.contradicts) {
-        name_the_wrong(&mut out, culprits(s, names, watch)?);
+    let left = left?;
+    let of_all = || seen.iter().zip(&left).filter_map(|(v, left)| Some((*v, left.as_ref()?)));
+    let mut out: Vec<ViewInfluence> = of_all().map(|(v, left)| influence(keys, &full, v, left, tests)).collect();
+    let wrong = if out.iter().any(|v| v.contradicts) { culprits(s, names, watch)? } else { None };
+    let single = wrong.is_some();
+    name_the_wrong(&mut out, wrong);
+    let spreads: Vec<Option<Spread>> = (0..keys.list.len()).map(|k| spread(keys, &full, k, of_all())).collect();
+    // Single views that are wrong are named, and nothing more is said of all.
+    if !single {
+        let sigmas: Vec<f64> = full.diagonal().iter().map(|x| x.max(0.0).sqrt()).collect();
+        flags.extend(spread::finding(keys, &sigmas, &spreads));
     }
     flags.extend(out.iter().filter(|v| v.contradicts && change(v) > FELT_SIGMAS).map(|v| v.words.clone()));
-    Ok(out)
+    Ok(Views { influences: out, spreads })
+}
+
+/// How the views scatter about a key; none where one of them alone fixes it.
+fn spread<'a>(
+    keys: &Keys,
+    full: &DMatrix<f64>,
+    k: usize,
+    left: impl Iterator<Item = (usize, &'a Left)>,
+) -> Option<Spread> {
+    let mut changes = vec![];
+    for (_, left) in left {
+        if !(keys.determined[k] && left.prediction.determined[k]) {
+            return None;
+        }
+        changes.extend(own_change(full, k, left));
+    }
+    Spread::of(&changes, full[(k, k)])
+}
+
+/// Change of a key without a view, where more of its variance than rounding goes with the view.
+fn own_change(full: &DMatrix<f64>, k: usize, left: &Left) -> Option<Change> {
+    let variance = left.prediction.covariance[(k, k)] - full[(k, k)];
+    (variance > TESTABLE * full[(k, k)]).then(|| Change { size: left.shift()[k], variance })
 }
 
 /// Where few views explain all contradictions, only they contradict. Otherwise all do that seem to.
@@ -146,13 +192,10 @@ fn influence(keys: &Keys, full: &DMatrix<f64>, view: usize, left: &Left, tests: 
         .map(|k| keys.list[k].name.clone())
         .collect();
     let growth = largest(usable.iter().map(|&k| (k, (p.covariance[(k, k)] / full[(k, k)]).sqrt())));
-    let shift = left.adjusted.as_ref().unwrap_or(&p.shift);
+    let shift = left.shift();
     let moved = largest(usable.iter().map(|&k| (k, shift[k] / sigma(k))));
     let predicted = moved.map_or(f64::NAN, |(k, _)| (p.shift[k] / sigma(k)).abs());
-    let z = largest(usable.iter().map(|&k| {
-        let more = p.covariance[(k, k)] - full[(k, k)];
-        (k, if more > TESTABLE * full[(k, k)] { shift[k] / more.sqrt() } else { f64::NAN })
-    }));
+    let z = largest(usable.iter().filter_map(|&k| own_change(full, k, left).map(|c| (k, c.size / c.variance.sqrt()))));
     let contradicts = lost.is_empty() && z.is_some_and(|(_, z)| normal_beyond(z) * tests < FALSE_ALARMS);
     let metric = |name: &String| keys.list.iter().any(|k| k.name == *name && k.unit == "mm");
     let words = if !lost.is_empty()

@@ -52,6 +52,10 @@ pub struct KeyQuantity {
     /// Its standard deviation.
     #[serde(with = "maybe")]
     pub sigma: f64,
+    /// The standard deviation that the views tell by what changes without each of them: larger than `sigma` by more than chance where something that the
+    /// model does not have differs from view to view. Unknown where too few views tell, or one of them alone fixes the number.
+    #[serde(with = "maybe", default = "maybe::unknown")]
+    pub sigma_by_views: f64,
 }
 
 /// One prior against the images.

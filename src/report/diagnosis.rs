@@ -1,7 +1,7 @@
 //! The diagnosis as tables, for the text and for the HTML alike.
 
 use super::number::{measured, plain, with_unit};
-use super::tables::{Cell, Row, Table};
+use super::tables::{Cell, LONGEST_LIST, Row, Table};
 use crate::record::{MappingSigma, Record};
 
 fn cells(texts: impl IntoIterator<Item = String>) -> Vec<Cell> {
@@ -114,4 +114,34 @@ pub(super) fn views(record: &Record) -> Table {
     };
     let heads = ["largest sigma without it", "largest change", "most significant change in its own sigmas", ""];
     table(&heads, d.views.iter().map(row).collect())
+}
+
+/// What the views say of the standard deviations.
+pub(super) fn spread(record: &Record) -> Table {
+    let Some(d) = &record.fit.diagnosis else { return Table::default() };
+    let row = |k: &crate::record::KeyQuantity| {
+        let unit = if k.unit == "deg" { "°" } else { &k.unit };
+        let sigma = |x: f64| format!("{} {unit}", plain(x, 2));
+        let value = with_unit(k.value, k.sigma, unit);
+        (k.name.clone(), vec![value, sigma(k.sigma_by_views), format!("× {}", plain(k.sigma_by_views / k.sigma, 2))])
+    };
+    let known = d.key_quantities.iter().filter(|k| k.sigma_by_views.is_finite());
+    table(&["value as stated", "sigma by the views", "of the one stated"], known.map(row).collect())
+}
+
+/// Discs that were set aside, each with its reason; of a long list the first.
+pub(super) fn set_aside(record: &Record) -> Vec<String> {
+    let all: Vec<_> = record.fit.diagnosis.iter().flat_map(|d| &d.outliers).collect();
+    let mut out: Vec<String> = all
+        .iter()
+        .take(LONGEST_LIST)
+        .map(|o| {
+            let [column, row, level] = o.disc;
+            format!("view {}, camera {}, disc {column}, {row}, {level}: {}", o.view, o.camera, o.reason)
+        })
+        .collect();
+    if all.len() > LONGEST_LIST {
+        out.push(format!("and {} more: all are in calibration.json", all.len() - LONGEST_LIST));
+    }
+    out
 }

@@ -6,7 +6,7 @@ use super::overlay::{self, OverlayShapes};
 use super::plots::{self, COLOURS};
 use super::space;
 use super::svg::escape;
-use super::tables::{self, Table};
+use super::tables::{self, LONGEST_LIST, Table};
 use super::verdict::{Level, sentence, verdict};
 use super::{diagnosis, maps};
 use crate::error::Result;
@@ -17,8 +17,6 @@ use std::fmt::Write;
 
 /// Correlations below this are no news.
 const CORRELATION: f64 = 0.9;
-/// Longest list of correlations, and of outliers.
-const LONGEST_LIST: usize = 40;
 
 /// One image with what was found in it.
 #[derive(Debug, Clone, Copy)]
@@ -191,6 +189,13 @@ fn diagnosis_section(out: &mut String, r: &Record) {
             "The change of the results without a view should be of the size that chance allows (last column but one, below about 3). A view without which a \
              result is lost is the only one that fixes it: record a second one.",
         ),
+        (
+            "What the views say of the standard deviations",
+            diagnosis::spread(r),
+            "As results change without each view in turn, a standard deviation follows that asks nothing of the noise (the jackknife). It is known to a third \
+             where there are six views, to a sixth where there are twenty. Where it is larger by more than that, something that the model does not have \
+             differs from view to view: state the larger one.",
+        ),
     ];
     if tables.iter().all(|(_, t, _)| t.rows.is_empty()) {
         return;
@@ -201,13 +206,7 @@ fn diagnosis_section(out: &mut String, r: &Record) {
         write_table(out, table);
         let _ = writeln!(out, "<p class=\"note\">{}</p>", escape(note));
     }
-    let reasons = r.fit.diagnosis.iter().flat_map(|d| &d.outliers).take(LONGEST_LIST);
-    let reasons: Vec<String> = reasons
-        .map(|o| {
-            let [column, row, level] = o.disc;
-            format!("View {}, camera {}, disc {column}, {row}, {level}: {}.", o.view, o.camera, o.reason)
-        })
-        .collect();
+    let reasons: Vec<String> = diagnosis::set_aside(r).iter().map(|w| sentence(w)).collect();
     if !reasons.is_empty() {
         list(out, "Discs set aside", &reasons);
     }

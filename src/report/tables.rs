@@ -4,6 +4,9 @@ use super::number::{plain, with_unit};
 use crate::bundle::MOSTLY_PRIOR;
 use crate::record::{Camera, Known, Record, Sheet, SheetSigma, Window};
 
+/// Longest list of correlations, of outliers, and of discs.
+pub(super) const LONGEST_LIST: usize = 40;
+
 /// A number as it is shown, and how it is known.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Cell {

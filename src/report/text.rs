@@ -8,8 +8,6 @@ use std::fmt::Write;
 
 /// Longest line of running text.
 const WIDTH: usize = 100;
-/// Longest list of discs.
-const LONGEST_LIST: usize = 40;
 
 /// The calibration in plain words: verdict, cameras, rig, sheet, target, fit, views.
 ///
@@ -45,13 +43,11 @@ pub fn text(record: &Record) -> String {
     section(&mut out, "Known beforehand, against the images", &diagnosis::priors(record));
     section(&mut out, "Is something missing in the model?", &diagnosis::model_tests(record));
     section(&mut out, "Each view left out once", &diagnosis::views(record));
-    if let Some(d) = record.fit.diagnosis.as_ref().filter(|d| !d.outliers.is_empty()) {
+    section(&mut out, "What the views say of the standard deviations", &diagnosis::spread(record));
+    let aside = diagnosis::set_aside(record);
+    if !aside.is_empty() {
         let _ = writeln!(out, "\nDiscs set aside");
-        for o in d.outliers.iter().take(LONGEST_LIST) {
-            let [column, row, level] = o.disc;
-            let words = format!("view {}, camera {}, disc {column},{row},{level}: {}", o.view, o.camera, o.reason);
-            paragraph(&mut out, "  - ", &words);
-        }
+        aside.iter().for_each(|words| paragraph(&mut out, "  - ", words));
     }
     // Line ends are ours; everything else that steers a terminal came with a name.
     out.chars().map(|c| if c.is_control() && c != '\n' { '\u{fffd}' } else { c }).collect()
