@@ -64,12 +64,13 @@ pub(super) fn views(
     let single = wrong.is_some();
     name_the_wrong(&mut out, wrong);
     let spreads: Vec<Option<Spread>> = (0..keys.list.len()).map(|k| spread(keys, &full, k, of_all())).collect();
-    // Single views that are wrong are named, and nothing more is said of all.
-    if !single {
-        let sigmas: Vec<f64> = full.diagonal().iter().map(|x| x.max(0.0).sqrt()).collect();
-        flags.extend(spread::finding(keys, &sigmas, &spreads));
+    let sigmas: Vec<f64> = full.diagonal().iter().map(|x| x.max(0.0).sqrt()).collect();
+    let of_all = spread::finding(keys, &sigmas, &spreads).filter(|_| !single);
+    match of_all {
+        // Where all differ none is wrong by itself.
+        Some(words) => flags.push(words + &most_different(&out)),
+        None => flags.extend(out.iter().filter(|v| v.contradicts && change(v) > FELT_SIGMAS).map(|v| v.words.clone())),
     }
-    flags.extend(out.iter().filter(|v| v.contradicts && change(v) > FELT_SIGMAS).map(|v| v.words.clone()));
     Ok(Views { influences: out, spreads })
 }
 
@@ -125,6 +126,12 @@ fn name_the_wrong(views: &mut [ViewInfluence], wrong: Option<Vec<Culprit>>) {
             );
         }
     }
+}
+
+/// The view without which something changes most significantly.
+fn most_different(views: &[ViewInfluence]) -> String {
+    let most = views.iter().filter(|v| v.z.is_finite()).max_by(|a, b| a.z.abs().total_cmp(&b.z.abs()));
+    most.map_or(String::new(), |v| format!("; begin with the images of view {}, which differs most", v.view))
 }
 
 /// Largest change without the view, as adjusted or else as predicted, in standard deviations.
