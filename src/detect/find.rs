@@ -137,8 +137,7 @@ fn refine_all<'a>(
     });
     let mut starts: Vec<Start> = each.collect();
     let refined = fit_all(view, &mut starts, [noise_grey, range], options);
-    let named =
-        |(c, disc): (&'a Candidate, std::result::Result<Disc, _>)| (c, disc.map_err(|x| told(x, view, &c.ellipse)));
+    let named = |(c, disc): (&'a Candidate, std::result::Result<Disc, _>)| (c, disc.map_err(|x| told(x, view, c)));
     all.into_iter().zip(refined).map(named).collect()
 }
 

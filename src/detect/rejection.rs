@@ -1,6 +1,8 @@
 //! Candidates that are no discs, and why, in words.
 
 use crate::conic::Ellipse;
+use crate::detect::candidate::Candidate;
+use crate::detect::quick::contour_of;
 use crate::frames::Pixel;
 use crate::image::GrayView;
 use std::collections::BTreeMap;
@@ -23,7 +25,7 @@ pub enum RejectionReason {
     Overlapping,
     /// Minor semi-axis below the smallest that can be measured.
     TooSmall {
-        /// Minor semi-axis, px.
+        /// Minor semi-axis, px; 0 where it does not show beside the blur.
         semi_minor_px: f64,
     },
     /// Contrast too close to the noise.
@@ -70,6 +72,7 @@ impl fmt::Display for RejectionReason {
             Self::NotElliptical { rms_px, limit_px } => {
                 write!(f, ": {rms_px:.2} px from its ellipse, at most {limit_px:.2}")
             }
+            Self::TooSmall { semi_minor_px: 0.0 } => f.write_str(": its size does not show beside its blur"),
             Self::TooSmall { semi_minor_px } => write!(f, ": minor semi-axis {semi_minor_px:.1} px"),
             Self::LowContrast { contrast_to_noise } => {
                 write!(f, " (among brighter discs, or for the noise): {contrast_to_noise:.1} times the noise")
@@ -92,11 +95,27 @@ pub struct Rejection {
     pub reason: RejectionReason,
 }
 
-/// The reason as it is told: edges between pixels of two levels alone look hidden, bent or too sharp to each test in turn.
-pub(crate) fn told(reason: RejectionReason, view: &GrayView<'_>, around: &Ellipse) -> RejectionReason {
+/// The reason as it is told: edges between pixels of two levels alone look hidden, bent or too sharp to each test in turn, and of a spot that is hardly more
+/// than its blur no ellipse is left.
+pub(crate) fn told(reason: RejectionReason, view: &GrayView<'_>, candidate: &Candidate) -> RejectionReason {
     use RejectionReason as R;
     let by_edge = matches!(reason, R::NotElliptical { .. } | R::Incomplete { .. } | R::LowContrast { .. });
-    if by_edge && two_levels(view, around) { R::NoGreyLevels } else { reason }
+    match reason {
+        _ if by_edge && two_levels(view, &candidate.ellipse) => R::NoGreyLevels,
+        R::NotElliptical { rms_px, .. } if !rms_px.is_finite() && is_spot(candidate) => {
+            R::TooSmall { semi_minor_px: 0.0 }
+        }
+        _ => reason,
+    }
+}
+
+/// Minor semi-axis of what the line of a spot without any size looks like, in blurs.
+const SPOT: f64 = 2.3;
+
+/// Whether a candidate may be a spot of the size of its blur.
+fn is_spot(candidate: &Candidate) -> bool {
+    let (contour, blur_px) = contour_of(&candidate.ellipse, candidate.blur_px);
+    candidate.level == 0 && contour.semi_minor_px < SPOT * blur_px
 }
 
 /// Whether the pixels about an ellipse have two grey levels alone.
@@ -137,8 +156,11 @@ pub fn counted_words(rejections: &[Rejection]) -> String {
 }
 
 #[cfg(test)]
+#[allow(clippy::expect_used)]
 mod tests {
     use super::*;
+    use crate::detect::{DetectOptions, find_discs};
+    use crate::image::Samples;
 
     #[test]
     fn candidates_are_counted_and_advice_is_given_once() {
@@ -152,5 +174,36 @@ mod tests {
         assert_eq!((counted_words(&[]), counted(&all)["cut by the border"]), (String::new(), 1));
         let words = RejectionReason::TooSmall { semi_minor_px: 2.06 }.to_string();
         assert_eq!(words, "too small: minor semi-axis 2.1 px");
+    }
+
+    /// Spots without any size are too small, not bent; a dot of 1.5 px behind a blur of 1 px is one.
+    #[test]
+    fn spots_of_the_size_of_their_blur_are_called_too_small() {
+        for (radius_px, blur_px, found) in [(0.0, 0.8, false), (0.0, 1.2, false), (1.0, 0.8, false), (1.5, 1.0, true)] {
+            let grey = spot(radius_px, blur_px);
+            let view = GrayView::new(Samples::U16(&grey), SIZE, SIZE, SIZE).expect("an image");
+            let all = find_discs(&view, &DetectOptions::default()).expect("a search");
+            let told: Vec<String> = all.rejections.iter().map(|r| r.reason.to_string()).collect();
+            assert_eq!(all.discs.len(), usize::from(found), "{radius_px} behind {blur_px}: {told:?}");
+            let wanted: &[&str] = if found { &[] } else { &["too small: its size does not show beside its blur"] };
+            assert_eq!(told, wanted, "{radius_px} behind {blur_px}");
+        }
+    }
+
+    const SIZE: usize = 60;
+
+    /// A bright disc behind a blur, both in px, of 2000 grey levels were it not blurred; noise of some three.
+    fn spot(radius_px: f64, blur_px: f64) -> Vec<u16> {
+        let steps = if radius_px > 0.0 { 15 } else { 0 };
+        let along = |k: i32| radius_px * f64::from(k) / f64::from(steps.max(1));
+        let all = (-steps..=steps).flat_map(|i| (-steps..=steps).map(move |j| (along(i), along(j))));
+        let points: Vec<(f64, f64)> = all.filter(|(x, y)| x.hypot(*y) <= radius_px).collect();
+        let grey = |u: usize, v: usize| {
+            let far = |(x, y): &(f64, f64)| (u as f64 - 30.3 - x).powi(2) + (v as f64 - 29.8 - y).powi(2);
+            let sum: f64 = points.iter().map(|p| (-far(p) / (2.0 * blur_px * blur_px)).exp()).sum();
+            let noise = ((u * 7919 + v * 104_729) % 1013) as f64 / 1013.0 - 0.5;
+            (100.0 + 12.0 * noise + 2000.0 * sum / points.len() as f64) as u16
+        };
+        (0..SIZE * SIZE).map(|i| grey(i % SIZE, i / SIZE)).collect()
     }
 }

@@ -245,7 +245,7 @@ fn hinted(detection: &Detection, levels: &TwoLevels<'_>, target: &Plate, placeme
     let blobs: Vec<Vector2<f64>> = detection
         .rejections
         .iter()
-        .filter(|r| matches!(r.reason, RejectionReason::NotElliptical { .. }))
+        .filter(|r| matches!(r.reason, RejectionReason::NotElliptical { .. } | RejectionReason::TooSmall { .. }))
         .filter(|r| plausible_size(levels, &r.center_px, r.radius_px))
         .map(|r| Vector2::new(r.center_px.u_px, r.center_px.v_px))
         .chain(detection.shapes.iter().map(|s| Vector2::new(s.center_px.u_px, s.center_px.v_px)))
