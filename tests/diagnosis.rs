@@ -6,42 +6,13 @@
 mod rig_scene;
 
 use nalgebra::{Matrix3, Vector3};
-use rig_scene::{Noise, Scene};
-use spivcal::bundle::{
-    AdjustOptions, Adjustment, Extension, Fact, PriorOf, adjust, extension_tests, named_covariance, prior_checks,
-};
+use rig_scene::{Noise, Scene, adjusted, diagnosed, given_sigmas};
+use spivcal::bundle::{Adjustment, Extension, Fact, PriorOf, adjust, extension_tests, named_covariance, prior_checks};
 use spivcal::bundle::{PlanePosition, ViewPlace};
 use spivcal::camera::Camera;
-use spivcal::diagnosis::{Findings, Subject, diagnose};
 use spivcal::rigid::{Motion, rotation_exp};
 use spivcal::sheet::StereoSheet;
 use spivcal::stats::chi_square_above;
-use spivcal::target::DotId;
-
-fn options() -> AdjustOptions {
-    AdjustOptions { rounds: 0, ..AdjustOptions::default() }
-}
-
-fn adjusted(scene: &Scene) -> Adjustment {
-    adjust(&scene.model, scene.truth.clone(), &options(), &mut |_| true)
-}
-
-fn findings(a: &Adjustment) -> Findings {
-    let covariance = named_covariance(a).unwrap();
-    let labels: Vec<DotId> =
-        (0..9).map(|k| DotId { column: k % 3, row: k / 3, level: 0 }).take(a.model.target.disc_count()).collect();
-    let options = options();
-    let subject = Subject {
-        adjustment: a,
-        covariance: &covariance,
-        assumed: &[],
-        labels: &labels,
-        sizes_px: &[[1024.0, 768.0]; 2],
-        sheet_frame: None,
-        options: &options,
-    };
-    diagnose(&subject, &|_| true).unwrap()
-}
 
 /// Fresh noise on edges and a fresh draw of every fact.
 fn drawn(scene: &Scene, seed: u64) -> Scene {
@@ -142,7 +113,7 @@ fn what_is_missing_in_the_model_is_found() {
     // Adjusted without k2.
     let mut start = lens;
     start.cameras[1].k[1] = 0.0;
-    let a = adjust(&scene.model, start.clone(), &options(), &mut |_| true);
+    let a = adjust(&scene.model, start.clone(), &given_sigmas(), &mut |_| true);
     let t = test_of(&a, Extension::Intrinsic { camera: 1, parameter: 7 });
     let other = test_of(&a, Extension::Intrinsic { camera: 0, parameter: 7 });
     println!("k2: {t:?}\nof the other: {other:?}");
@@ -150,7 +121,7 @@ fn what_is_missing_in_the_model_is_found() {
     assert!(other.statistic < 0.25 * t.statistic, "{other:?}");
     // The likelihood ratio of an adjustment with k2, and its estimate, agree with the score.
     scene.model.cameras[1].free[7] = true;
-    let full = adjust(&scene.model, a.state.clone(), &options(), &mut |_| true);
+    let full = adjust(&scene.model, a.state.clone(), &given_sigmas(), &mut |_| true);
     let ratio = 2.0 * (a.cost - full.cost);
     println!("score {}, likelihood ratio {ratio}, k2 {} and {}", t.statistic, t.size, full.state.cameras[1].k[1]);
     assert!((t.statistic / ratio - 1.0).abs() < 0.3, "{} {ratio}", t.statistic);
@@ -171,7 +142,7 @@ fn views_left_out_are_predicted() {
     let truth = Scene::build(21, false, true, false);
     let (mut z, mut alarms) = (vec![], 0);
     for seed in 0..20 {
-        let f = findings(&adjusted(&drawn(&truth, 300 + seed)));
+        let f = diagnosed(&adjusted(&drawn(&truth, 300 + seed)));
         assert_eq!(f.diagnosis.views.len(), 6);
         for v in &f.diagnosis.views {
             assert!(v.sigma_growth > 0.999, "{v:?}");
@@ -197,7 +168,7 @@ fn a_wrong_prior_is_told() {
     let stated = |value: f64, sigma: f64| {
         let mut scene = drawn(&truth, 500);
         scene.model.facts.push(Fact::Intrinsic { camera: 0, parameter: 0, value, sigma });
-        findings(&adjusted(&scene))
+        diagnosed(&adjusted(&scene))
     };
     let right = stated(8889.0 + 60.0, 90.0);
     assert!(right.flags.is_empty(), "{:?}", right.flags);
@@ -222,7 +193,7 @@ fn a_wrong_prior_is_told() {
             *value = 520.0 + 13.0 * 50.0;
         }
     }
-    let flags = findings(&adjusted(&scene)).flags;
+    let flags = diagnosed(&adjusted(&scene)).flags;
     assert!(flags.iter().any(|f| f.contains("axis point cx of camera right")), "{flags:?}");
 }
 
@@ -268,11 +239,11 @@ fn a_wrong_position_on_the_traverse_is_told() {
         assert!(c.share > 0.0 && c.share < 1.0, "{c:?}");
     }
     assert_eq!(discs, 4 * 9);
-    assert!(findings(&a).flags.iter().all(|f| !f.contains("traverse")), "{:?}", findings(&a).flags);
+    assert!(diagnosed(&a).flags.iter().all(|f| !f.contains("traverse")), "{:?}", diagnosed(&a).flags);
     if let ViewPlace::InPlane { z_mm, .. } = &mut right.model.views[4].place {
         *z_mm += 8.0 * SIGMA_MM;
     }
-    let f = findings(&adjusted(&right));
+    let f = diagnosed(&adjusted(&right));
     println!("{:#?}", f.flags);
     assert!(f.flags.iter().any(|f| f.contains("of view") && f.contains("along the traverse")), "{:?}", f.flags);
 }
@@ -292,7 +263,7 @@ fn weak_directions_are_named() {
             *sigma = 100.0;
         }
     }
-    let f = findings(&adjusted(&drawn(&scene, 2)));
+    let f = diagnosed(&adjusted(&drawn(&scene, 2)));
     let words: Vec<&String> = f.near_null.iter().map(|n| &n.words).collect();
     println!("{words:#?}");
     assert!(f.near_null.len() >= 4, "four exact directions, each held by its prior: {words:?}");
@@ -315,7 +286,7 @@ fn what_a_user_feels_is_what_repeated_calibrations_show() {
     for seed in 0..runs {
         let a = adjusted(&drawn(&truth, 900 + u64::from(seed)));
         let covariance = named_covariance(&a).unwrap();
-        let m = findings(&a).mapping.unwrap();
+        let m = diagnosed(&a).mapping.unwrap();
         let point = m.middle.point_mm;
         let own = StereoSheet::of(&covariance).unwrap();
         let r = own.response(&reference, point).unwrap();

@@ -5,37 +5,11 @@
 
 mod rig_scene;
 
-use rig_scene::{Problem, Scene, tilted_camera};
-use spivcal::bundle::{AdjustOptions, Adjustment, Fact, Focus, Iteration, adjust, named_covariance};
-use spivcal::diagnosis::{Findings, Subject, diagnose};
-use spivcal::error::{Error, Result, Unusable};
-use spivcal::target::DotId;
+use rig_scene::{Problem, Scene, adjusted, diagnosed, diagnosed_while, tilted_camera};
+use spivcal::bundle::{Fact, Focus, Iteration};
+use spivcal::diagnosis::Findings;
+use spivcal::error::{Error, Unusable};
 use std::sync::atomic::{AtomicUsize, Ordering};
-
-fn options() -> AdjustOptions {
-    AdjustOptions { rounds: 0, ..AdjustOptions::default() }
-}
-
-fn adjusted(scene: &Scene) -> Adjustment {
-    adjust(&scene.model, scene.truth.clone(), &options(), &mut |_| true)
-}
-
-fn diagnosed(a: &Adjustment, observe: &(dyn Fn(&Iteration) -> bool + Sync)) -> Result<Findings> {
-    let covariance = named_covariance(a).unwrap();
-    let labels = [DotId { column: 0, row: 0, level: 0 }, DotId { column: 1, row: 0, level: 0 }];
-    let options = options();
-    let sizes_px = [[1024.0, 768.0]; 2];
-    let subject = Subject {
-        adjustment: a,
-        covariance: &covariance,
-        assumed: &[],
-        labels: &labels,
-        sizes_px: &sizes_px,
-        sheet_frame: None,
-        options: &options,
-    };
-    diagnose(&subject, observe)
-}
 
 /// The image of a camera in a view is shifted: the camera was shaken, or the target moved between the two exposures.
 fn spoiled(scene: &Scene, view: usize, camera: usize, by_px: [f64; 2]) -> Scene {
@@ -65,7 +39,7 @@ fn whichever_view_is_wrong_is_named() {
     for view in 0..6 {
         for (camera, by_px) in [(1, [0.0, 0.5]), (0, [0.0, -0.4]), (1, [0.6, 0.2])] {
             let wrong = spoiled(&truth.with_noise(400 + view as u64), view, camera, by_px);
-            let f = diagnosed(&adjusted(&wrong), &|_| true).unwrap();
+            let f = diagnosed(&adjusted(&wrong));
             let (sure, open) = named(&f);
             println!(
                 "view {view}, camera {camera}, {by_px:?}: wrong {sure:?}, undecided {open:?}, flags {:#?}",
@@ -89,7 +63,7 @@ fn two_wrong_views_do_not_hide_each_other() {
     for (pair, camera) in [([3, 7], 1), ([0, 12], 1), ([11, 13], 0), ([5, 6], 0)] {
         let noisy = truth.with_noise(50 + pair[0] as u64);
         let wrong = pair.iter().fold(noisy, |s, v| spoiled(&s, *v, camera, [0.3, 0.5]));
-        let f = diagnosed(&adjusted(&wrong), &|_| true).unwrap();
+        let f = diagnosed(&adjusted(&wrong));
         let (sure, open) = named(&f);
         println!("views {pair:?}: wrong {sure:?}, undecided {open:?}");
         f.diagnosis.views.iter().for_each(|v| println!("  {}", v.words));
@@ -105,7 +79,7 @@ fn right_views_agree() {
     {
         let mut alarms = 0;
         for seed in 0..20 {
-            let f = diagnosed(&adjusted(&truth.with_noise(300 + seed)), &|_| true).unwrap();
+            let f = diagnosed(&adjusted(&truth.with_noise(300 + seed)));
             alarms += usize::from(f.diagnosis.views.iter().any(|v| v.contradicts));
         }
         println!("{name}: {alarms} alarms in 20 rigs where 0.2 are expected");
@@ -120,7 +94,7 @@ fn the_only_view_in_the_sheet_does_not_contradict_the_focus() {
     let mut scene = Scene::at_positions(21, cameras, &|v| (v == 5).then_some(0.0)).with_noise(7);
     let focus = |camera| Focus { camera, pixel_pitch_mm: 0.00625, tilt_sigma_rad: 0.01, distance: Some((50.0, 0.005)) };
     scene.model.facts.extend([0, 1].map(|c| Fact::Focus(focus(c))));
-    let f = diagnosed(&adjusted(&scene), &|_| true).unwrap();
+    let f = diagnosed(&adjusted(&scene));
     let views = &f.diagnosis.views;
     assert!(views.iter().all(|v| !v.contradicts), "{:#?}", f.flags);
     let lost = &views[5].lost;
@@ -134,7 +108,7 @@ fn views_that_determine_nothing_are_said_to() {
     let cameras = vec![tilted_camera(-0.1107, 0.01), tilted_camera(0.1107, -0.02)];
     let mut scene = Scene::at_positions(21, cameras, &|_| Some(0.0)).with_noise(7);
     scene.model.facts.clear();
-    let f = diagnosed(&adjusted(&scene), &|_| true).unwrap();
+    let f = diagnosed(&adjusted(&scene));
     let silent: Vec<_> =
         f.diagnosis.views.iter().filter(|v| v.sigma_growth_of.is_empty() && v.lost.is_empty()).collect();
     assert!(!silent.is_empty(), "{:#?}", f.diagnosis);
@@ -153,13 +127,13 @@ fn whoever_stops_the_diagnosis_does_not_wait_for_its_end() {
         told.fetch_add(1, Ordering::Relaxed);
         true
     };
-    diagnosed(&a, &count).unwrap();
+    diagnosed_while(&a, &count).unwrap();
     let all = told.load(Ordering::Relaxed);
     assert!(all > 30, "{all}");
     for after in [0, 1, 4, 10, all / 2, all - 1] {
         told.store(0, Ordering::Relaxed);
         let stop = |_: &Iteration| told.fetch_add(1, Ordering::Relaxed) < after;
-        let out = diagnosed(&a, &stop);
+        let out = diagnosed_while(&a, &stop);
         assert!(matches!(out, Err(Error::Unusable(Unusable::Cancelled))), "after {after} of {all}");
         let later = told.load(Ordering::Relaxed) - after;
         assert!(later <= rayon::current_num_threads() + 1, "{later} more after {after} of {all}");

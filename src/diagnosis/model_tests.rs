@@ -47,8 +47,9 @@ pub(super) fn model_tests(s: &Subject<'_>, keys: &Keys, flags: &mut Vec<String>)
 /// Pupil ratios that lenses have, retrofocus and telephoto among them.
 const PUPIL_RATIOS: std::ops::RangeInclusive<f64> = 0.3..=3.0;
 
-/// Whether a camera's parameter with the change that a test asks for would be a pupil ratio of no lens.
-fn no_lens_has(s: &Subject<'_>, t: &ExtensionTest, camera: usize, parameter: usize) -> bool {
+/// Whether a test asks for a pupil ratio of no lens.
+fn no_lens_has(s: &Subject<'_>, t: &ExtensionTest) -> bool {
+    let Extension::Intrinsic { camera, parameter } = t.extension else { return false };
     let now = s.adjustment.state.cameras[camera].pupil_ratio;
     crate::camera::INTRINSIC_NAMES[parameter] == "pupil_ratio" && !PUPIL_RATIOS.contains(&(now + t.size))
 }
@@ -94,6 +95,9 @@ fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f
     if !needed {
         return no;
     }
+    if no_lens_has(s, t) {
+        return format!("{yes}, which no lens has: something else bends the images so (a decentred lens, a window)");
+    }
     if !felt {
         return format!(
             "{yes}; adding it would move no result by more than {} of its standard deviations",
@@ -103,9 +107,6 @@ fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f
     let advice = match t.extension {
         Extension::Intrinsic { parameter: parameter @ 6..=8, .. } => {
             format!("add \"{}\" to estimate in [solve]", crate::camera::INTRINSIC_NAMES[parameter])
-        }
-        Extension::Intrinsic { camera, parameter } if no_lens_has(s, t, camera, parameter) => {
-            "no lens has that, so something else bends the images in such a way (a decentred lens, a window); results that it moves are as uncertain".into()
         }
         Extension::Intrinsic { parameter, .. } => {
             let key = crate::camera::INTRINSIC_NAMES[parameter];

@@ -10,7 +10,8 @@
 //!
 //! with K the covariance of the changes, exact where there is one number to be estimated (the mean of numbers of unlike noise), and C the variance of
 //! the number itself. Of n views alike `D_v = C / (n - 1)`, `nu = n - 1`, and sigma times the factor is the jackknife's standard deviation, `((n - 1) / n sum d_v^2)^(1/2)`.
-//! Nothing is said of a number that some view alone fixes: of its own error no other view tells.
+//! Nothing is said of a number that some view alone fixes, or that something else than views fixes (`sum D_v` is at least C where they fix it): of their error
+//! the views do not tell.
 //!
 //! Source: Satterthwaite, "An approximate distribution of estimates of variance components" (1946), for nu; Tukey, "Bias and confidence in not quite large samples" (1958); MacKinnon and White, "Some heteroskedasticity-consistent covariance
 //! matrix estimators" (1985) for the jackknife under noise that is not what it was taken for.
@@ -23,6 +24,9 @@ use crate::stats::chi_square_above;
 const FELT: f64 = 1.5;
 /// Views that must tell of a number.
 const FEWEST: usize = 3;
+/// The least sum of `D_v` over the variance of a number that views fix, and the largest `D_v` over it where none does so alone.
+const FIXED: f64 = 0.5;
+const ALONE: f64 = 8.0;
 
 /// Change of a number without one view, and the variance which that has where noise is all.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,6 +51,10 @@ impl Spread {
         }
         let sum = |f: &dyn Fn(&Change) -> f64| changes.iter().map(f).sum::<f64>();
         let (squares, expected) = (sum(&|c| c.size * c.size), sum(&|c| c.variance));
+        let alone = changes.iter().any(|c| c.variance > ALONE * variance);
+        if alone || expected < FIXED * variance {
+            return None;
+        }
         let [second, fourth] = [2, 4].map(|n| sum(&|c| c.variance.powi(n)));
         let degrees = expected * expected / (second + (second * second - fourth) / (variance * variance));
         let factor = (squares / expected).sqrt();
@@ -103,6 +111,9 @@ mod tests {
         let chance = chi_square_above((n as f64 - 1.0) * plain, n as f64 - 1.0);
         assert!((spread.p_value / chance - 1.0).abs() < 1e-9 && spread.p_value < 1e-3, "{}", spread.p_value);
         assert_eq!(Spread::of(&changes[..2], 1.0 / n as f64), None);
+        assert_eq!(Spread::of(&changes, 20.0 / n as f64), None, "fixed by something else");
+        let alone = Change { size: 5.0, variance: 1.0 };
+        assert_eq!(Spread::of(&[&changes[..], &[alone]].concat(), 1.0 / n as f64), None, "fixed by one view");
     }
 
     /// One weight among many small ones: no more degrees of freedom than it leaves; as often beyond a limit as stated.

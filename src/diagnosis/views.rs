@@ -65,8 +65,8 @@ pub(super) fn views(
     name_the_wrong(&mut out, wrong);
     let spreads: Vec<Option<Spread>> = (0..keys.list.len()).map(|k| spread(keys, &full, k, of_all())).collect();
     let sigmas: Vec<f64> = full.diagonal().iter().map(|x| x.max(0.0).sqrt()).collect();
-    let of_all = spread::finding(keys, &sigmas, &spreads).filter(|_| !single);
-    match of_all {
+    let finding = spread::finding(keys, &sigmas, &spreads).filter(|_| !single);
+    match finding {
         // Where all differ none is wrong by itself.
         Some(words) => flags.push(words + &most_different(&out)),
         None => flags.extend(out.iter().filter(|v| v.contradicts && change(v) > FELT_SIGMAS).map(|v| v.words.clone())),
