@@ -223,8 +223,8 @@ fn influences_have_names_or_dashes() {
 #[test]
 fn what_the_views_tell_is_told_and_long_lists_say_that_they_go_on() {
     let mut record = scene::record();
-    let key = |name: &str, sigma_by_views: f64| {
-        let (name, unit) = (name.into(), "px".into());
+    let key = |name: &str, unit: &str, sigma_by_views: f64| {
+        let (name, unit) = (name.into(), unit.into());
         KeyQuantity { name, unit, value: 1474.31, sigma: 0.085, sigma_by_views }
     };
     let aside = |row: i32| OutlierReason {
@@ -235,13 +235,18 @@ fn what_the_views_tell_is_told_and_long_lists_say_that_they_go_on() {
         reason: "0.5 px from where the other discs expect it".into(),
     };
     record.fit.diagnosis = Some(Diagnosis {
-        key_quantities: vec![key("effective focal length", 0.442), key("effective principal point", f64::NAN)],
+        key_quantities: vec![
+            key("effective focal length", "px", 0.442),
+            key("angle between the lens axes", "deg", 0.117),
+            key("effective principal point", "px", f64::NAN),
+        ],
         outliers: (0..43).map(aside).collect(),
         ..Diagnosis::default()
     });
     let html = report::write_html(&record, &[], &ResidualTable::default()).unwrap();
     for text in [words(&parse(&html)), report::text(&record).split_whitespace().collect::<Vec<_>>().join(" ")] {
         assert!(text.contains("(1474.310 ± 0.085) px 0.44 px × 5.2"), "{text}");
+        assert!(text.contains("1474.310° ± 0.085° 0.12° × 1.4"), "{text}");
         assert!(!text.contains("effective principal point"), "{text}");
         assert!(text.contains("disc 9, 39, 0: 0.5 px") && !text.contains("disc 9, 40, 0"), "{text}");
         assert!(text.contains("nd 3 more: all are in calibration.json"), "{text}");

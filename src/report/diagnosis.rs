@@ -120,10 +120,11 @@ pub(super) fn views(record: &Record) -> Table {
 pub(super) fn spread(record: &Record) -> Table {
     let Some(d) = &record.fit.diagnosis else { return Table::default() };
     let row = |k: &crate::record::KeyQuantity| {
-        let unit = if k.unit == "deg" { "°" } else { &k.unit };
-        let sigma = |x: f64| format!("{} {unit}", plain(x, 2));
-        let value = with_unit(k.value, k.sigma, unit);
-        (k.name.clone(), vec![value, sigma(k.sigma_by_views), format!("× {}", plain(k.sigma_by_views / k.sigma, 2))])
+        let [unit, joined] =
+            if k.unit == "deg" { ["°", "°"].map(String::from) } else { [k.unit.clone(), format!(" {}", k.unit)] };
+        let by_views = format!("{}{joined}", plain(k.sigma_by_views, 2));
+        let factor = format!("× {}", plain(k.sigma_by_views / k.sigma, 2));
+        (k.name.clone(), vec![with_unit(k.value, k.sigma, &unit), by_views, factor])
     };
     let known = d.key_quantities.iter().filter(|k| k.sigma_by_views.is_finite());
     table(&["value as stated", "sigma by the views", "of the one stated"], known.map(row).collect())
