@@ -6,29 +6,13 @@
 mod rig_scene;
 
 use nalgebra::{Matrix3, Vector3};
-use rig_scene::{Noise, Scene, adjusted, diagnosed, given_sigmas};
+use rig_scene::{Noise, Scene, adjusted, diagnosed, drawn, given_sigmas};
 use spivcal::bundle::{Adjustment, Extension, Fact, PriorOf, adjust, extension_tests, named_covariance, prior_checks};
 use spivcal::bundle::{PlanePosition, ViewPlace};
 use spivcal::camera::Camera;
 use spivcal::rigid::{Motion, rotation_exp};
 use spivcal::sheet::StereoSheet;
 use spivcal::stats::chi_square_above;
-
-/// Fresh noise on edges and a fresh draw of every fact.
-fn drawn(scene: &Scene, seed: u64) -> Scene {
-    let mut out = scene.with_noise(seed.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 7);
-    let mut noise = Noise::new(seed.wrapping_mul(0x9e6c_63d0_876a_3f6b) >> 5);
-    for fact in &mut out.model.facts {
-        match fact {
-            Fact::Intrinsic { value, sigma, .. } => *value += *sigma * noise.normal(),
-            Fact::Baseline { value_mm, sigma_mm } | Fact::Shape { value_mm, sigma_mm, .. } => {
-                *value_mm += *sigma_mm * noise.normal();
-            }
-            _ => unreachable!("the scenes state no focus and no windows"),
-        }
-    }
-    out
-}
 
 /// A grid whose dots are where they should be and are not estimated.
 fn plate() -> Scene {

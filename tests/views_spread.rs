@@ -5,7 +5,7 @@
 
 mod rig_scene;
 
-use rig_scene::{Grid, Problem, Scene, adjusted, diagnosed, tilted_camera};
+use rig_scene::{Grid, Problem, Scene, adjusted, diagnosed, drawn, tilted_camera};
 use spivcal::diagnosis::Findings;
 
 /// Both cameras look through a window that is not even: pixels are moved by waves over the image that no parameter of the model follows.
@@ -56,14 +56,16 @@ fn views_with_noise_alone_scatter_as_stated() {
         (Problem::of("D10").unwrap().parts.scene(), "D10"),
         (by_hand(5), "plate"),
     ] {
-        let all: Vec<Findings> = (0..30).map(|seed| diagnosed(&adjusted(&scene.with_noise(900 + seed)))).collect();
+        let all: Vec<Findings> = (0..100).map(|seed| diagnosed(&adjusted(&drawn(&scene, 900 + seed)))).collect();
         let alarms = all.iter().filter(|f| told(f)).count();
         let factors = squared_factors(&all);
-        println!("{name}: {alarms} alarms in 30 rigs where 0.3 are expected; squared factors {factors:.2?}");
-        assert!(alarms <= 2, "{name}: {alarms}");
+        println!("{name}: {alarms} alarms in 100 rigs where 1 is expected; squared factors {factors:.2?}");
+        // More than four by chance once in 270.
+        assert!(alarms <= 4, "{name}: {alarms}");
         assert!(factors.len() >= 6, "{name}: {factors:?}");
         for (key, factor) in factors {
-            assert!((0.6..1.5).contains(&factor), "{name}, {key}: {factor}");
+            // Two to five degrees of freedom a rig: known to a tenth.
+            assert!((0.7..1.3).contains(&factor), "{name}, {key}: {factor}");
         }
     }
 }

@@ -10,11 +10,21 @@
 //!
 //! with K the covariance of the changes, exact where there is one number to be estimated (the mean of numbers of unlike noise), and C the variance of
 //! the number itself. Of n views alike `D_v = C / (n - 1)`, `nu = n - 1`, and sigma times the factor is the jackknife's standard deviation, `((n - 1) / n sum d_v^2)^(1/2)`.
+//!
+//! | symbol | identifier | unit | meaning |
+//! |---|---|---|---|
+//! | d_v | [`Change::size`] | that of the number | change of the number without view v |
+//! | D_v | [`Change::variance`] | its square | variance of that change where noise is all |
+//! | C | `variance` | its square | variance of the number with all views |
+//! | factor | [`Spread::factor`] | 1 | scatter of the views over what their noise says |
+//! | nu | `degrees` | 1 | degrees of freedom |
+//!
 //! Nothing is said of a number that some view alone fixes, or that something else than views fixes (`sum D_v` is at least C where they fix it): of their error
 //! the views do not tell.
 //!
-//! Source: Satterthwaite, "An approximate distribution of estimates of variance components" (1946), for nu; Tukey, "Bias and confidence in not quite large samples" (1958); MacKinnon and White, "Some heteroskedasticity-consistent covariance
-//! matrix estimators" (1985) for the jackknife under noise that is not what it was taken for.
+//! Source: Satterthwaite, "An approximate distribution of estimates of variance components" (1946), for nu; Tukey, "Bias and confidence in not quite
+//! large samples" (1958); MacKinnon and White, "Some heteroskedasticity-consistent covariance matrix estimators" (1985) for the jackknife under noise that is
+//! not what it was taken for.
 
 use super::keys::Keys;
 use super::{FALSE_ALARMS, digits, measured};
@@ -66,10 +76,9 @@ impl Spread {
 pub(super) fn finding(keys: &Keys, sigmas: &[f64], spreads: &[Option<Spread>]) -> Option<String> {
     let told = spreads.iter().filter(|s| s.is_some()).count() as f64;
     let all = spreads.iter().enumerate().filter_map(|(k, s)| Some((k, (*s)?)));
-    let mut beyond: Vec<(usize, Spread)> =
+    let beyond: Vec<(usize, Spread)> =
         all.filter(|(_, s)| s.factor > FELT && s.p_value * told < FALSE_ALARMS).collect();
-    beyond.sort_by(|a, b| b.1.factor.total_cmp(&a.1.factor));
-    let (worst, spread) = *beyond.first()?;
+    let (worst, spread) = *beyond.iter().max_by(|a, b| a.1.factor.total_cmp(&b.1.factor))?;
     let (key, sigma) = (&keys.list[worst], sigmas[worst]);
     let others = match beyond.len() - 1 {
         0 => String::new(),

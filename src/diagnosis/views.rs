@@ -58,12 +58,13 @@ pub(super) fn views(
     let left: Result<Vec<Option<Left>>> = gathered(true, &seen, |v| left_out(s, (keys, &rows), (&without, *v), watch));
     let tests = (seen.len() * keys.list.len()) as f64;
     let left = left?;
-    let of_all = || seen.iter().zip(&left).filter_map(|(v, left)| Some((*v, left.as_ref()?)));
-    let mut out: Vec<ViewInfluence> = of_all().map(|(v, left)| influence(keys, &full, v, left, tests)).collect();
+    let each = seen.iter().zip(&left);
+    let mut out: Vec<ViewInfluence> =
+        each.filter_map(|(v, left)| Some(influence(keys, &full, *v, left.as_ref()?, tests))).collect();
     let wrong = if out.iter().any(|v| v.contradicts) { culprits(s, names, watch)? } else { None };
     let single = wrong.is_some();
     name_the_wrong(&mut out, wrong);
-    let spreads: Vec<Option<Spread>> = (0..keys.list.len()).map(|k| spread(keys, &full, k, of_all())).collect();
+    let spreads: Vec<Option<Spread>> = (0..keys.list.len()).map(|k| spread(keys, &full, k, &left)).collect();
     let sigmas: Vec<f64> = full.diagonal().iter().map(|x| x.max(0.0).sqrt()).collect();
     let finding = spread::finding(keys, &sigmas, &spreads).filter(|_| !single);
     match finding {
@@ -75,19 +76,12 @@ pub(super) fn views(
 }
 
 /// How the views scatter about a key; none where one of them alone fixes it.
-fn spread<'a>(
-    keys: &Keys,
-    full: &DMatrix<f64>,
-    k: usize,
-    left: impl Iterator<Item = (usize, &'a Left)>,
-) -> Option<Spread> {
-    let mut changes = vec![];
-    for (_, left) in left {
-        if !(keys.determined[k] && left.prediction.determined[k]) {
-            return None;
-        }
-        changes.extend(own_change(full, k, left));
+fn spread(keys: &Keys, full: &DMatrix<f64>, k: usize, left: &[Option<Left>]) -> Option<Spread> {
+    let told = || left.iter().flatten();
+    if !(keys.determined[k] && told().all(|left| left.prediction.determined[k])) {
+        return None;
     }
+    let changes: Vec<Change> = told().filter_map(|left| own_change(full, k, left)).collect();
     Spread::of(&changes, full[(k, k)])
 }
 

@@ -19,7 +19,7 @@ mod diagnosed;
 mod reference;
 mod scatter;
 
-pub(crate) use diagnosed::{adjusted, diagnosed, diagnosed_while};
+pub(crate) use diagnosed::{adjusted, diagnosed, diagnosed_while, drawn};
 pub(crate) use reference::{Draw, Problem};
 pub(crate) use scatter::{
     Bound, QUANTITIES, Run, Summary, TWO_SIDED_95, TWO_SIDED_995, band, disparities, given_sigmas, grid, moved, solved,
