@@ -7,17 +7,20 @@
 //! | model tests | is a lens term lacking? is the plate bent, are its dots displaced? | [`crate::bundle::extension_tests`] |
 //! | views | what does each view contribute, does it agree with the others, and which one does not? | [`crate::bundle::ViewsLeftOut`], and an adjustment without it |
 //! | spread | do the views scatter as their noise says? what standard deviations do they tell? | the same changes, all together |
+//! | probes | and of what is felt in the sheet? | functions at a few points of it, without each view |
 //! | mapping | what do errors of the calibration do to u, v, w and to dewarped images? | [`crate::sheet::SheetUncertainty`] |
 //!
 //! Every yes-or-no finding allows 1 % false alarms over all tests of its kind together (Bonferroni). A finding becomes a flag only where
 //! it touches a number that a user relies on.
 
 mod culprit;
+mod field;
 mod keys;
 mod mapping;
 mod model_tests;
 mod outliers;
 mod priors;
+mod probes;
 mod spread;
 mod views;
 mod weak;
@@ -31,7 +34,9 @@ use crate::record::{Diagnosis, KeyQuantity, MappingUncertainty, NearNull};
 use crate::rigid::Motion;
 use crate::target::DotId;
 use crate::threads;
+use field::SeenSheet;
 use keys::Keys;
+use probes::Probes;
 use spread::Spread;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -115,23 +120,26 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
     let mut out = Findings { near_null: weak::near_null(s.covariance, &names, &keys), ..Findings::default() };
     out.diagnosis.priors = priors::priors(s, &mut out.flags);
     watch.check()?;
+    let sheet = SeenSheet::of(s.covariance, s.sizes_px, &names, s.sheet_frame.as_ref());
+    let probes = sheet.as_ref().and_then(|sheet| Probes::of(s.covariance, sheet));
     // Each part has flags of its own, so that they stand in one order whoever is done first.
     let views = || -> Result<_> {
         let mut flags = vec![];
-        Ok((views::views(s, &names, &keys, &watch, &mut flags)?, flags))
+        Ok((views::views(s, &names, (&keys, probes.as_ref()), &watch, &mut flags)?, flags))
     };
     let others = || -> Result<_> {
         let (mut of_tests, mut of_mapping) = (vec![], vec![]);
         let tests = model_tests::model_tests(s, &keys, &mut of_tests);
         watch.check()?;
         let mapping =
-            mapping::mapping_uncertainty(s.covariance, s.sizes_px, &names, s.sheet_frame.as_ref(), &mut of_mapping);
+            sheet.as_ref().and_then(|sheet| mapping::mapping_uncertainty(s.covariance, sheet, &mut of_mapping));
         Ok((tests, of_tests, mapping, of_mapping))
     };
     let (views, others) = threads::both(views, others);
     let ((views, of_views), (tests, of_tests, mapping, of_mapping)) = (views?, others?);
     out.diagnosis.key_quantities = quantities(s.covariance, &keys, &views.spreads);
-    (out.diagnosis.model_tests, out.diagnosis.views, out.mapping) = (tests, views.influences, mapping);
+    (out.diagnosis.model_tests, out.diagnosis.views) = (tests, views.influences);
+    out.mapping = mapping.map(|m| MappingUncertainty { by_views: views.felt, ..m });
     out.diagnosis.outliers = outliers::outliers(s, !of_tests.is_empty());
     out.flags.extend([of_tests, of_views, of_mapping].concat());
     Ok(out)

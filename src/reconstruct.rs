@@ -40,7 +40,7 @@ mod shared;
 mod text;
 mod vectors;
 
-pub use calibration::perturbed_maps;
+pub use calibration::{PerturbedMaps, perturbed_maps};
 pub use components::{Components, PlanarPair, component_sigmas, three_components};
 pub use grid::PlanarField;
 pub use read::{FieldFormat, FieldTable, FieldUnit, parse_field};

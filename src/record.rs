@@ -27,8 +27,8 @@ mod sigma;
 
 pub(crate) use diagnosis::SHEET_QUANTITIES;
 pub use diagnosis::{
-    Diagnosis, EXACT, KeyQuantity, MappingMap, MappingSigma, MappingUncertainty, ModelTest, OutlierReason, Prior,
-    ViewInfluence,
+    Diagnosis, EXACT, KeyQuantity, MappingByViews, MappingMap, MappingSigma, MappingUncertainty, ModelTest,
+    OutlierReason, Prior, ViewInfluence,
 };
 pub use geometry::PlacedCamera;
 pub use provenance::{ImageFile, Provenance};

@@ -33,6 +33,7 @@ mod recorded;
 mod rows;
 
 pub use gain::{PointUncertainty, RESPONSES, Response, SheetUncertainty, StereoSheet};
+pub(crate) use gain::{gain_row, in_plane_scale_row, unit};
 pub use homography::{
     HeldCameras, Homography, PairFeatures, fit_homography, fit_placed_homography, transfer_residuals,
     triangulated_plane,

@@ -156,6 +156,13 @@ fn the_sheet_frame_is_placed_and_placed_back() {
     let scratch = tempfile::tempdir().unwrap();
     let path = |name: &str| scratch.path().join(name).to_str().unwrap().to_string();
     let json = calibrate_printed(&path("c"));
+    // One view in the sheet is too few for the others to tell of it.
+    let factors = [[1.1, 1.2, 1.3], [1.4, 1.6, 1.5], [1.8, 1.7, 1.9]];
+    let mut with_views: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&json).unwrap()).unwrap();
+    with_views["mapping_uncertainty"]["by_views"] = serde_json::json!({
+        "beyond_noise": true, "disparity": 2.0, "in_plane": 2.1, "in_plane_scale": 2.2, "out_of_plane_gain": 2.3, "displacement": factors,
+    });
+    std::fs::write(&json, format!("{with_views:#}")).unwrap();
     convert(&[&json, "--to", "spivcal", "--origin-mm", "5,-2", "--turn-deg", "90", "-o", &path("a")], 0);
     let (old, new) = (record(Path::new(&json)), record(Path::new(&path("a/calibration.json"))));
     let (s, t) = (old.sheet.as_ref().unwrap(), new.sheet.as_ref().unwrap());
@@ -192,8 +199,15 @@ fn the_sheet_frame_is_placed_and_placed_back() {
     let (d, e) = (&was.displacement, &turned.displacement);
     assert!(alike(d[0][0], e[1][1]) && alike(d[1][1], e[0][0]) && alike(d[0][2], e[1][2]), "{d:?} {e:?}");
     assert!(alike(was.disparity_px, turned.disparity_px) && alike(d[2][2], e[2][2]), "{was:?} {turned:?}");
+    // What the views say of it goes with it: of axes that were turned the larger factor.
+    let by_views = |r: &Record| r.mapping_uncertainty.as_ref().unwrap().by_views.clone().unwrap();
+    let told = by_views(&new);
+    assert_eq!(told.displacement, [[1.6, 1.6, 1.5], [1.6, 1.6, 1.5], [1.8, 1.8, 1.9]]);
+    assert_eq!((told.disparity, told.in_plane, told.beyond_noise), (2.0, 2.1, true));
     assert!((0..2).all(|k| (was.point_mm[k] - again.point_mm[k]).abs() < 1e-6), "{was:?} {again:?}");
     assert!((was.disparity_px / again.disparity_px - 1.0).abs() < 1e-3, "{was:?} {again:?}");
+    convert(&[&json, "--to", "spivcal", "--origin-mm", "5,-2", "-o", &path("s")], 0);
+    assert_eq!(by_views(&record(Path::new(&path("s/calibration.json")))).displacement, factors, "shifted, not turned");
     // On the target of a view: its origin has x = y = 0, its x axis y = 0.
     let said = convert(&[&json, "--to", "spivcal", "--frame-of-view", "0", "-o", &path("v")], 0);
     assert!(said.contains("calibration.json"), "{said}");

@@ -114,7 +114,7 @@ fn what_is_measured_in_a_sheet_found_alone_has_true_sigmas() {
         let held = HeldCameras::of(&covariance, ["left", "right"]);
         let sheet = found(&held, &whole.with_noise(10_000 + seed), &abc);
         let record = recorded(&covariance, &held, &sheet);
-        let middle = mapping_of_record(&record).expect("known").0.middle;
+        let middle = mapping_of_record(&record, None).expect("known").0.middle;
         let second: Motion<Cam, Rig> = covariance.natural.cam_from_rig[1];
         let stereo = StereoSheet::new(held.cameras().map(|c| *c), second, &sheet.estimate.rig_from_sheet);
         let r = stereo.response(&truth, middle.point_mm).unwrap();
@@ -138,7 +138,7 @@ fn what_is_measured_in_a_sheet_found_alone_has_true_sigmas() {
                 }
             }
         }
-        alone_over_joint.push(mapping_of_record(&apart).expect("known").0.middle.displacement[2][2] / d[2][2]);
+        alone_over_joint.push(mapping_of_record(&apart, None).expect("known").0.middle.displacement[2][2] / d[2][2]);
     }
     alone_over_joint.sort_by(f64::total_cmp);
     println!("w per w as if they had nothing in common: {:.1} times", alone_over_joint[alone_over_joint.len() / 2]);

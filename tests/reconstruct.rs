@@ -253,8 +253,20 @@ fn the_calibration_s_covariance_is_that_of_moved_calibrations() {
     (s.normal_rad, s.distance_mm) = ([0.0; 2], 0.0);
     let texts = [0, 1].map(|c| raw_field(c, false, 0.0, 1, |_| true));
     let perturbed = perturbed_maps(&record).unwrap().unwrap();
-    assert_eq!(perturbed.len(), 1);
+    assert_eq!(perturbed.sides.len(), 1);
     let f = solved([&texts[0], &texts[1]], &Options { perturbed: Some(perturbed), ..options(FieldUnit::RawPixels) });
+    // As its views tell it.
+    record.mapping_uncertainty = Some(scene::mapping(true));
+    let perturbed = perturbed_maps(&record).unwrap().unwrap();
+    let enlarged = scene::mapping(true).enlarged();
+    let told = solved([&texts[0], &texts[1]], &Options { perturbed: Some(perturbed), ..options(FieldUnit::RawPixels) });
+    assert_eq!((told.calibration_enlarged, f.calibration_enlarged), (enlarged, [1.0; 3]));
+    for a in 0..3 {
+        assert!(told.sigma_mm[a].iter().zip(&f.sigma_mm[a]).all(|(x, y)| x.to_bits() == y.to_bits()));
+        for (larger, stated) in told.calibration_sigma_mm[a].iter().zip(&f.calibration_sigma_mm[a]) {
+            assert!(larger.is_nan() && stated.is_nan() || (larger / stated / enlarged[a] - 1.0).abs() < 1e-12);
+        }
+    }
     // By hand: the camera moved by one sigma, and the whole field anew.
     let mut moved = scene::record();
     moved.cameras[1].cam_from_rig.translation_mm[0] += sigma;

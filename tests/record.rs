@@ -356,3 +356,37 @@ fn flags_of_a_check_are_kept_once() {
     }
     assert_eq!(record.fit.flags, ["the plate is bent", "check on particle images: it holds"]);
 }
+
+/// What the views say of measurements goes through the file, unknown factors as null; displacements are enlarged by what is known to be larger, and only
+/// where the views differ by more than their noise.
+#[test]
+fn what_the_views_say_of_measurements_is_kept_and_enlarges_displacements() {
+    let mut record = scene::record();
+    record.mapping_uncertainty = Some(scene::mapping(true));
+    let json: Value = serde_json::from_str(&record.to_json().unwrap()).unwrap();
+    assert!(json.pointer("/mapping_uncertainty/by_views/disparity").unwrap().is_null());
+    assert!(json.pointer("/mapping_uncertainty/by_views/displacement/1/1").unwrap().is_null());
+    let read = reread(&record).mapping_uncertainty.unwrap();
+    let told = read.by_views.as_ref().unwrap();
+    assert!(told.disparity.is_nan() && told.displacement[1][1].is_nan() && told.displacement[2][2] == 2.6);
+    // By hand: root of the sum of what is told over that of what is stated, none smaller than stated.
+    let [u, v, w] = read.enlarged();
+    let by_hand = |terms: [[f64; 2]; 3]| {
+        let sum = |f: &dyn Fn(&[f64; 2]) -> f64| terms.iter().map(f).sum::<f64>();
+        (sum(&|[s, f]| s * s * f * f) / sum(&|[s, _]| s * s)).sqrt()
+    };
+    for (got, wanted) in [
+        (u, by_hand([[1.0, 3.1], [2.0, 3.2], [4.0, 3.3]])),
+        (v, by_hand([[2.0, 1.4], [1.0, 1.0], [3.0, 1.5]])),
+        (w, by_hand([[0.5, 1.0], [0.6, 1.0], [1.6, 2.6]])),
+    ] {
+        assert!((got / wanted - 1.0).abs() < 1e-12, "{got} {wanted}");
+    }
+    assert_eq!(read.disparity_enlarged(), 1.0);
+    assert_eq!(scene::mapping(false).enlarged(), [1.0; 3]);
+    // A file without it is read.
+    let mut json = json;
+    json.pointer_mut("/mapping_uncertainty").unwrap().as_object_mut().unwrap().remove("by_views");
+    let old = Record::from_json(&serde_json::to_string_pretty(&json).unwrap(), "c.json").unwrap();
+    assert_eq!(old.mapping_uncertainty.unwrap().by_views, None);
+}

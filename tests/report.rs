@@ -253,6 +253,27 @@ fn what_the_views_tell_is_told_and_long_lists_say_that_they_go_on() {
     }
 }
 
+/// What the views tell of measurements stands beside what is stated, and in the verdict and under the maps where they differ by more than their noise.
+#[test]
+fn what_the_views_tell_of_measurements_is_told() {
+    let mut record = scene::record();
+    for beyond_noise in [true, false] {
+        record.mapping_uncertainty = Some(scene::mapping(beyond_noise));
+        let html = words(&parse(&report::write_html(&record, &[], &ResidualTable::default()).unwrap()));
+        let text = report::text(&record).split_whitespace().collect::<Vec<_>>().join(" ");
+        for said in [&html, &text] {
+            assert!(said.contains("as the views tell it"), "{said}");
+            assert!(said.contains("disparity of the two cameras 0.13 px 0.13 px –"), "{said}");
+            assert!(said.contains("error of w per w 0.16 % 0.16 % × 2.6"), "{said}");
+            assert_eq!(said.contains("tell 3.3, 1.4 and 2.4 times as much for u, v and w"), beyond_noise, "{said}");
+        }
+        assert_eq!(html.contains("in % of w; the views tell 2.6 times as much"), beyond_noise, "{html}");
+        assert!(!html.contains("NaN"), "{html}");
+    }
+    record.mapping_uncertainty.as_mut().unwrap().by_views = None;
+    assert!(!report::text(&record).contains("as the views tell it"));
+}
+
 #[test]
 fn the_verdict_follows_the_record() {
     let mut good = scene::record();

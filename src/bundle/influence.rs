@@ -23,6 +23,7 @@ use crate::solve::{
     FIRST_DAMPING, Iteration, NormalEquations, Options, Outcome, Prediction, Problem, minimise_from, predict,
 };
 use nalgebra::DMatrix;
+use std::collections::HashMap;
 
 /// Functions of named parameters (lists of name and coefficient) by the global unknowns; parts that belong to views are left out.
 /// `None` after a bad start.
@@ -30,10 +31,11 @@ pub fn named_rows(adjustment: &Adjustment, functions: &[Vec<(String, f64)>]) -> 
     let (model, state) = (&adjustment.model, &adjustment.state);
     let places = Places::of(model);
     let rows = posterior::rows(model, &places, state, &posterior::natural(model, state)?)?;
+    let by_name: HashMap<&str, &[(usize, f64)]> = rows.iter().map(|r| (r.name.as_str(), &r.terms[..])).collect();
     let mut out = DMatrix::zeros(functions.len(), places.global);
     for (k, function) in functions.iter().enumerate() {
         for (name, coefficient) in function {
-            let terms = rows.iter().find(|r| r.name == *name).map_or(&[][..], |r| &r.terms);
+            let terms = by_name.get(name.as_str()).copied().unwrap_or_default();
             for (at, value) in terms.iter().filter(|(at, _)| *at < places.global) {
                 out[(k, *at)] += coefficient * value;
             }

@@ -21,6 +21,7 @@ use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::rigid::Motion;
 use crate::solve::{NormalEquations, Posterior, posterior};
 use nalgebra::{DMatrix, DVector, DVectorView, SMatrix, Vector3};
+use std::collections::HashMap;
 
 /// How a parameter is known.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -109,9 +110,11 @@ impl NamedCovariance {
     }
     /// Covariance of linear functions of named parameters: `rows` are (name, coefficient) lists.
     pub fn propagate(&self, rows: &[Vec<(String, f64)>]) -> DMatrix<f64> {
-        let j = DMatrix::from_fn(rows.len(), self.names.len(), |r, c| {
-            rows[r].iter().filter(|(n, _)| *n == self.names[c]).map(|(_, v)| v).sum()
-        });
+        let at: HashMap<&str, usize> = self.names.iter().enumerate().map(|(i, n)| (n.as_str(), i)).collect();
+        let mut j = DMatrix::zeros(rows.len(), self.names.len());
+        for (r, row) in rows.iter().enumerate() {
+            row.iter().filter_map(|(n, v)| Some((*at.get(n.as_str())?, v))).for_each(|(c, v)| j[(r, c)] += v);
+        }
         &j * &self.matrix * j.transpose()
     }
 }

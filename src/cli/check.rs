@@ -64,7 +64,7 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
     let pool = threads::pool(threads)?;
     let mut found = pool.install(|| check_sheet(&record, &pairs, &options))?;
     if let Some(corrected) = &mut found.record
-        && let Some((mapping, told)) = pool.install(|| mapping_of_record(corrected))
+        && let Some((mapping, told)) = pool.install(|| mapping_of_record(corrected, record.views_of_another_sheet()))
     {
         corrected.mapping_uncertainty = Some(mapping);
         corrected.fit.keep_check_flags(&told);

@@ -225,6 +225,12 @@ fn summary(
     }
     if cw.is_finite() {
         text.push_str(&format!("median sigma by the calibration:    u {cu:.3e}, v {cv:.3e}, w {cw:.3e} mm\n"));
+        if found.calibration_enlarged != [1.0; 3] {
+            let [u, v, w] = found.calibration_enlarged;
+            text.push_str(&format!(
+                "the views of the calibration differ by more than their noise: these are {u:.1}, {v:.1} and {w:.1} times what its noise alone would tell (its report says more)\n"
+            ));
+        }
     }
     text.push_str(&format!("Written to {}, picture {}\n", to.display(), picture.display()));
     let number = |x: f64| if x.is_finite() { json!(x) } else { serde_json::Value::Null };
@@ -232,7 +238,7 @@ fn summary(
         "output": to.display().to_string(), "picture": picture.display().to_string(), "vectors": filled, "points": all, "grid": found.grid, "sigma": number(found.sigma),
         "sigma_estimated": found.sigma_estimated, "sigma_by_gradient": number(found.sigma_by_gradient), "common_errors": found.common_errors, "residual_ratio": number(found.residual_ratio), "median_residual_px": number(residual),
         "median_sigma_mm": [number(su), number(sv), number(sw)],
-        "median_calibration_sigma_mm": [number(cu), number(cv), number(cw)],
+        "median_calibration_sigma_mm": [number(cu), number(cv), number(cw)], "calibration_sigma_enlarged": found.calibration_enlarged,
     });
     (text, json)
 }

@@ -7,55 +7,43 @@
 //! e_i = misplacement of point i in a camera,  e' = e - (shift, turn) fitted to all points of both cameras,  C' = P D C D^T P^T
 //! ```
 
+use super::field::{Field, SeenSheet};
 use crate::bundle::NamedCovariance;
-use crate::frames::{Rig, Sheet};
-use crate::record::{MappingMap, MappingSigma, MappingUncertainty, Record};
-use crate::rigid::Motion;
-use crate::sheet::{PointUncertainty, SheetUncertainty, StereoSheet, covariance_of_record};
+use crate::record::{MappingByViews, MappingMap, MappingSigma, MappingUncertainty, Record};
+use crate::sheet::{PointUncertainty, StereoSheet, covariance_of_record};
 use crate::threads::gathered;
-use nalgebra::{DMatrix, DVector, Vector2};
+use nalgebra::{DMatrix, DVector};
 
-/// Points along the longer and the shorter side of what both cameras see.
-const COLUMNS: usize = 19;
-const ROWS: usize = 13;
+/// Where the misplacements stand among the numbers of a response.
+pub(super) const PLACES: usize = 2;
 /// Ratio of errors along and across the lines of sight that is worth a warning: less than 12 degrees between them.
 const ONE_LINE: f64 = 10.0;
 /// Relative out-of-plane gain that is worth a warning: 2 % of w.
 const GAIN_LIMIT: f64 = 0.02;
 
-/// Points of the sheet that both cameras see, and the distances of the grid they are taken from.
-struct Field {
-    points: Vec<[f64; 2]>,
-    spacing_mm: [f64; 2],
-}
-
-/// What a record says of it anew, after its sheet or its cameras were refined; with what must be told. `None` where its covariance does not
-/// name the sheet, or does not determine cameras and sheet.
-pub fn mapping_of_record(record: &Record) -> Option<(MappingUncertainty, Vec<String>)> {
+/// What a record says of it anew, after its sheet, its frame or its cameras were changed, with what must be told; `by_views` is what its views say of it.
+/// `None` where its covariance does not name the sheet, or does not determine cameras and sheet.
+pub fn mapping_of_record(
+    record: &Record,
+    by_views: Option<MappingByViews>,
+) -> Option<(MappingUncertainty, Vec<String>)> {
     let [first, second] = record.cameras.as_slice() else { return None };
     let names = [first.name.as_str(), second.name.as_str()];
     let covariance = covariance_of_record(record)?;
     let sizes_px = [first, second].map(|c| c.image_size_px.map(|n| n as f64));
     let mut flags = vec![];
     let frame = record.sheet.as_ref()?.rig_from_sheet.motion();
-    let found = mapping_uncertainty(&covariance, &sizes_px, &names, Some(&frame), &mut flags)?;
-    Some((found, flags))
+    let sheet = SeenSheet::of(&covariance, &sizes_px, &names, Some(&frame))?;
+    let found = mapping_uncertainty(&covariance, &sheet, &mut flags)?;
+    Some((MappingUncertainty { by_views, ..found }, flags))
 }
 
-/// Told in the frame of the sheet that is given, or else in the one that goes with the plane.
 pub(super) fn mapping_uncertainty(
     covariance: &NamedCovariance,
-    sizes_px: &[[f64; 2]],
-    names: &[&str],
-    frame: Option<&Motion<Rig, Sheet>>,
+    SeenSheet { uncertainty, field }: &SeenSheet,
     flags: &mut Vec<String>,
 ) -> Option<MappingUncertainty> {
-    let [first, second] = *names else { return None };
-    let own = StereoSheet::of(covariance)?;
-    let uncertainty =
-        SheetUncertainty::about(frame.map_or(own, |frame| own.told_in(frame)), covariance, [first, second]);
-    let stereo = *uncertainty.stereo();
-    let field = field(&stereo, sizes_px)?;
+    let stereo = uncertainty.stereo();
     let mut points = field.points.clone();
     let n = points.len() as f64;
     points.push([points.iter().map(|p| p[0]).sum::<f64>() / n, points.iter().map(|p| p[1]).sum::<f64>() / n]);
@@ -65,7 +53,7 @@ pub(super) fn mapping_uncertainty(
     let all: Vec<MappingSigma> = points
         .iter()
         .zip(placed.iter().zip(&at))
-        .filter_map(|(p, (placed_mm, u))| sigmas(&stereo, *p, *placed_mm, u))
+        .filter_map(|(p, (placed_mm, u))| sigmas(stereo, *p, *placed_mm, u))
         .collect();
     let (middle, over) = all.split_last()?;
     let over: Vec<&MappingSigma> = over.iter().collect();
@@ -87,47 +75,7 @@ pub(super) fn mapping_uncertainty(
              other side of the sheet's normal, best 30 to 45 degrees on either side"
         ));
     }
-    Some(MappingUncertainty { middle: middle.clone(), largest, map: map(&field, &over), undetermined })
-}
-
-fn field(stereo: &StereoSheet, sizes_px: &[[f64; 2]]) -> Option<Field> {
-    let size = |c: usize| sizes_px.get(c).copied();
-    let (first, second) = (size(0)?, size(1)?);
-    let inside = |q: &Vector2<f64>, size: [f64; 2]| {
-        (-0.5..=size[0] - 0.5).contains(&q.x) && (-0.5..=size[1] - 0.5).contains(&q.y)
-    };
-    let seen = |p: [f64; 2]| stereo.pixels(p).is_some_and(|[a, b]| inside(&a, first) && inside(&b, second));
-    // The first camera's border on the sheet.
-    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-    for k in 0..=8 {
-        let t = f64::from(k) / 8.0;
-        for q in [[t, 0.0], [t, 1.0], [0.0, t], [1.0, t]] {
-            let p = stereo.point_at(0, &Vector2::new(q[0] * (first[0] - 1.0), q[1] * (first[1] - 1.0)))?;
-            for a in 0..2 {
-                low[a] = low[a].min(p[a]);
-                high[a] = high[a].max(p[a]);
-            }
-        }
-    }
-    let grid = |low: [f64; 2], high: [f64; 2]| {
-        let wide = high[0] - low[0] >= high[1] - low[1];
-        let counts = if wide { [COLUMNS, ROWS] } else { [ROWS, COLUMNS] };
-        let spacing_mm = [0, 1].map(|a| (high[a] - low[a]) / counts[a] as f64);
-        let at = |a: usize, k: usize| low[a] + (k as f64 + 0.5) * spacing_mm[a];
-        let all = (0..counts[1]).flat_map(|j| (0..counts[0]).map(move |i| (i, j)));
-        let points: Vec<[f64; 2]> = all.map(|(i, j)| [at(0, i), at(1, j)]).filter(|p| seen(*p)).collect();
-        Field { points, spacing_mm }
-    };
-    // Once over all of the first camera, once over what was common.
-    let coarse = grid(low, high);
-    for a in 0..2 {
-        let bounds = coarse.points.iter().map(|p| p[a]);
-        let (l, h) = bounds.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
-        low[a] = low[a].max(l - coarse.spacing_mm[a]);
-        high[a] = high[a].min(h + coarse.spacing_mm[a]);
-    }
-    let fine = grid(low, high);
-    (fine.points.len() > 3).then_some(fine)
+    Some(MappingUncertainty { middle: middle.clone(), largest, map: map(field, &over), undetermined, by_views: None })
 }
 
 /// Standard deviation (root of the sum over both axes, the larger of both cameras) of the place of every point, mm, beside a common shift
@@ -139,12 +87,9 @@ fn places(
 ) -> Option<Vec<f64>> {
     let mut d = DMatrix::zeros(4 * points.len(), own.len());
     for (i, u) in at.iter().enumerate() {
-        d.rows_mut(4 * i, 4).copy_from(u.misplaced_by());
+        d.rows_mut(4 * i, 4).copy_from(&u.derivative().rows(PLACES, 4));
     }
-    let motion = rigid(points);
-    let fitted = motion.rows(0, 4 * (points.len() - 1));
-    let gram = fitted.tr_mul(&fitted).try_inverse()?;
-    let beside = &d - &motion * (gram * fitted.tr_mul(&d.rows(0, fitted.nrows())));
+    let beside = beside_shift_and_turn(points, points.len() - 1, &d)?;
     let spread = &beside * DMatrix::from_fn(own.len(), own.len(), |i, j| covariance.matrix[(own[i], own[j])]);
     let is_still = |row: usize| {
         let mut by_name = DVector::zeros(covariance.names.len());
@@ -159,6 +104,18 @@ fn places(
         if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b) }
     };
     Some((0..points.len()).map(of).collect())
+}
+
+/// Misplacements (columns: x, y in the first and in the second camera, point after point) beside a common shift and turn that the first of the points tell.
+pub(super) fn beside_shift_and_turn(
+    points: &[[f64; 2]],
+    first: usize,
+    misplaced: &DMatrix<f64>,
+) -> Option<DMatrix<f64>> {
+    let motion = rigid(points);
+    let fitted = motion.rows(0, 4 * first);
+    let gram = fitted.tr_mul(&fitted).try_inverse()?;
+    Some(misplaced - &motion * (gram * fitted.tr_mul(&misplaced.rows(0, fitted.nrows()))))
 }
 
 /// Common shift and turn of all points in both cameras, one column each.

@@ -2,11 +2,12 @@
 
 use super::culprit::{Culprit, culprits};
 use super::keys::Keys;
-use super::spread::{self, Change, Spread};
+use super::probes::Probes;
+use super::spread::{self, Change, Number, Spread};
 use super::{FALSE_ALARMS, FELT_SIGMAS, Subject, Watch, digits, listed};
-use crate::bundle::{Prediction, SolveOptions, Termination, ViewsLeftOut, named_rows, natural_of};
+use crate::bundle::{Natural, Prediction, SolveOptions, Termination, ViewsLeftOut, named_rows, natural_of};
 use crate::error::{Result, Unusable};
-use crate::record::ViewInfluence;
+use crate::record::{MappingByViews, ViewInfluence};
 use crate::stats::normal_beyond;
 use crate::threads::gathered;
 use nalgebra::{DMatrix, DVector};
@@ -18,15 +19,50 @@ const LITTLE: f64 = 0.02;
 /// Difference of covariances, part of the covariance, below which rounding would be tested.
 const TESTABLE: f64 = 1e-4;
 
+/// What is looked at without single views: the keys, then what is felt in the sheet.
+struct Functions<'a> {
+    keys: &'a Keys,
+    probes: Option<&'a Probes>,
+    /// By the global unknowns.
+    rows: DMatrix<f64>,
+    /// Variance with all views, and whether nothing undetermined moves it.
+    variance: Vec<f64>,
+    determined: Vec<bool>,
+}
+
+impl<'a> Functions<'a> {
+    fn of(s: &Subject<'_>, keys: &'a Keys, probes: Option<&'a Probes>) -> Option<Self> {
+        let mut by_name = keys.rows.clone();
+        let mut determined = keys.determined.clone();
+        if let Some(probes) = probes {
+            by_name.extend(probes.rows.iter().cloned());
+            determined.extend(&probes.determined);
+        }
+        let rows = named_rows(s.adjustment, &by_name)?;
+        let variance = s.covariance.propagate(&by_name).diagonal().iter().map(|x| x.max(0.0)).collect();
+        Some(Self { keys, probes, rows, variance, determined })
+    }
+
+    /// From the estimate to another one of the same rig.
+    fn change(&self, from: &Natural, to: &Natural) -> Option<DVector<f64>> {
+        let of_keys = self.keys.values(to)? - self.keys.values(from)?;
+        let of_probes = match self.probes {
+            Some(probes) => probes.change(to)?,
+            None => DVector::zeros(0),
+        };
+        Some(DVector::from_iterator(self.rows.nrows(), of_keys.iter().chain(of_probes.iter()).copied()))
+    }
+}
+
 /// What one view does, before words.
 struct Left {
     prediction: Prediction,
-    /// Change of the keys by an adjustment without the view; none where it did not converge.
+    /// Change of the functions by an adjustment without the view; none where it did not converge.
     adjusted: Option<DVector<f64>>,
 }
 
 impl Left {
-    /// Change of the keys, as adjusted or else as predicted.
+    /// Change of the functions, as adjusted or else as predicted.
     fn shift(&self) -> &DVector<f64> {
         self.adjusted.as_ref().unwrap_or(&self.prediction.shift)
     }
@@ -38,12 +74,14 @@ pub(super) struct Views {
     pub(super) influences: Vec<ViewInfluence>,
     /// Of each key, how the views scatter about it; none where that cannot be said.
     pub(super) spreads: Vec<Option<Spread>>,
+    /// How many times larger the views tell what is felt in the sheet.
+    pub(super) felt: Option<MappingByViews>,
 }
 
 pub(super) fn views(
     s: &Subject<'_>,
     names: &[&str],
-    keys: &Keys,
+    (keys, probes): (&Keys, Option<&Probes>),
     watch: &Watch<'_>,
     flags: &mut Vec<String>,
 ) -> Result<Views> {
@@ -51,44 +89,47 @@ pub(super) fn views(
     if model.views.len() < 2 || keys.list.is_empty() {
         return Ok(Views::default());
     }
-    let Some(rows) = named_rows(s.adjustment, &keys.rows) else { return Ok(Views::default()) };
-    let full = s.covariance.propagate(&keys.rows);
+    let Some(functions) = Functions::of(s, keys, probes) else { return Ok(Views::default()) };
     let seen: Vec<usize> = (0..model.views.len()).filter(|v| model.images.iter().any(|i| i.view == *v)).collect();
     let without = ViewsLeftOut::of(s.adjustment);
-    let left: Result<Vec<Option<Left>>> = gathered(true, &seen, |v| left_out(s, (keys, &rows), (&without, *v), watch));
+    let left: Result<Vec<Option<Left>>> = gathered(true, &seen, |v| left_out(s, &functions, (&without, *v), watch));
     let tests = (seen.len() * keys.list.len()) as f64;
     let left = left?;
     let each = seen.iter().zip(&left);
     let mut out: Vec<ViewInfluence> =
-        each.filter_map(|(v, left)| Some(influence(keys, &full, *v, left.as_ref()?, tests))).collect();
+        each.filter_map(|(v, left)| Some(influence(&functions, *v, left.as_ref()?, tests))).collect();
     let wrong = if out.iter().any(|v| v.contradicts) { culprits(s, names, watch)? } else { None };
     let single = wrong.is_some();
     name_the_wrong(&mut out, wrong);
-    let spreads: Vec<Option<Spread>> = (0..keys.list.len()).map(|k| spread(keys, &full, k, &left)).collect();
-    let sigmas: Vec<f64> = full.diagonal().iter().map(|x| x.max(0.0).sqrt()).collect();
-    let finding = spread::finding(keys, &sigmas, &spreads).filter(|_| !single);
-    match finding {
+    let numbers: Vec<Option<Number>> = (0..functions.variance.len()).map(|k| number(&functions, k, &left)).collect();
+    let (of_keys, of_probes) = numbers.split_at(keys.list.len());
+    let spreads: Vec<Option<Spread>> = of_keys.iter().map(|n| Spread::of(n.as_ref()?)).collect();
+    let sigmas: Vec<f64> = functions.variance[..keys.list.len()].iter().map(|x| x.sqrt()).collect();
+    let finding = spread::finding(keys, &sigmas, &spreads);
+    let felt = probes.and_then(|p| p.by_views(of_probes, finding.is_some()));
+    match finding.filter(|_| !single) {
         // Where all differ none is wrong by itself.
         Some(words) => flags.push(words + &most_different(&out)),
         None => flags.extend(out.iter().filter(|v| v.contradicts && change(v) > FELT_SIGMAS).map(|v| v.words.clone())),
     }
-    Ok(Views { influences: out, spreads })
+    Ok(Views { influences: out, spreads, felt })
 }
 
-/// How the views scatter about a key; none where one of them alone fixes it.
-fn spread(keys: &Keys, full: &DMatrix<f64>, k: usize, left: &[Option<Left>]) -> Option<Spread> {
+/// A function with all views and without each; none where it is not determined.
+fn number(functions: &Functions<'_>, k: usize, left: &[Option<Left>]) -> Option<Number> {
     let told = || left.iter().flatten();
-    if !(keys.determined[k] && told().all(|left| left.prediction.determined[k])) {
+    if !(functions.determined[k] && told().all(|left| left.prediction.determined[k])) {
         return None;
     }
-    let changes: Vec<Change> = told().filter_map(|left| own_change(full, k, left)).collect();
-    Spread::of(&changes, full[(k, k)])
+    let variance = functions.variance[k];
+    let changes = told().map(|left| own_change(variance, k, left).unwrap_or_default()).collect();
+    (variance > 0.0).then_some(Number { variance, changes })
 }
 
-/// Change of a key without a view, where more of its variance than rounding goes with the view.
-fn own_change(full: &DMatrix<f64>, k: usize, left: &Left) -> Option<Change> {
-    let variance = left.prediction.covariance[(k, k)] - full[(k, k)];
-    (variance > TESTABLE * full[(k, k)]).then(|| Change { size: left.shift()[k], variance })
+/// Change of a function without a view, where more of its variance than rounding goes with the view.
+fn own_change(variance: f64, k: usize, left: &Left) -> Option<Change> {
+    let more = left.prediction.covariance[(k, k)] - variance;
+    (more > TESTABLE * variance).then(|| Change { size: left.shift()[k], variance: more })
 }
 
 /// Where few views explain all contradictions, only they contradict. Otherwise all do that seem to.
@@ -151,14 +192,14 @@ fn contradiction(v: &ViewInfluence) -> String {
 
 fn left_out(
     s: &Subject<'_>,
-    (keys, rows): (&Keys, &DMatrix<f64>),
+    functions: &Functions<'_>,
     (without, view): (&ViewsLeftOut<'_>, usize),
     watch: &Watch<'_>,
 ) -> Result<Option<Left>> {
     watch.check()?;
-    let Some(prediction) = without.predicted(view, rows) else { return Ok(None) };
+    let Some(prediction) = without.predicted(view, &functions.rows) else { return Ok(None) };
     // Where something is lost there is no minimum to go to.
-    let lost = prediction.determined.iter().zip(&keys.determined).any(|(now, before)| *before && !*now);
+    let lost = prediction.determined.iter().zip(&functions.keys.determined).any(|(now, before)| *before && !*now);
     if lost || s.adjustment.model.views.len() > MOST_ADJUSTED {
         return Ok(Some(Left { adjusted: None, prediction }));
     }
@@ -171,7 +212,7 @@ fn left_out(
     }
     let adjusted = || {
         let natural = natural_of(&s.adjustment.model, &other.state).filter(|_| other.decrement < 0.1)?;
-        Some(keys.values(&natural)? - keys.values(&s.covariance.natural)?)
+        functions.change(&s.covariance.natural, &natural)
     };
     Ok(Some(Left { adjusted: adjusted(), prediction }))
 }
@@ -181,22 +222,24 @@ fn largest(numbers: impl Iterator<Item = (usize, f64)>) -> Option<(usize, f64)> 
     numbers.filter(|(_, x)| x.is_finite()).max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()))
 }
 
-fn influence(keys: &Keys, full: &DMatrix<f64>, view: usize, left: &Left, tests: f64) -> ViewInfluence {
-    let p = &left.prediction;
+fn influence(functions: &Functions<'_>, view: usize, left: &Left, tests: f64) -> ViewInfluence {
+    let (keys, variance, p) = (functions.keys, &functions.variance, &left.prediction);
     let usable: Vec<usize> =
-        (0..keys.list.len()).filter(|&k| keys.determined[k] && p.determined[k] && full[(k, k)] > 0.0).collect();
-    let sigma = |k: usize| full[(k, k)].sqrt();
+        (0..keys.list.len()).filter(|&k| keys.determined[k] && p.determined[k] && variance[k] > 0.0).collect();
+    let sigma = |k: usize| variance[k].sqrt();
     let name = |found: Option<(usize, f64)>| found.map_or(String::new(), |(k, _)| keys.list[k].name.clone());
     let size = |found: Option<(usize, f64)>| found.map_or(f64::NAN, |(_, x)| x);
     let lost: Vec<String> = (0..keys.list.len())
         .filter(|&k| keys.determined[k] && !p.determined[k])
         .map(|k| keys.list[k].name.clone())
         .collect();
-    let growth = largest(usable.iter().map(|&k| (k, (p.covariance[(k, k)] / full[(k, k)]).sqrt())));
+    let growth = largest(usable.iter().map(|&k| (k, (p.covariance[(k, k)] / variance[k]).sqrt())));
     let shift = left.shift();
     let moved = largest(usable.iter().map(|&k| (k, shift[k] / sigma(k))));
     let predicted = moved.map_or(f64::NAN, |(k, _)| (p.shift[k] / sigma(k)).abs());
-    let z = largest(usable.iter().filter_map(|&k| own_change(full, k, left).map(|c| (k, c.size / c.variance.sqrt()))));
+    let z = largest(
+        usable.iter().filter_map(|&k| own_change(variance[k], k, left).map(|c| (k, c.size / c.variance.sqrt()))),
+    );
     let contradicts = lost.is_empty() && z.is_some_and(|(_, z)| normal_beyond(z) * tests < FALSE_ALARMS);
     let metric = |name: &String| keys.list.iter().any(|k| k.name == *name && k.unit == "mm");
     let words = if !lost.is_empty()

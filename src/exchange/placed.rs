@@ -16,7 +16,7 @@ use crate::dewarp::Placement;
 use crate::diagnosis::mapping_of_record;
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Rig, Sheet};
-use crate::record::Record;
+use crate::record::{MappingUncertainty, Record};
 use crate::rigid::Motion;
 use crate::sheet::{STEP_NAMES, SheetEstimate};
 use nalgebra::{DMatrix, Matrix6, SMatrix, Vector3};
@@ -80,6 +80,8 @@ pub fn placed(record: &Record, placement: &Placement) -> Result<Record> {
     let mut out = record.clone();
     out.sheet = Some(sheet);
     // What was told at points of the former frame and along its axes is told anew.
-    out.mapping_uncertainty = record.mapping_uncertainty.as_ref().and_then(|_| Some(mapping_of_record(&out)?.0));
+    let by_views = |m: &MappingUncertainty| m.by_views.as_ref().map(|v| if turned { v.turned() } else { v.clone() });
+    out.mapping_uncertainty =
+        record.mapping_uncertainty.as_ref().and_then(|m| Some(mapping_of_record(&out, by_views(m))?.0));
     Ok(out)
 }

@@ -308,7 +308,10 @@ fn full_calibration() -> serde_json::Value {
     });
     let list = [0.1, 0.2];
     json["mapping_uncertainty"] = serde_json::json!({
-        "middle": point, "largest": point, "map": {
+        "middle": point, "largest": point, "by_views": {
+            "beyond_noise": true, "disparity": 1.5, "in_plane": null, "in_plane_scale": 1.0, "out_of_plane_gain": 2.0,
+            "displacement": [[1.1, 1.2, 1.3], [1.4, null, 1.6], [1.7, 1.8, 1.9]]
+        }, "map": {
             "spacing_mm": [1.0, 1.0], "x_mm": list, "y_mm": list, "in_plane_px": list, "disparity_px": list,
             "u_per_u": list, "w_per_w": [], "u_per_w": list, "v_per_w": list, "w_per_u": list
         }
@@ -370,6 +373,7 @@ fn lists_of_any_length_in_a_calibration_are_read_or_refused() {
     for (pointer, path) in [
         ("/mapping_uncertainty/largest/displacement", "mapping_uncertainty.largest.displacement: "),
         ("/mapping_uncertainty/middle/displacement/1", "mapping_uncertainty.middle.displacement[1]: "),
+        ("/mapping_uncertainty/by_views/displacement", "mapping_uncertainty.by_views.displacement: "),
         ("/mapping_uncertainty/map/y_mm", "mapping_uncertainty.map.y_mm: "),
         ("/mapping_uncertainty/map/u_per_w", "mapping_uncertainty.map.u_per_w: "),
     ] {

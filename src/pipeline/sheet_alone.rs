@@ -337,6 +337,7 @@ fn output(
     features: &[Vec<PairFeatures>],
 ) -> SheetOutput {
     let mut record = calibration.clone();
+    let by_views = record.views_of_another_sheet();
     forget_old_sheet(&mut record);
     let first = record.views.len();
     let place = |view: usize| views.iter().position(|v| v.view == view).map(|k| first + k);
@@ -352,7 +353,7 @@ fn output(
     if let Some(covariance) = homography.with_sheet(held, &record.covariance) {
         record.covariance = covariance;
     }
-    if let Some((mapping, told)) = mapping_of_record(&record) {
+    if let Some((mapping, told)) = mapping_of_record(&record, by_views) {
         record.mapping_uncertainty = Some(mapping);
         flags.extend(told);
     }

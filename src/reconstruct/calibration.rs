@@ -1,4 +1,7 @@
 //! The calibration moved by one sigma along each column of the Cholesky factor of its covariance.
+//!
+//! Where the views differ by more than their noise, what they tell takes the place of what is stated: the pattern over the sheet is that of the covariance,
+//! its size that of the scatter of the views.
 
 use crate::camera::{Camera, INTRINSIC_NAMES, Intrinsics, WINDOW_STEP_NAMES, WINDOW_STEPS};
 use crate::dewarp::SheetMap;
@@ -74,16 +77,24 @@ fn moved_numbers(record: &Record) -> Option<(Vec<Moved>, DMatrix<f64>)> {
     covariance.iter().all(|v| v.is_finite()).then_some((moved, covariance))
 }
 
-/// The maps of all cameras with the calibration moved by plus and minus one sigma along each independent direction of its
-/// covariance; `None` where a number that the maps need is not determined.
+/// What errors of a calibration do to three components.
 ///
 /// The change of any result, half the difference between plus and minus, squared and summed over the directions, is its variance by
-/// the calibration. Where the covariance does not name the sheet, its own sigmas stand beside the cameras', which counts the
+/// the calibration as its noise tells it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PerturbedMaps {
+    /// The maps of all cameras with the calibration moved by plus and minus one sigma along each independent direction of its covariance.
+    pub sides: Vec<[Vec<SheetMap>; 2]>,
+    /// How many times larger the standard deviations of u, v and w are as the calibration's views tell them ([`crate::record::MappingUncertainty::enlarged`]).
+    pub enlarged: [f64; 3],
+}
+
+/// The maps of a calibration moved by its covariance; `None` where a number that the maps need is not determined. Where the covariance does not name the sheet, its own sigmas stand beside the cameras', which counts the
 /// cameras' share twice.
 ///
 /// # Errors
 /// As [`SheetMap::from_record`].
-pub fn perturbed_maps(record: &Record) -> Result<Option<Vec<[Vec<SheetMap>; 2]>>> {
+pub fn perturbed_maps(record: &Record) -> Result<Option<PerturbedMaps>> {
     for c in 0..record.cameras.len() {
         SheetMap::from_record(record, c)?;
     }
@@ -99,7 +110,7 @@ pub fn perturbed_maps(record: &Record) -> Result<Option<Vec<[Vec<SheetMap>; 2]>>
     });
     let Some(factor) = correlation.cholesky() else { return Ok(None) };
     let l = factor.l();
-    let mut out = vec![];
+    let mut sides = vec![];
     for k in 0..n {
         let side = |sign: f64| -> Option<Vec<SheetMap>> {
             let steps: Vec<(Moved, f64)> =
@@ -107,9 +118,10 @@ pub fn perturbed_maps(record: &Record) -> Result<Option<Vec<[Vec<SheetMap>; 2]>>
             maps_after(record, &steps)
         };
         let (Some(plus), Some(minus)) = (side(1.0), side(-1.0)) else { return Ok(None) };
-        out.push([plus, minus]);
+        sides.push([plus, minus]);
     }
-    Ok(Some(out))
+    let enlarged = record.mapping_uncertainty.as_ref().map_or([1.0; 3], |m| m.enlarged());
+    Ok(Some(PerturbedMaps { sides, enlarged }))
 }
 
 fn maps_after(record: &Record, steps: &[(Moved, f64)]) -> Option<Vec<SheetMap>> {

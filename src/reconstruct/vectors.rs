@@ -1,5 +1,6 @@
 //! Three components at every point of a grid.
 
+use super::calibration::PerturbedMaps;
 use super::grid::{Between, PlanarField};
 use super::noise::Noise;
 use super::read::FieldUnit;
@@ -54,7 +55,7 @@ pub struct Options {
     /// Distance of the vectors of the result, mm; that of the finer field where not given.
     pub spacing_mm: Option<f64>,
     /// Maps of the calibration moved by its covariance (see [`super::perturbed_maps`]); none leaves its part out.
-    pub perturbed: Option<Vec<[Vec<SheetMap>; 2]>>,
+    pub perturbed: Option<PerturbedMaps>,
 }
 
 /// Three components on a regular grid of the sheet, structure of arrays; y from the top down, x fastest. `NaN` where a camera
@@ -77,6 +78,8 @@ pub struct VectorField {
     pub sigma_mm: [Vec<f64>; 3],
     /// Standard deviations of u, v, w by the calibration, mm; common to neighbours. `NaN` where not determined; empty where not asked for.
     pub calibration_sigma_mm: [Vec<f64>; 3],
+    /// How many times larger these are than the calibration's noise alone would tell ([`PerturbedMaps::enlarged`]).
+    pub calibration_enlarged: [f64; 3],
     /// What four equations leave, raw px.
     pub residual_px: Vec<f64>,
     /// Bits of [`flag`].
@@ -379,6 +382,7 @@ pub fn reconstruct(
     let level = Noise::fit(&chi2, &vec![0.0; chi2.len()]).map_or(f64::NAN, |n| n.still);
     let correlation = if stated { common(level, found.iter().map(|s| &s.shared)) } else { 0.0 };
     let mut out = VectorField::empty(grid, &noise, options.sigma.is_none() && !stated);
+    out.calibration_enlarged = options.perturbed.as_ref().map_or([1.0; 3], |p| p.enlarged);
     if stated {
         out.common_errors = Some(correlation);
         out.residual_ratio = level.sqrt();
@@ -428,14 +432,14 @@ fn stated_sigma(measured: &[Measured; 2]) -> f64 {
 
 /// Variance of u, v, w by the calibration at every point; `NaN` where a moved calibration gives nothing.
 fn calibration_variance(
-    perturbed: &[[Vec<SheetMap>; 2]],
+    perturbed: &PerturbedMaps,
     measured: &[Measured; 2],
     n: usize,
     place: &(dyn Fn(usize) -> Vector2<f64> + Sync),
 ) -> Vec<Vector3<f64>> {
     let one = |i: usize| {
         let mut sum = Vector3::zeros();
-        for sides in perturbed {
+        for sides in &perturbed.sides {
             let at = |maps: &[SheetMap]| match maps {
                 [a, b] => solve([a, b], measured, &place(i)).map(|s| s.d_mm),
                 _ => None,
@@ -445,7 +449,7 @@ fn calibration_variance(
                 _ => return Vector3::repeat(f64::NAN),
             }
         }
-        sum
+        sum.component_mul(&Vector3::from(perturbed.enlarged.map(|f| f * f)))
     };
     (0..n).into_par_iter().map(one).collect()
 }
@@ -462,6 +466,7 @@ impl VectorField {
             w_mm: v(),
             sigma_mm: [v(), v(), v()],
             calibration_sigma_mm: [v(), v(), v()],
+            calibration_enlarged: [1.0; 3],
             residual_px: v(),
             flags: Vec::new(),
             sigma: noise.still.sqrt(),

@@ -212,6 +212,9 @@ fn check_mapping(m: &MappingUncertainty) -> Check {
     for (key, point) in [("middle", &m.middle), ("largest", &m.largest)] {
         check_square(&point.displacement, 3, &format!("mapping_uncertainty.{key}.displacement"))?;
     }
+    if let Some(by_views) = &m.by_views {
+        check_square(&by_views.displacement, 3, "mapping_uncertainty.by_views.displacement")?;
+    }
     let MappingMap { x_mm, y_mm, in_plane_px, disparity_px, u_per_u, w_per_w, u_per_w, v_per_w, w_per_u, .. } = &m.map;
     let n = x_mm.len();
     if y_mm.len() != n {

@@ -201,6 +201,83 @@ pub struct MappingUncertainty {
     /// What of it is not determined, in words; empty: nothing.
     #[serde(default)]
     pub undetermined: Vec<String>,
+    /// What the views say of these standard deviations; none where they say nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub by_views: Option<MappingByViews>,
+}
+
+/// How many times larger than stated the views tell standard deviations, by what changes without each of them: one factor for the whole of the
+/// sheet. Unknown where too few views tell, or one of them alone fixes the numbers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MappingByViews {
+    /// Whether the views differ by more than their noise (1 % false alarms); only then standard deviations of displacements are enlarged.
+    pub beyond_noise: bool,
+    /// Of [`MappingSigma::disparity_px`].
+    #[serde(with = "maybe")]
+    pub disparity: f64,
+    /// Of [`MappingSigma::in_plane_px`].
+    #[serde(with = "maybe")]
+    pub in_plane: f64,
+    /// Of [`MappingSigma::in_plane_scale`].
+    #[serde(with = "maybe")]
+    pub in_plane_scale: f64,
+    /// Of [`MappingSigma::out_of_plane_gain`].
+    #[serde(with = "maybe")]
+    pub out_of_plane_gain: f64,
+    /// Of [`MappingSigma::displacement`].
+    #[serde(with = "maybe_rows")]
+    pub displacement: Vec<Vec<f64>>,
+}
+
+impl Record {
+    /// What the views say of measurements, for a sheet that is found otherwise.
+    pub(crate) fn views_of_another_sheet(&self) -> Option<MappingByViews> {
+        Some(self.mapping_uncertainty.as_ref()?.by_views.as_ref()?.of_another_sheet())
+    }
+}
+
+impl MappingUncertainty {
+    /// As [`Self::enlarged`], of the disparity.
+    pub fn disparity_enlarged(&self) -> f64 {
+        self.by_views.as_ref().filter(|told| told.beyond_noise).map_or(1.0, |told| told.disparity.max(1.0))
+    }
+
+    /// How many times larger than stated the standard deviations of u, v and w are: more than 1 only where the views differ by more than
+    /// their noise and tell larger ones.
+    pub fn enlarged(&self) -> [f64; 3] {
+        let Some(told) = self.by_views.as_ref().filter(|told| told.beyond_noise) else { return [1.0; 3] };
+        [0, 1, 2].map(|i| {
+            let (mut stated, mut larger) = (0.0, 0.0);
+            for (sigma, factor) in self.middle.displacement[i].iter().zip(&told.displacement[i]) {
+                // Unknown ones stay as stated.
+                let variance = sigma * sigma;
+                stated += variance;
+                larger += variance * factor.max(1.0).powi(2);
+            }
+            let factor = f64::sqrt(larger / stated);
+            if factor.is_finite() { factor } else { 1.0 }
+        })
+    }
+}
+
+impl MappingByViews {
+    /// In a frame that is turned within the sheet: of what is along x and along y the larger factor holds for both.
+    pub(crate) fn turned(&self) -> Self {
+        let largest = |places: &[[usize; 2]]| {
+            let all = places.iter().map(|[i, j]| self.displacement[*i][*j]);
+            all.fold(f64::NAN, f64::max)
+        };
+        let within = largest(&[[0, 0], [0, 1], [1, 0], [1, 1]]);
+        let [into, from] = [largest(&[[0, 2], [1, 2]]), largest(&[[2, 0], [2, 1]])];
+        let displacement =
+            vec![vec![within, within, into], vec![within, within, into], vec![from, from, self.displacement[2][2]]];
+        Self { displacement, ..self.clone() }
+    }
+
+    /// With a sheet that was found otherwise, the cameras being the same: of the disparity in it the views do not tell.
+    pub(crate) fn of_another_sheet(&self) -> Self {
+        Self { disparity: f64::NAN, ..self.turned() }
+    }
 }
 
 /// Standard deviations at one point of the sheet.

@@ -2,7 +2,7 @@
 
 use super::number::{measured, plain, with_unit};
 use super::tables::{Cell, LONGEST_LIST, Row, Table};
-use crate::record::{MappingSigma, Record};
+use crate::record::{MappingByViews, MappingSigma, Record};
 
 fn cells(texts: impl IntoIterator<Item = String>) -> Vec<Cell> {
     texts.into_iter().map(|text| Cell { text, ..Cell::default() }).collect()
@@ -21,29 +21,37 @@ fn pixels(x: f64) -> String {
     if x.is_finite() { format!("{} px", plain(x, 2)) } else { "not determined".into() }
 }
 
-/// What a user feels, in the middle and at worst.
+/// What a user feels, in the middle and at worst, and how many times larger the views tell it.
 pub(super) fn mapping(record: &Record) -> Table {
     let Some(m) = &record.mapping_uncertainty else { return Table::default() };
-    let both = |get: &dyn Fn(&MappingSigma) -> String| vec![get(&m.middle), get(&m.largest)];
-    let entry = |i: usize, j: usize| move |s: &MappingSigma| percent(s.displacement[i][j]);
+    let by_views = m.by_views.as_ref();
+    let told = |factor: &dyn Fn(&MappingByViews) -> f64| {
+        by_views.map(factor).map(|f| if f.is_finite() { format!("× {}", plain(f, 2)) } else { "–".into() })
+    };
+    let row = |name: &str, show: &dyn Fn(&MappingSigma) -> String, factor: &dyn Fn(&MappingByViews) -> f64| {
+        let cells = [show(&m.middle), show(&m.largest)].into_iter().chain(told(factor));
+        (String::from(name), cells.collect::<Vec<String>>())
+    };
+    let entry = |name: &str, i: usize, j: usize| {
+        row(name, &|s: &MappingSigma| percent(s.displacement[i][j]), &|v: &MappingByViews| v.displacement[i][j])
+    };
+    let place = |s: &MappingSigma| format!("{} ({} µm)", pixels(s.in_plane_px), plain(1000.0 * s.in_plane_mm, 2));
     let rows = vec![
-        ("disparity of the two cameras".into(), both(&|s| pixels(s.disparity_px))),
-        (
-            "place in the sheet".into(),
-            both(&|s| format!("{} ({} µm)", pixels(s.in_plane_px), plain(1000.0 * s.in_plane_mm, 2))),
-        ),
-        ("in-plane scale".into(), both(&|s| percent(s.in_plane_scale))),
-        ("out-of-plane gain over in-plane scale".into(), both(&|s| percent(s.out_of_plane_gain))),
-        ("error of u per u".into(), both(&entry(0, 0))),
-        ("error of v per v".into(), both(&entry(1, 1))),
-        ("error of w per w".into(), both(&entry(2, 2))),
-        ("leak of w into u".into(), both(&entry(0, 2))),
-        ("leak of w into v".into(), both(&entry(1, 2))),
-        ("leak of u into w".into(), both(&entry(2, 0))),
-        ("leak of v into w".into(), both(&entry(2, 1))),
-        ("leak of v into u".into(), both(&entry(0, 1))),
+        row("disparity of the two cameras", &|s| pixels(s.disparity_px), &|v| v.disparity),
+        row("place in the sheet", &place, &|v| v.in_plane),
+        row("in-plane scale", &|s| percent(s.in_plane_scale), &|v| v.in_plane_scale),
+        row("out-of-plane gain over in-plane scale", &|s| percent(s.out_of_plane_gain), &|v| v.out_of_plane_gain),
+        entry("error of u per u", 0, 0),
+        entry("error of v per v", 1, 1),
+        entry("error of w per w", 2, 2),
+        entry("leak of w into u", 0, 2),
+        entry("leak of w into v", 1, 2),
+        entry("leak of u into w", 2, 0),
+        entry("leak of v into w", 2, 1),
+        entry("leak of v into u", 0, 1),
     ];
-    table(&["in the middle", "at worst"], rows)
+    let heads = ["in the middle", "at worst", "as the views tell it"];
+    table(&heads[..2 + usize::from(by_views.is_some())], rows)
 }
 
 /// Every prior against the images.

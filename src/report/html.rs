@@ -157,13 +157,17 @@ fn mapping_section(out: &mut String, r: &Record) {
     let Some(m) = &r.mapping_uncertainty else { return };
     out.push_str("<h2>What you will feel of it</h2>\n<p class=\"note\">What the uncertainty of the calibration adds to a measurement in the sheet: one standard \
          deviation each, the noise of your particle images comes on top. u, v, w are the components along sheet x, y and out of the sheet. A leak is the part of \
-         one component that appears in another.</p>\n");
+         one component that appears in another.");
+    if m.by_views.is_some() {
+        out.push_str(" The last column: how many times larger the changes without single views tell it, over the whole of the sheet (–: one of them fixes it alone, or too few tell).");
+    }
+    out.push_str("</p>\n");
     write_table(out, &diagnosis::mapping(r));
     let drawn = maps::maps(m);
     if !drawn.is_empty() {
         out.push_str("<h3>Over the part of the sheet that both cameras see</h3>\n<div class=\"maps\">");
         for map in drawn {
-            let _ = writeln!(out, "<figure>{}<figcaption>{}</figcaption></figure>", map.svg, escape(map.caption));
+            let _ = writeln!(out, "<figure>{}<figcaption>{}</figcaption></figure>", map.svg, escape(&map.caption));
         }
         out.push_str("</div>\n");
     }

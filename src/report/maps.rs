@@ -2,7 +2,7 @@
 
 use super::number::{plain, significant};
 use super::svg::{label, num, open};
-use crate::record::MappingUncertainty;
+use crate::record::{MappingByViews, MappingUncertainty};
 use std::fmt::Write;
 
 /// A map with its words.
@@ -10,7 +10,7 @@ pub(super) struct Map {
     /// Picture.
     pub(super) svg: String,
     /// What it shows.
-    pub(super) caption: &'static str,
+    pub(super) caption: String,
 }
 
 /// Stops of the colour scale, dark (small) to light (large); equal steps in lightness.
@@ -20,20 +20,29 @@ const STOPS: [[f64; 3]; 5] =
 /// The maps of everything that is determined.
 pub(super) fn maps(m: &MappingUncertainty) -> Vec<Map> {
     let map = &m.map;
-    let all: [(&[f64], f64, &str, &'static str); 7] = [
-        (&map.disparity_px, 1.0, "px", "Disparity: how far the two cameras' dewarped images lie apart"),
-        (&map.in_plane_px, 1.0, "px", "Place: where in the sheet a pixel looks, beside a common shift and turn"),
-        (&map.u_per_u, 100.0, "%", "Error of u, in % of u"),
-        (&map.w_per_w, 100.0, "%", "Error of w, in % of w"),
-        (&map.u_per_w, 100.0, "%", "Leak into u, in % of w"),
-        (&map.v_per_w, 100.0, "%", "Leak into v, in % of w"),
-        (&map.w_per_u, 100.0, "%", "Leak into w, in % of u"),
+    let beyond_noise = m.by_views.as_ref().filter(|v| v.beyond_noise);
+    let told = |of: &dyn Fn(&MappingByViews) -> f64| beyond_noise.map_or(f64::NAN, of);
+    let entry = |i: usize, j: usize| told(&|v| v.displacement[i][j]);
+    let (disparity, place) = (told(&|v| v.disparity), told(&|v| v.in_plane));
+    let all: [(&[f64], f64, &str, &str, f64); 7] = [
+        (&map.disparity_px, 1.0, "px", "Disparity: how far the two cameras' dewarped images lie apart", disparity),
+        (&map.in_plane_px, 1.0, "px", "Place: where in the sheet a pixel looks, beside a common shift and turn", place),
+        (&map.u_per_u, 100.0, "%", "Error of u, in % of u", entry(0, 0)),
+        (&map.w_per_w, 100.0, "%", "Error of w, in % of w", entry(2, 2)),
+        (&map.u_per_w, 100.0, "%", "Leak into u, in % of w", entry(0, 2)),
+        (&map.v_per_w, 100.0, "%", "Leak into v, in % of w", entry(1, 2)),
+        (&map.w_per_u, 100.0, "%", "Leak into w, in % of u", entry(2, 0)),
     ];
     let drawn = all.into_iter().filter(|(values, ..)| values.len() == map.x_mm.len() && !values.is_empty());
     drawn
-        .map(|(values, factor, unit, caption)| {
+        .map(|(values, factor, unit, title, by_views)| {
             let shown: Vec<f64> = values.iter().map(|v| v * factor).collect();
-            Map { svg: picture(m, &shown, unit, caption), caption }
+            let larger = if by_views > 1.0 {
+                format!("; the views tell {} times as much", plain(by_views, 2))
+            } else {
+                String::new()
+            };
+            Map { svg: picture(m, &shown, unit, title), caption: format!("{title}{larger}") }
         })
         .collect()
 }

@@ -125,7 +125,7 @@ fn contradicted(r: &Record) -> bool {
 /// How far apart the cameras see the sheet's target on the sheet, px, where neither residuals nor standard deviations explain it.
 fn sheet_elsewhere(r: &Record) -> Option<f64> {
     let apart_px = r.sheet.as_ref()?.disparity_rms_px?;
-    let sigma_px = r.mapping_uncertainty.as_ref().map_or(0.0, |m| m.largest.disparity_px);
+    let sigma_px = r.mapping_uncertainty.as_ref().map_or(0.0, |m| m.largest.disparity_px * m.disparity_enlarged());
     (apart_px > CONTRADICTED_PX.max(CONTRADICTED_SIGMAS * r.fit.rms_px.max(sigma_px))).then_some(apart_px)
 }
 
@@ -226,14 +226,30 @@ fn felt(m: &crate::record::MappingUncertainty) -> Option<String> {
     all.iter().all(|x| x.is_finite()).then(|| {
         format!(
             "To a measured displacement the calibration adds, at worst over the sheet, {} of u, {} of v, {} of w, and {} of w that leaks into u; the \
-             two cameras' images lie on each other to {} px (one sigma each).",
+             two cameras' images lie on each other to {} px (one sigma each).{}",
             percent(u),
             percent(v),
             percent(w),
             percent(leak),
-            plain(disparity_px, 2)
+            plain(disparity_px, 2),
+            as_views_tell(m)
         )
     })
+}
+
+/// Where the views differ by more than their noise: what they say of that.
+fn as_views_tell(m: &crate::record::MappingUncertainty) -> String {
+    let [u, v, w] = m.enlarged();
+    if [u, v, w] == [1.0; 3] {
+        return String::new();
+    }
+    format!(
+        " The views, which differ by more than their noise, tell {}, {} and {} times as much for u, v and w; the standard deviations of vectors that spivcal \
+         reconstruct states are enlarged so.",
+        plain(u, 2),
+        plain(v, 2),
+        plain(w, 2)
+    )
 }
 
 /// The words with a capital first letter, unless it is that of a name such as `right.k1`, and a full stop.

@@ -34,7 +34,7 @@ use crate::bundle::{NamedCovariance, symmetric_eigen};
 use crate::camera::Camera;
 use crate::frames::{Cam, Rig, Sheet};
 use crate::rigid::Motion;
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix4xX, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 /// Numbers of a [`Response`]: disparity (2, px), place seen by the first and by the second camera (2 + 2, mm), M by rows (9).
 pub const RESPONSES: usize = 15;
@@ -200,6 +200,27 @@ impl StereoSheet {
         })
     }
 
+    /// Another calibration of the same rig, told in a frame that goes with its plane as the frame here does.
+    pub(crate) fn found_anew(
+        &self,
+        cameras: [Camera; 2],
+        second_from_rig: Motion<Cam, Rig>,
+        rig_from_plane: &Motion<Rig, Sheet>,
+    ) -> Self {
+        let own = Self::new(cameras, second_from_rig, rig_from_plane);
+        own.told_in(&(own.rig_from_sheet * self.own_from_sheet))
+    }
+
+    /// What [`Self::response`] has instead of what the true calibration has, in the order of [`RESPONSES`].
+    pub(crate) fn change(&self, truth: &StereoSheet, point_mm: [f64; 2]) -> Option<SVector<f64, RESPONSES>> {
+        let at_truth = Response {
+            disparity_px: Vector2::zeros(),
+            misplaced_mm: [Vector2::zeros(); 2],
+            measured_from_true: Matrix3::identity(),
+        };
+        Some(self.response(truth, point_mm)?.numbers() - at_truth.numbers())
+    }
+
     /// The calibration after a change of one number.
     fn stepped(&self, parameter: Parameter, h: f64) -> Option<Self> {
         let (mut cameras, [first, mut second]) = (self.cameras, self.cam_from_rig);
@@ -208,8 +229,7 @@ impl StereoSheet {
             Parameter::Window(c, k) => cameras[c] = stepped_window(&cameras[c], k, h)?,
             Parameter::Motion(k) => second = stepped_motion(&second, k, h),
             Parameter::Sheet(k) => {
-                let own = Self::new(cameras, second, &stepped_motion(&self.rig_from_sheet, k, h));
-                return Some(own.told_in(&(own.rig_from_sheet * self.own_from_sheet)));
+                return Some(self.found_anew(cameras, second, &stepped_motion(&self.rig_from_sheet, k, h)));
             }
         }
         Some(Self {
@@ -295,7 +315,7 @@ impl SheetUncertainty {
             covariance: SMatrix::from_fn(|i, j| c[(i, j)]),
             moved: &derivative * &self.null_directions,
             terms,
-            misplaced_by: derivative.fixed_rows::<4>(2).into_owned(),
+            derivative,
         })
     }
 
@@ -360,7 +380,7 @@ pub struct PointUncertainty {
     moved: DMatrix<f64>,
     /// The sum of the magnitudes of what moves it.
     terms: DMatrix<f64>,
-    misplaced_by: Matrix4xX<f64>,
+    derivative: DMatrix<f64>,
 }
 
 /// A number that moves by less than this part of what moves it stands still along an undetermined direction: weak directions leave
@@ -382,10 +402,9 @@ impl PointUncertainty {
         still.then(|| row.dot(&(self.covariance * row)).max(0.0).sqrt())
     }
 
-    /// Derivatives of the misplacement by both cameras (x, y of the first, x, y of the second) by the parameters at
-    /// [`SheetUncertainty::names_at`], mm per unit.
-    pub(crate) fn misplaced_by(&self) -> &Matrix4xX<f64> {
-        &self.misplaced_by
+    /// Derivatives of all numbers (rows, in the order of [`RESPONSES`]) by the parameters at [`SheetUncertainty::names_at`].
+    pub(crate) fn derivative(&self) -> &DMatrix<f64> {
+        &self.derivative
     }
 
     fn root_of_two(&self, first: usize) -> Option<f64> {
@@ -403,11 +422,11 @@ impl PointUncertainty {
     }
     /// Standard deviation of the in-plane scale.
     pub fn in_plane_scale(&self) -> Option<f64> {
-        self.sigma(&(0.5 * (m_row(0, 0) + m_row(1, 1))))
+        self.sigma(&in_plane_scale_row())
     }
     /// Standard deviation of the out-of-plane gain relative to the in-plane scale.
     pub fn relative_gain(&self) -> Option<f64> {
-        self.sigma(&(m_row(2, 2) - 0.5 * (m_row(0, 0) + m_row(1, 1))))
+        self.sigma(&gain_row())
     }
     /// Standard deviation of `M - 1`, entry (measured, true): gains on the diagonal, leaks beside it.
     pub fn measured_from_true(&self, measured: usize, truth: usize) -> Option<f64> {
@@ -420,7 +439,18 @@ impl PointUncertainty {
     }
 }
 
-fn unit(k: usize) -> SVector<f64, RESPONSES> {
+/// In-plane scale by the numbers of a [`Response`], to first order about the true calibration.
+pub(crate) fn in_plane_scale_row() -> SVector<f64, RESPONSES> {
+    0.5 * (m_row(0, 0) + m_row(1, 1))
+}
+
+/// Out-of-plane gain over the in-plane scale likewise.
+pub(crate) fn gain_row() -> SVector<f64, RESPONSES> {
+    m_row(2, 2) - in_plane_scale_row()
+}
+
+/// One number of a [`Response`].
+pub(crate) fn unit(k: usize) -> SVector<f64, RESPONSES> {
     let mut row = SVector::zeros();
     row[k] = 1.0;
     row

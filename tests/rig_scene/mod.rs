@@ -293,6 +293,11 @@ impl Scene {
         Parts::of(seed, cameras, Some(grid), false, points, &|_| None).scene()
     }
 
+    /// The same with the last three views in the sheet.
+    pub(crate) fn with_grid_in_sheet(seed: u64, cameras: Vec<Camera>, grid: Grid) -> Self {
+        Parts::of(seed, cameras, Some(grid), false, false, &|v| (v >= 3).then_some(0.0)).scene()
+    }
+
     /// What a scene with a grid is made of, to be changed before it is seen.
     pub(crate) fn grid_parts(seed: u64, cameras: Vec<Camera>, grid: Grid) -> Parts {
         Parts::of(seed, cameras, Some(grid), false, false, &|_| None)

@@ -316,3 +316,38 @@ pub fn record() -> Record {
         covariance: covariance(),
     }
 }
+
+/// What is felt in the sheet, every number another one; the views tell all but two of it.
+pub fn mapping(beyond_noise: bool) -> MappingUncertainty {
+    let sigma = MappingSigma {
+        point_mm: [0.5, -0.25],
+        in_plane_px: 0.11,
+        in_plane_mm: 0.012,
+        disparity_px: 0.13,
+        in_plane_scale: 0.0014,
+        out_of_plane_gain: 0.0015,
+        displacement: vec![vec![0.001, 0.002, 0.004], vec![0.002, 0.001, 0.003], vec![0.0005, 0.0006, 0.0016]],
+    };
+    let by_views = MappingByViews {
+        beyond_noise,
+        disparity: f64::NAN,
+        in_plane: 2.1,
+        in_plane_scale: 0.8,
+        out_of_plane_gain: 2.3,
+        displacement: vec![vec![3.1, 3.2, 3.3], vec![1.4, f64::NAN, 1.5], vec![0.4, 0.5, 2.6]],
+    };
+    let list = vec![0.001, 0.002, 0.003, 0.004];
+    let map = MappingMap {
+        spacing_mm: [1.0, 1.0],
+        x_mm: vec![0.0, 1.0, 0.0, 1.0],
+        y_mm: vec![0.0, 0.0, -1.0, -1.0],
+        in_plane_px: list.clone(),
+        disparity_px: list.clone(),
+        u_per_u: list.clone(),
+        w_per_w: list.clone(),
+        u_per_w: list.clone(),
+        v_per_w: list.clone(),
+        w_per_u: list,
+    };
+    MappingUncertainty { middle: sigma.clone(), largest: sigma, map, undetermined: vec![], by_views: Some(by_views) }
+}
