@@ -112,6 +112,52 @@ fn what_is_missing_in_the_model_is_found() {
     assert!((t.size / full.state.cameras[1].k[1] - 1.0).abs() < 0.3);
 }
 
+/// A lens with k2 and k3, adjusted with k1 alone: both are asked for at once, k3 by what an adjustment with both explains beyond one with k2; of a lens
+/// without k3 it is not.
+#[test]
+fn k3_is_asked_for_beside_k2() {
+    for (k3, seed) in [(-3e6, 12), (0.0, 13)] {
+        let mut cameras = plate().cameras.clone();
+        let mut i = *cameras[1].intrinsics();
+        (i.k[1], i.k[2]) = (2000.0, k3);
+        cameras[1] = Camera::new(i).unwrap();
+        let scene = Scene::with_cameras(5, cameras, false, true, false);
+        let mut start = scene.truth.clone();
+        (start.cameras[1].k[1], start.cameras[1].k[2]) = (0.0, 0.0);
+        let mut scene = drawn(&scene, seed);
+        let a = adjust(&scene.model, start, &given_sigmas(), &mut |_| true);
+        let all = extension_tests(&a).unwrap();
+        let of = |camera: usize, parameter: usize| {
+            let wanted = Extension::Intrinsic { camera, parameter };
+            all.iter().find(|t| t.extension == wanted)
+        };
+        assert!(of(0, 8).is_none() && chi_square_above(of(1, 7).unwrap().statistic, 1.0) < 1e-6);
+        let t = of(1, 8).unwrap();
+        let mut with = |free: usize| {
+            scene.model.cameras[1].free[free] = true;
+            adjust(&scene.model, a.state.clone(), &given_sigmas(), &mut |_| true)
+        };
+        let (k2, both) = (with(7), with(8));
+        let ratio = 2.0 * (k2.cost - both.cost);
+        println!(
+            "k3 {k3}: score {}, likelihood ratio {ratio}, k3 {} and {}",
+            t.statistic, t.size, both.state.cameras[1].k[2]
+        );
+        let asked = diagnosed(&a)
+            .diagnosis
+            .model_tests
+            .into_iter()
+            .find(|t| t.question.contains("k3 of camera right"))
+            .unwrap();
+        assert!(asked.question.ends_with("needed beside k2?"), "{}", asked.question);
+        assert_eq!(asked.needed, k3 != 0.0, "{asked:?}");
+        if k3 != 0.0 {
+            assert!((t.statistic / ratio - 1.0).abs() < 0.4 && (t.size / both.state.cameras[1].k[2] - 1.0).abs() < 0.4);
+            assert!(asked.words.starts_with("the images ask for distortion k3"), "{}", asked.words);
+        }
+    }
+}
+
 fn drawn_with(scene: &Scene, offsets: &[[f64; 4]], seed: u64) -> Scene {
     let mut out = scene.with_offsets(offsets);
     out.model.target.offset_sigma_mm = None;

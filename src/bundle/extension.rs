@@ -3,6 +3,7 @@
 //! | question | further unknowns | degrees of freedom |
 //! |---|---|---|
 //! | a lens term, pixel aspect, pupil ratio | one intrinsic of one camera | 1 |
+//! | k3, where the images ask for k2 | k3 beside k2: what both explain less what k2 does | 1 |
 //! | is the plate bent? | `dz = (a x^2 + b x y + c y^2) / L^2`, L half the extent, common to all views | 3 |
 //! | are the dots displaced? | (dx, dy) of every disc, common to all views | 2 per disc less what a shift, turn and scale take up |
 //!
@@ -13,13 +14,20 @@ use super::adjust::{Adjustment, problem};
 use super::layout::Places;
 use super::model::{Model, TargetShape};
 use super::state::State;
-use crate::solve::{Problem, ScoreTests};
+use crate::solve::{Problem, Score, ScoreTests};
+use crate::stats::chi_square_above;
 use nalgebra::{DMatrix, DVector};
 
 /// Discs beyond which single displacements are not tested together: the matrix would outgrow the adjustment.
 const MOST_DISCS: usize = 600;
 /// Prior of an offset that leaves it free, mm.
 const FREE_MM: f64 = 1e4;
+
+/// Places of k2 and k3 in [`crate::camera::INTRINSIC_NAMES`].
+const K2: usize = 7;
+const K3: usize = 8;
+/// Chance below which k2 is asked for so clearly that k3 is looked at beside it.
+const ASKED_FOR: f64 = 1e-3;
 
 /// What might be missing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -66,15 +74,13 @@ pub fn extension_tests(adjustment: &Adjustment) -> Option<Vec<ExtensionTest>> {
     for (camera, old) in base.charts.iter().enumerate() {
         for parameter in 0..old.len() {
             let (None, Some(at)) = (old[parameter], places.charts[camera][parameter]) else { continue };
-            let Some(score) = tests.test(&[at], &DMatrix::identity(1, 1)) else { continue };
-            out.push(ExtensionTest {
-                extension: Extension::Intrinsic { camera, parameter },
-                statistic: score.statistic,
-                degrees: score.degrees,
-                size: score.estimate[0],
-                sigma: score.covariance[(0, 0)].sqrt(),
-                shift: score.shift,
-            });
+            // k3 alone says no more than k2 alone.
+            let k2 = places.charts[camera][K2].filter(|_| parameter == K3 && old[K2].is_none());
+            let tested = match k2 {
+                Some(k2) => beside(&tests, k2, at),
+                None => tests.test(&[at], &DMatrix::identity(1, 1)),
+            };
+            out.extend(tested.map(|score| of_intrinsic(Extension::Intrinsic { camera, parameter }, score)));
         }
     }
     if let (None, Some(first)) = (base.offsets, places.offsets) {
@@ -84,14 +90,36 @@ pub fn extension_tests(adjustment: &Adjustment) -> Option<Vec<ExtensionTest>> {
     Some(out)
 }
 
+/// The last of what is tested, alone or beside others.
+fn of_intrinsic(extension: Extension, score: Score) -> ExtensionTest {
+    let last = score.estimate.len() - 1;
+    ExtensionTest {
+        extension,
+        statistic: score.statistic,
+        degrees: score.degrees,
+        size: score.estimate[last],
+        sigma: score.covariance[(last, last)].sqrt(),
+        shift: score.shift,
+    }
+}
+
+/// What a second number explains that a first one does not, where the images ask for the first.
+fn beside(tests: &ScoreTests, first: usize, second: usize) -> Option<Score> {
+    let alone = tests.test(&[first], &DMatrix::identity(1, 1))?;
+    if chi_square_above(alone.statistic, 1.0) > ASKED_FOR {
+        return None;
+    }
+    let both = tests.test(&[first, second], &DMatrix::identity(2, 2)).filter(|both| both.degrees == 2)?;
+    let statistic = (both.statistic - alone.statistic).max(0.0);
+    Some(Score { statistic, degrees: 1, shift: &both.shift - &alone.shift, ..both })
+}
+
 /// Model and state with everything that is tested made free.
 fn extended(adjustment: &Adjustment) -> (Model, State) {
     let (mut model, mut state) = (adjustment.model.clone(), adjustment.state.clone());
     for camera in &mut model.cameras {
-        // k3 alone says no more than k2 alone.
-        let k3 = camera.free[7];
-        for (parameter, wanted) in [(1, true), (6, true), (7, true), (8, k3), (9, true)] {
-            camera.free[parameter] |= wanted;
+        for parameter in [1, 6, K2, K3, 9] {
+            camera.free[parameter] = true;
         }
     }
     let lattice = matches!(model.target.shape, TargetShape::Lattice(_));

@@ -64,7 +64,9 @@ fn shown(e: Extension) -> (f64, &'static str) {
 fn question(s: &Subject<'_>, e: Extension) -> String {
     match e {
         Extension::Intrinsic { camera, parameter } => {
-            format!("is {} of camera {} needed?", intrinsic_words(parameter), s.adjustment.model.cameras[camera].name)
+            let camera = &s.adjustment.model.cameras[camera];
+            let beside = if parameter == 8 && !camera.free[7] { " beside k2" } else { "" };
+            format!("is {} of camera {} needed{beside}?", intrinsic_words(parameter), camera.name)
         }
         Extension::BentTarget => "is the plate bent?".into(),
         Extension::DisplacedDiscs => "are the dots displaced?".into(),
