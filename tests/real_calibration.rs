@@ -48,6 +48,10 @@ fn piv_challenge_plate_at_three_positions() {
     // Camera 3 looks obliquely through a wall into water, which the model does not know.
     assert!((0.5..=0.9).contains(&rms[1]), "camera3 {}", rms[1]);
     assert!((2.95..=3.15).contains(&step), "step {step} mm, nominal 3");
+    // That differs from view to view, and the views tell (with the wall as a window they agree: `real_sheet`).
+    let told = record.mapping_uncertainty.unwrap().by_views.unwrap();
+    println!("as the views tell it: {told:.2?}");
+    assert!(told.beyond_noise && told.out_of_plane_gain > 2.0 && told.disparity > 1.5, "{told:?}");
 }
 
 #[test]

@@ -56,6 +56,9 @@ fn light_of_case_e_from_one_frame_pair_and_the_next() {
     let rms = [0, 1].map(|c| calibration["cameras"][c]["rms_px"].as_f64().unwrap());
     println!("with the wall of the tank: rms {rms:.3?} px");
     assert!(rms[0] < 0.15 && rms[1] < 0.25, "rms {rms:?} px");
+    let told = &calibration["mapping_uncertainty"]["by_views"];
+    println!("as the views tell it: {told}");
+    assert!(!told["beyond_noise"].as_bool().unwrap() && told["out_of_plane_gain"].as_f64().unwrap() < 1.5, "{told}");
     let mut places = vec![];
     for frame in ["00050", "00051"] {
         let c = checked(frame, &images, dir.path());

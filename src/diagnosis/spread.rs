@@ -191,6 +191,28 @@ mod tests {
         assert_eq!(Spread::of(&number(&[&changes[..], &[alone]].concat())), None, "fixed by one view");
     }
 
+    /// K has a negative eigenvalue with any smaller s, and none with this one; 1 where shares add up to 1 or less.
+    #[test]
+    fn the_slack_is_the_least_that_leaves_a_covariance() {
+        let least = |shares: &[f64], s: f64| {
+            let n = shares.len();
+            let a = |i: usize| shares[i] / (1.0 - shares[i]).sqrt();
+            let k = nalgebra::DMatrix::from_fn(n, n, |i, j| {
+                let own = if i == j { shares[i] + a(i) * a(i) / s } else { 0.0 };
+                own - a(i) * a(j) / s
+            });
+            k.symmetric_eigenvalues().min()
+        };
+        for shares in [vec![0.5; 6], vec![0.85, 0.3, 0.2, 0.05], vec![0.6, 0.6, 0.01]] {
+            let s = slack(&shares);
+            assert!(s > 1.01 && least(&shares, s) > -1e-9 && least(&shares, 0.99 * s) < -1e-4, "{shares:?}: {s}");
+        }
+        for shares in [vec![0.25; 4], vec![0.56, 0.21, 0.07, 0.07, 0.035, 0.035, 0.014], vec![0.1, 0.02, 0.3]] {
+            let s = slack(&shares);
+            assert!(s < 1.0 + 1e-9 && least(&shares, s) > -1e-9, "{shares:?}: {s}");
+        }
+    }
+
     const WEIGHTS: [f64; 7] = [8.0, 3.0, 1.0, 1.0, 0.5, 0.5, 0.2];
 
     /// Mean of numbers of unlike weights with noise of the standard deviation `noise` times what is stated, and of a fact of weight `fact` about zero, and
