@@ -383,6 +383,13 @@ fn what_the_views_say_of_measurements_is_kept_and_enlarges_displacements() {
         assert!((got / wanted - 1.0).abs() < 1e-12, "{got} {wanted}");
     }
     assert_eq!(read.disparity_enlarged(), 1.0);
+    // Of v as it is of v nothing is told, but of what w leaks into it.
+    let mut told = told.clone();
+    assert!(!told.untold());
+    told.displacement[2][2] = f64::NAN;
+    assert!(told.untold());
+    told.beyond_noise = false;
+    assert!(!told.untold());
     assert_eq!(scene::mapping(false).enlarged(), [1.0; 3]);
     // A file without it is read.
     let mut json = json;

@@ -105,6 +105,10 @@ fn what_one_view_fixes_the_views_do_not_tell() {
     let of = |name: &str| f.diagnosis.key_quantities.iter().find(|k| k.name == name).unwrap().sigma_by_views;
     assert!(of("distance of the sheet").is_nan() && of("angle of the sheet to the baseline").is_nan());
     assert!(of("effective focal length of camera left").is_finite());
+    // Behind an uneven window that is said, and what to do about it.
+    let f = diagnosed(&adjusted(&behind_a_window(&scene, 0.06).with_noise(7)));
+    assert!(told(&f) && f.mapping.unwrap().by_views.unwrap().untold());
+    assert!(f.flags.iter().any(|w| w.contains("record the target in the sheet three times or more")), "{:?}", f.flags);
 }
 
 /// A pupil ratio that no lens has is not asked for: it is the sign of something else.

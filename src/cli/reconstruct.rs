@@ -51,6 +51,7 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
     if perturbed.is_none() && !command.no_calibration_sigma {
         flags.push("the calibration does not determine all that the maps need: the sigmas hold the planar vectors' noise alone".to_string());
     }
+    flags.extend(perturbed.as_ref().and_then(|_| untold(&record)));
     let names = [first.name.as_str(), second.name.as_str()];
     flags.extend([0, 1].iter().filter_map(|&c| named_otherwise([&command.left, &command.right][c], c, &names)));
     let options = Options {
@@ -102,6 +103,15 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
     let inputs = [&command.calibration, &command.left, &command.right].into_iter().chain(&command.dewarped);
     out.commit_beside(folder, &inputs.map(AsRef::as_ref).collect::<Vec<&Path>>())?;
     Ok(Done { text: words, json: summary, flags })
+}
+
+/// Says so where standard deviations by the calibration are too small by nobody knows how much.
+fn untold(record: &Record) -> Option<String> {
+    record.mapping_uncertainty.as_ref()?.by_views.as_ref()?.untold().then(|| {
+        "the views of the calibration differ by more than their noise, and do not tell how much of that is in u, v and w: the sigmas by the calibration are too \
+         small (its report says what to record)"
+            .into()
+    })
 }
 
 /// Says so where the name of a field is that of the other camera alone.

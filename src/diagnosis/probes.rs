@@ -69,10 +69,10 @@ impl Probes {
         Some(&self.felt * all)
     }
 
-    /// How many times larger the views tell what is felt, by the numbers that the functions are; none where they tell of nothing.
+    /// How many times larger the views tell what is felt, by the numbers that the functions are; none where they neither tell nor differ.
     pub(super) fn by_views(&self, numbers: &[Option<Number>], beyond_noise: bool) -> Option<MappingByViews> {
         let factors: Vec<f64> = (0..KINDS).map(|kind| self.factor(kind, numbers).unwrap_or(f64::NAN)).collect();
-        factors.iter().any(|f| f.is_finite()).then(|| MappingByViews {
+        (beyond_noise || factors.iter().any(|f| f.is_finite())).then(|| MappingByViews {
             beyond_noise,
             disparity: factors[DISPARITY],
             in_plane: factors[PLACE],

@@ -19,6 +19,10 @@ const LITTLE: f64 = 0.02;
 /// Difference of covariances, part of the covariance, below which rounding would be tested.
 const TESTABLE: f64 = 1e-4;
 
+/// Said where views differ and do not tell of u, v and w.
+const UNTOLD: &str = "how much of what differs from view to view is in u, v and w is not known, since one view alone fixes the sheet, or too few do: \
+                      record the target in the sheet three times or more, shifted and turned in it";
+
 /// What is looked at without single views: the keys, then what is felt in the sheet.
 struct Functions<'a> {
     keys: &'a Keys,
@@ -109,7 +113,10 @@ pub(super) fn views(
     let felt = probes.and_then(|p| p.by_views(of_probes, finding.is_some()));
     match finding.filter(|_| !single) {
         // Where all differ none is wrong by itself.
-        Some(words) => flags.push(words + &most_different(&out)),
+        Some(words) => {
+            flags.push(words + &most_different(&out));
+            flags.extend(felt.as_ref().filter(|f| f.untold()).map(|_| UNTOLD.into()));
+        }
         None => flags.extend(out.iter().filter(|v| v.contradicts && change(v) > FELT_SIGMAS).map(|v| v.words.clone())),
     }
     Ok(Views { influences: out, spreads, felt })

@@ -261,6 +261,11 @@ impl MappingUncertainty {
 }
 
 impl MappingByViews {
+    /// Whether the views differ by more than their noise and do not tell how much of that is in u, v or w.
+    pub fn untold(&self) -> bool {
+        self.beyond_noise && (0..3).any(|i| self.displacement[i][i].is_nan() && self.displacement[i][2].is_nan())
+    }
+
     /// In a frame that is turned within the sheet: of what is along x and along y the larger factor holds for both.
     pub(crate) fn turned(&self) -> Self {
         let largest = |places: &[[usize; 2]]| {
