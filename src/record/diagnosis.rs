@@ -237,11 +237,6 @@ impl Record {
 }
 
 impl MappingUncertainty {
-    /// As [`Self::enlarged`], of the disparity.
-    pub fn disparity_enlarged(&self) -> f64 {
-        self.by_views.as_ref().filter(|told| told.beyond_noise).map_or(1.0, |told| told.disparity.max(1.0))
-    }
-
     /// How many times larger than stated the standard deviations of u, v and w are: more than 1 only where the views differ by more than
     /// their noise and tell larger ones.
     pub fn enlarged(&self) -> [f64; 3] {

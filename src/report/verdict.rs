@@ -125,7 +125,7 @@ fn contradicted(r: &Record) -> bool {
 /// How far apart the cameras see the sheet's target on the sheet, px, where neither residuals nor standard deviations explain it.
 fn sheet_elsewhere(r: &Record) -> Option<f64> {
     let apart_px = r.sheet.as_ref()?.disparity_rms_px?;
-    let sigma_px = r.mapping_uncertainty.as_ref().map_or(0.0, |m| m.largest.disparity_px * m.disparity_enlarged());
+    let sigma_px = r.mapping_uncertainty.as_ref().map_or(0.0, |m| m.largest.disparity_px);
     (apart_px > CONTRADICTED_PX.max(CONTRADICTED_SIGMAS * r.fit.rms_px.max(sigma_px))).then_some(apart_px)
 }
 
