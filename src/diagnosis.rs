@@ -121,10 +121,10 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
     out.diagnosis.priors = priors::priors(s, &mut out.flags);
     watch.check()?;
     let sheet = SeenSheet::of(s.covariance, s.sizes_px, &names, s.sheet_frame.as_ref());
-    let probes = sheet.as_ref().and_then(|sheet| Probes::of(s.covariance, sheet));
     // Each part has flags of its own, so that they stand in one order whoever is done first.
     let views = || -> Result<_> {
         let mut flags = vec![];
+        let probes = sheet.as_ref().and_then(|sheet| Probes::of(s.covariance, sheet));
         Ok((views::views(s, &names, (&keys, probes.as_ref()), &watch, &mut flags)?, flags))
     };
     let others = || -> Result<_> {
