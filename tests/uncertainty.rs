@@ -17,7 +17,7 @@ mod rig_scene;
 use nalgebra::{DVector, Vector3};
 use rig_scene::{Noise, Scene, TWO_SIDED_95, TWO_SIDED_995, band};
 use spivcal::bundle::{
-    AdjustOptions, Adjustment, Fact, NamedCovariance, SolveOptions, State, Termination, adjust, adjust_tangents,
+    AdjustOptions, Adjustment, NamedCovariance, SolveOptions, State, Termination, adjust, adjust_tangents,
     named_covariance,
 };
 use spivcal::camera::Camera;
@@ -66,18 +66,8 @@ fn true_sheet(scene: &Scene) -> [f64; 2] {
 fn drawn(scene: &Scene, seed: u64) -> Scene {
     let mut spread = Noise::new(seed);
     let mut fresh = || (spread.uniform() * (1u64 << 53) as f64) as u64;
-    let mut out = scene.with_noise(fresh());
-    let mut noise = Noise::new(fresh());
-    for fact in &mut out.model.facts {
-        match fact {
-            Fact::Intrinsic { value, sigma, .. } => *value += *sigma * noise.normal(),
-            Fact::Baseline { value_mm, sigma_mm } | Fact::Shape { value_mm, sigma_mm, .. } => {
-                *value_mm += *sigma_mm * noise.normal();
-            }
-            _ => unreachable!("the scenes state no focus and no windows"),
-        }
-    }
-    out
+    let with_noise = scene.with_noise(fresh());
+    with_noise.with_facts_drawn(&mut Noise::new(fresh()))
 }
 
 /// z of each quantity, and the normalised squared error of the eight camera numbers.

@@ -169,7 +169,8 @@ fn behind_an_uneven_window_the_views_tell_sigmas_of_displacements() {
     };
     let all: Vec<_> = (0..sets).map(one).collect();
     let mean = |f: &dyn Fn(usize) -> f64| (0..sets as usize).map(f).sum::<f64>() / sets as f64;
-    for (i, j) in [(0, 0), (1, 1), (2, 2), (0, 2), (2, 0)] {
+    let (numbers, mut product) = ([(0, 0), (1, 1), (2, 2), (0, 2), (2, 0)], 1.0);
+    for (i, j) in numbers {
         let middle = mean(&|k| all[k].0[(i, j)]);
         let scatter = mean(&|k| (all[k].0[(i, j)] - middle).powi(2)).sqrt();
         let stated = |k: usize| all[k].1.middle.displacement[i][j];
@@ -182,7 +183,12 @@ fn behind_an_uneven_window_the_views_tell_sigmas_of_displacements() {
         );
         // The three views in the sheet share what the window does there.
         assert!(by_stated > 4.0 && (0.5..1.6).contains(&by_views), "{i} {j}: {by_stated} {by_views}");
+        product *= by_views;
     }
+    // Of all five together as of the key numbers above.
+    let mean = f64::powf(product, 1.0 / numbers.len() as f64);
+    println!("geometric mean of all {mean:.2}");
+    assert!((0.7..1.3).contains(&mean), "{mean}");
     let found: Vec<_> = all.iter().filter(|(_, m)| m.by_views.as_ref().unwrap().beyond_noise).collect();
     println!("{} of {sets} found", found.len());
     assert!(found.len() > 30);

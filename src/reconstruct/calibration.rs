@@ -1,7 +1,7 @@
 //! The calibration moved by one sigma along each column of the Cholesky factor of its covariance.
 //!
-//! Where the views differ by more than their noise, what they tell takes the place of what is stated: the pattern over the sheet is that of the covariance,
-//! its size that of the scatter of the views.
+//! Where the views differ by more than their noise, and tell larger standard deviations, these are stated: the pattern over the sheet is that of the
+//! covariance, its size that of the scatter of the views.
 
 use crate::camera::{Camera, INTRINSIC_NAMES, Intrinsics, WINDOW_STEP_NAMES, WINDOW_STEPS};
 use crate::dewarp::SheetMap;
@@ -89,8 +89,8 @@ pub struct PerturbedMaps {
     pub enlarged: [f64; 3],
 }
 
-/// The maps of a calibration moved by its covariance; `None` where a number that the maps need is not determined. Where the covariance does not name the sheet, its own sigmas stand beside the cameras', which counts the
-/// cameras' share twice.
+/// The maps of a calibration moved by its covariance; `None` where a number that the maps need is not determined. Where the covariance does not name
+/// the sheet, its own sigmas stand beside the cameras', which counts the cameras' share twice.
 ///
 /// # Errors
 /// As [`SheetMap::from_record`].

@@ -238,7 +238,11 @@ impl Record {
 
 impl MappingUncertainty {
     /// How many times larger than stated the standard deviations of u, v and w are: more than 1 only where the views differ by more than
-    /// their noise and tell larger ones.
+    /// their noise and tell larger ones. With s_ij the standard deviations in the middle of the sheet and f_ij the factors of component i per component j,
+    /// ```text
+    /// enlarged_i^2 = sum_j max(1, f_ij)^2 s_ij^2 / sum_j s_ij^2        f_ij = 1 where the views do not tell
+    /// ```
+    /// as of a displacement whose components are alike in size.
     pub fn enlarged(&self) -> [f64; 3] {
         let Some(told) = self.by_views.as_ref().filter(|told| told.beyond_noise) else { return [1.0; 3] };
         [0, 1, 2].map(|i| {
@@ -256,7 +260,8 @@ impl MappingUncertainty {
 }
 
 impl MappingByViews {
-    /// Whether the views differ by more than their noise and do not tell how much of that is in u, v or w.
+    /// Whether the views differ by more than their noise and do not tell how much of that is in u, v or w: neither of the component's own error, nor of what
+    /// w leaks into it.
     pub fn untold(&self) -> bool {
         self.beyond_noise && (0..3).any(|i| self.displacement[i][i].is_nan() && self.displacement[i][2].is_nan())
     }

@@ -1,25 +1,15 @@
 //! A scene with noise and facts drawn, adjusted with the sigmas given, and what the diagnosis finds of it.
 
 use super::{Noise, Scene, given_sigmas};
-use spivcal::bundle::{Adjustment, Fact, Iteration, adjust, named_covariance};
+use spivcal::bundle::{Adjustment, Iteration, adjust, named_covariance};
 use spivcal::diagnosis::{Findings, Subject, diagnose};
 use spivcal::error::Result;
 use spivcal::target::DotId;
 
 /// Fresh noise on edges and a fresh draw of every fact.
 pub(crate) fn drawn(scene: &Scene, seed: u64) -> Scene {
-    let mut out = scene.with_noise(seed.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 7);
     let mut noise = Noise::new(seed.wrapping_mul(0x9e6c_63d0_876a_3f6b) >> 5);
-    for fact in &mut out.model.facts {
-        match fact {
-            Fact::Intrinsic { value, sigma, .. } => *value += *sigma * noise.normal(),
-            Fact::Baseline { value_mm, sigma_mm } | Fact::Shape { value_mm, sigma_mm, .. } => {
-                *value_mm += *sigma_mm * noise.normal();
-            }
-            _ => unreachable!("the scenes state no focus and no windows"),
-        }
-    }
-    out
+    scene.with_noise(seed.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 7).with_facts_drawn(&mut noise)
 }
 
 pub(crate) fn adjusted(scene: &Scene) -> Adjustment {

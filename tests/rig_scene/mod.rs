@@ -424,6 +424,21 @@ impl Scene {
         s
     }
 
+    /// The same scene with every fact drawn about what it states.
+    pub(crate) fn with_facts_drawn(&self, noise: &mut Noise) -> Self {
+        let mut out = self.clone();
+        for fact in &mut out.model.facts {
+            match fact {
+                Fact::Intrinsic { value, sigma, .. } => *value += *sigma * noise.normal(),
+                Fact::Baseline { value_mm, sigma_mm } | Fact::Shape { value_mm, sigma_mm, .. } => {
+                    *value_mm += *sigma_mm * noise.normal();
+                }
+                _ => unreachable!("the scenes state no focus and no windows"),
+            }
+        }
+        out
+    }
+
     /// The same scene with noisy edge points.
     pub(crate) fn with_noise(&self, seed: u64) -> Self {
         let mut noise = Noise::stream(seed, 2);
