@@ -21,7 +21,7 @@
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
-//! | d_v | [`Change::size`] | that of the number | change of the number without view v |
+//! | d_v | [`Change::size`]; in Q [`Change::foretold`] | that of the number | change of the number without view v |
 //! | D_v | [`Change::variance`] | its square | variance of that change where noise is all |
 //! | C | [`Number::variance`] | its square | variance of the number with all views |
 //! | h_v | `share` | 1 | share of view v |
@@ -50,6 +50,8 @@ const ALONE: f64 = 8.0;
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Change {
     pub(super) size: f64,
+    /// The part of it that is adjusted as it is predicted.
+    pub(super) foretold: f64,
     pub(super) variance: f64,
 }
 
@@ -65,6 +67,11 @@ impl Number {
     /// Each view's share in what is known, with the change without it.
     fn shares(&self) -> impl Iterator<Item = (f64, &Change)> {
         self.changes.iter().map(|c| (c.variance / (self.variance + c.variance), c))
+    }
+
+    /// With the foretold changes alone, for where nothing contradicts.
+    pub(super) fn as_foretold(&mut self) {
+        self.changes.iter_mut().for_each(|c| c.size = c.foretold);
     }
 
     /// What the views tell of the variance beyond the one stated.
@@ -118,7 +125,7 @@ impl Spread {
         let factor = common_factor(&[number])?;
         let all: Vec<(f64, &Change)> = number.shares().filter(|(share, _)| *share > 0.0).collect();
         let shares: Vec<f64> = all.iter().map(|(share, _)| *share).collect();
-        let squares: f64 = all.iter().map(|(share, c)| share * c.size * c.size / c.variance).sum();
+        let squares: f64 = all.iter().map(|(share, c)| share * c.foretold * c.foretold / c.variance).sum();
         let slack = slack(&shares);
         // K = diag(d) - b b^T with b = a / sqrt(s).
         let b = |h: f64| h * h / ((1.0 - h) * slack);
@@ -163,6 +170,11 @@ mod tests {
     use super::*;
     use crate::stats::random::Random;
 
+    /// Of linear equations.
+    fn change(size: f64, variance: f64) -> Change {
+        Change { size, foretold: size, variance }
+    }
+
     /// The mean of numbers of known noise, each left out once: the jackknife by its definition.
     #[test]
     fn of_views_alike_it_is_the_jackknife() {
@@ -172,9 +184,8 @@ mod tests {
             let kept: Vec<f64> = (0..n).filter(|v| Some(*v) != without).map(|v| all[v]).collect();
             kept.iter().sum::<f64>() / kept.len() as f64
         };
-        let change =
-            |v: usize| Change { size: mean(Some(v)) - mean(None), variance: 1.0 / (n as f64 - 1.0) - 1.0 / n as f64 };
-        let changes: Vec<Change> = (0..n).map(change).collect();
+        let without = |v: usize| change(mean(Some(v)) - mean(None), 1.0 / (n as f64 - 1.0) - 1.0 / n as f64);
+        let changes: Vec<Change> = (0..n).map(without).collect();
         let number = |changes: &[Change]| Number { variance: 1.0 / n as f64, changes: changes.to_vec() };
         let spread = Spread::of(&number(&changes)).expect("views enough");
         let plain = all.iter().map(|x| (x - mean(None)).powi(2)).sum::<f64>() / (n as f64 - 1.0);
@@ -187,7 +198,7 @@ mod tests {
         let with_silent = Spread::of(&number(&[&changes[..], &silent].concat())).expect("views enough");
         assert!((with_silent.factor / spread.factor - 1.0).abs() < 1e-12, "{with_silent:?} {spread:?}");
         assert!((with_silent.p_value / spread.p_value - 1.0).abs() < 1e-9, "{with_silent:?} {spread:?}");
-        let alone = Change { size: 5.0, variance: 1.0 };
+        let alone = change(5.0, 1.0);
         assert_eq!(Spread::of(&number(&[&changes[..], &[alone]].concat())), None, "fixed by one view");
     }
 
@@ -222,11 +233,9 @@ mod tests {
         let total = fact + WEIGHTS.iter().sum::<f64>();
         let known = if fact > 0.0 { fact.sqrt() * random.gauss() } else { 0.0 };
         let sum = known + WEIGHTS.iter().zip(&all).map(|(w, x)| w * x).sum::<f64>();
-        let change = |(w, x): (&f64, &f64)| Change {
-            size: (sum - w * x) / (total - w) - sum / total,
-            variance: 1.0 / (total - w) - 1.0 / total,
-        };
-        let changes = WEIGHTS.iter().zip(&all).map(change).collect();
+        let without =
+            |(w, x): (&f64, &f64)| change((sum - w * x) / (total - w) - sum / total, 1.0 / (total - w) - 1.0 / total);
+        let changes = WEIGHTS.iter().zip(&all).map(without).collect();
         (sum / total, Number { variance: 1.0 / total, changes })
     }
 

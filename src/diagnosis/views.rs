@@ -1,4 +1,8 @@
 //! Each view left out once: what is lost without it, and whether it agrees with the others.
+//!
+//! The change of a number without view v is found twice: by one Newton step of the equations about the estimate, and by an adjustment. Where equations
+//! are linear they agree. Where they bend (an axis point is known by its prior alone as long as distortion seems to be nothing, and by the images once there
+//! is some) either may be many standard deviations of linear equations and say nothing of the view: whether it contradicts is judged by what both say.
 
 use super::culprit::{Culprit, culprits};
 use super::keys::Keys;
@@ -49,12 +53,12 @@ impl<'a> Functions<'a> {
 
     /// From the estimate to another one of the same rig.
     fn change(&self, from: &Natural, to: &Natural) -> Option<DVector<f64>> {
-        let of_keys = self.keys.values(to)? - self.keys.values(from)?;
+        let numbers = self.keys.values(to)? - self.keys.values(from)?;
         let of_probes = match self.probes {
             Some(probes) => probes.change(to)?,
             None => DVector::zeros(0),
         };
-        Some(DVector::from_iterator(self.rows.nrows(), of_keys.iter().chain(of_probes.iter()).copied()))
+        Some(DVector::from_iterator(self.rows.nrows(), numbers.iter().chain(of_probes.iter()).copied()))
     }
 }
 
@@ -69,6 +73,12 @@ impl Left {
     /// Change of the functions, as adjusted or else as predicted.
     fn shift(&self) -> &DVector<f64> {
         self.adjusted.as_ref().unwrap_or(&self.prediction.shift)
+    }
+
+    /// The part of the change of a function that is adjusted as it is predicted: the smaller of both, nothing where they go opposite ways.
+    fn foretold(&self, k: usize) -> f64 {
+        let [adjusted, predicted] = [self.shift()[k], self.prediction.shift[k]];
+        if adjusted * predicted > 0.0 { adjusted.signum() * adjusted.abs().min(predicted.abs()) } else { 0.0 }
     }
 }
 
@@ -105,12 +115,19 @@ pub(super) fn views(
     let wrong = if out.iter().any(|v| v.contradicts) { culprits(s, names, watch)? } else { None };
     let single = wrong.is_some();
     name_the_wrong(&mut out, wrong);
-    let numbers: Vec<Option<Number>> = (0..functions.variance.len()).map(|k| number(&functions, k, &left)).collect();
-    let (of_keys, of_probes) = numbers.split_at(keys.list.len());
-    let spreads: Vec<Option<Spread>> = of_keys.iter().map(|n| Spread::of(n.as_ref()?)).collect();
+    let mut numbers: Vec<Option<Number>> =
+        (0..functions.variance.len()).map(|k| number(&functions, k, &left)).collect();
     let sigmas: Vec<f64> = functions.variance[..keys.list.len()].iter().map(|x| x.sqrt()).collect();
+    let spreads_of = |of: &[Option<Number>]| -> Vec<Option<Spread>> {
+        of[..keys.list.len()].iter().map(|n| Spread::of(n.as_ref()?)).collect()
+    };
+    let mut spreads = spreads_of(&numbers);
     let finding = spread::finding(keys, &sigmas, &spreads);
-    let felt = probes.and_then(|p| p.by_views(of_probes, finding.is_some()));
+    if finding.is_none() {
+        numbers.iter_mut().flatten().for_each(Number::as_foretold);
+        spreads = spreads_of(&numbers);
+    }
+    let felt = probes.and_then(|p| p.by_views(&numbers[keys.list.len()..], finding.is_some()));
     match finding.filter(|_| !single) {
         // Where all differ none is wrong by itself.
         Some(words) => {
@@ -136,7 +153,7 @@ fn number(functions: &Functions<'_>, k: usize, left: &[Option<Left>]) -> Option<
 /// Change of a function without a view, where more of its variance than rounding goes with the view.
 fn own_change(variance: f64, k: usize, left: &Left) -> Option<Change> {
     let more = left.prediction.covariance[(k, k)] - variance;
-    (more > TESTABLE * variance).then(|| Change { size: left.shift()[k], variance: more })
+    (more > TESTABLE * variance).then(|| Change { size: left.shift()[k], foretold: left.foretold(k), variance: more })
 }
 
 /// Where few views explain all contradictions, only they contradict. Otherwise all do that seem to.
@@ -245,7 +262,7 @@ fn influence(functions: &Functions<'_>, view: usize, left: &Left, tests: f64) ->
     let moved = largest(usable.iter().map(|&k| (k, shift[k] / sigma(k))));
     let predicted = moved.map_or(f64::NAN, |(k, _)| (p.shift[k] / sigma(k)).abs());
     let z = largest(
-        usable.iter().filter_map(|&k| own_change(variance[k], k, left).map(|c| (k, c.size / c.variance.sqrt()))),
+        usable.iter().filter_map(|&k| own_change(variance[k], k, left).map(|c| (k, c.foretold / c.variance.sqrt()))),
     );
     let contradicts = lost.is_empty() && z.is_some_and(|(_, z)| normal_beyond(z) * tests < FALSE_ALARMS);
     let metric = |name: &String| keys.list.iter().any(|k| k.name == *name && k.unit == "mm");
