@@ -69,13 +69,22 @@ pub(super) fn build(job: &RigDescription, images: &[SeenImage], sizes_px: &[[f64
     };
     let image_names = images.iter().map(|i| i.name.clone()).collect();
     let step_pitches = label_step(&job.target.target);
-    let open = OpenLabels { step_pitches, images: images.iter().map(|i| i.open.clone()).collect() };
+    let size = unmarked_size(&job.target.target);
+    let open = OpenLabels { step_pitches, size, images: images.iter().map(|i| i.open.clone()).collect() };
     Ok(Built { problem: RigProblem { model, ellipses, starts, shape_mm, image_names, open }, labels, assumed })
 }
 
 /// Length of a step of a label, pitches.
 fn label_step(target: &Target) -> f64 {
     if matches!(target, Target::TwoLevelPlate(_)) { 0.5 } else { 1.0 }
+}
+
+/// Columns and rows of a grid without marks.
+fn unmarked_size(target: &Target) -> [Option<usize>; 2] {
+    match target {
+        Target::DotGrid(grid) if grid.marks.is_empty() => [grid.columns, grid.rows],
+        _ => [None; 2],
+    }
 }
 
 /// Where a view's target is. In the sheet it is exactly at 0; on a traverse as the view says, else as `[scale]` does.

@@ -6,7 +6,7 @@
 //! origin, the shift that brings the target of a view to where the motion expects it is rounded to whole pitches. Choices
 //! that differ little are left to the cost of the common adjustment.
 
-use super::labels::{any_origin, changed, image_at, is_pair, labellings, slide};
+use super::labels::{Extent, any_origin, changed, extent, image_at, is_pair, labellings, labels, size_of, slide};
 use super::{Pose, RigProblem};
 use crate::bundle::TargetShape;
 use crate::detect::pattern::Relabelling;
@@ -39,6 +39,9 @@ pub(super) struct Vote {
     poses: [Pose; 2],
     /// The camera whose labels may be shifted besides, if any.
     slides: Option<usize>,
+    /// Labels of each image after the change, and the columns and rows that both together may span.
+    extents: [Extent; 2],
+    size: [Option<usize>; 2],
     /// Middle of the dots seen, on the target, mm.
     middle: Vector3<f64>,
     /// Length of a shift that changes nothing, mm.
@@ -70,9 +73,20 @@ impl Vote {
         } else {
             l.rotation.transpose() * motion.rotation.transpose() * (expected - r.apply(&self.middle))
         } / self.step_mm;
-        let (i, j) = (miss.x.round(), miss.y.round());
-        let slid = self.slid(problem, [i as i32, j as i32]);
-        (slid, turn + PITCH_RAD * (miss - Vector3::new(i, j, 0.0)).norm())
+        let [i, j] = self.nearest(problem, [miss.x, miss.y]);
+        let left = miss - Vector3::new(f64::from(i), f64::from(j), 0.0);
+        (self.slid(problem, [i, j]), turn + PITCH_RAD * left.norm())
+    }
+
+    /// The shift nearest to the one wished after which both images' labels fit into the target.
+    fn nearest(&self, problem: &RigProblem, wished: [f64; 2]) -> [i32; 2] {
+        let n = slide(problem);
+        let Some(c) = self.slides else { return [0; 2] };
+        [0, 1].map(|axis| {
+            let [low, high] = self.extents[c].fitting_shifts(self.extents[1 - c], self.size, axis);
+            let (low, high) = (-(-low).div_euclid(n), high.div_euclid(n));
+            (wished[axis].round() as i32).max(low).min(high)
+        })
     }
 
     /// The vote with the labels of the sliding camera shifted.
@@ -83,7 +97,13 @@ impl Vote {
         let mut out = *self;
         out.changes[c] = self.changes[c].then(&shift);
         out.poses[c] = changed(problem, &self.poses[c], &shift);
+        out.extents[c] = self.extents[c].shifted([shift.columns, shift.rows]);
         out
+    }
+
+    /// Whether both images' labels fit into the target.
+    fn fits(&self) -> bool {
+        self.extents[0].with(self.extents[1]).fits(self.size)
     }
 
     /// How far the labels are from those given: turns first, then shifts.
@@ -132,6 +152,7 @@ fn middle(problem: &RigProblem, image: usize, change: &Relabelling, shape: &[f64
 /// All votes; `any`: as if nothing were known about the labels (for mirrored images).
 pub(super) fn votes(problem: &RigProblem, left: &Poses, right: &Poses, any: bool) -> Vec<Vote> {
     let mut out = vec![];
+    let ids = labels(problem);
     for (view, (l, r)) in left.iter().zip(right).enumerate() {
         let (Some(l), Some(r)) = (l, r) else { continue };
         let (Some(a), Some(b)) = (image_at(problem, 0, view), image_at(problem, 1, view)) else { continue };
@@ -149,6 +170,8 @@ pub(super) fn votes(problem: &RigProblem, left: &Poses, right: &Poses, any: bool
                 changes,
                 poses: [changed(problem, l, &changes[0]), changed(problem, r, &changes[1])],
                 slides,
+                extents: [extent(problem, &ids, a, &changes[0]), extent(problem, &ids, b, &changes[1])],
+                size: if any { [None; 2] } else { size_of(problem, &[a, b]) },
                 middle: middle(problem, a, &changes[0], &l.1),
                 step_mm: f64::from(slide(problem)) * problem.open.step_pitches * l.1[0],
             });
@@ -234,7 +257,10 @@ pub(super) fn choices(problem: &RigProblem, votes: &[Vote]) -> Vec<Choice> {
         for c in out.iter().filter(|c| c.center.slides.is_some()) {
             for i in -MOST_SHIFT..=MOST_SHIFT {
                 for j in -MOST_SHIFT..=MOST_SHIFT {
-                    slid.push(Choice::around(problem, votes, &c.center.slid(problem, [i, j])));
+                    let center = c.center.slid(problem, [i, j]);
+                    if center.fits() {
+                        slid.push(Choice::around(problem, votes, &center));
+                    }
                 }
             }
         }

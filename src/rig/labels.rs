@@ -20,13 +20,15 @@ pub(super) const EXCHANGE: Relabelling = Relabelling { quarter_turns: 2, columns
 pub struct OpenLabels {
     /// Length of one step of a label: 1 pitch, half a pitch on a two-level plate.
     pub step_pitches: f64,
+    /// Columns and rows of a grid without marks, where they are known: labels of a view cannot span more.
+    pub size: [Option<usize>; 2],
     /// One per image, in the order of `model.images`; empty where nothing is open. Pairs are always open.
     pub images: Vec<OpenImage>,
 }
 
 impl Default for OpenLabels {
     fn default() -> Self {
-        Self { step_pitches: 1.0, images: vec![] }
+        Self { step_pitches: 1.0, size: [None; 2], images: vec![] }
     }
 }
 
@@ -58,6 +60,55 @@ pub(super) fn labellings(problem: &RigProblem, k: usize) -> Vec<Relabelling> {
 /// Whether any dot of image `k` may be the origin.
 pub(super) fn any_origin(problem: &RigProblem, k: usize) -> bool {
     problem.open.images.get(k).is_some_and(|o| o.any_origin)
+}
+
+/// Smallest and largest label along columns and rows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Extent([[i32; 2]; 2]);
+
+impl Extent {
+    /// Of some labels; empty without any.
+    pub(super) fn of(ids: impl Iterator<Item = DotId>) -> Self {
+        let empty = [i32::MAX, i32::MIN];
+        Self(ids.fold([empty; 2], |[c, r], id| {
+            [[c[0].min(id.column), c[1].max(id.column)], [r[0].min(id.row), r[1].max(id.row)]]
+        }))
+    }
+
+    /// Of both.
+    pub(super) fn with(self, other: Self) -> Self {
+        Self([0, 1].map(|a| [self.0[a][0].min(other.0[a][0]), self.0[a][1].max(other.0[a][1])]))
+    }
+
+    pub(super) fn shifted(self, by: [i32; 2]) -> Self {
+        Self([0, 1].map(|a| self.0[a].map(|x| x + by[a])))
+    }
+
+    /// Whether a target of this size has so many columns and rows.
+    pub(super) fn fits(self, size: [Option<usize>; 2]) -> bool {
+        size.iter()
+            .zip(self.0)
+            .all(|(size, [low, high])| size.is_none_or(|n| i64::from(high) - i64::from(low) < n as i64))
+    }
+
+    /// Shifts along columns or rows (0, 1), in steps of one label, after which `other` and this together fit; any where none does.
+    pub(super) fn fitting_shifts(self, other: Self, size: [Option<usize>; 2], axis: usize) -> [i32; 2] {
+        let ([low, high], [l, h]) = (other.0[axis], self.0[axis]);
+        let most = size[axis].map_or(i32::MAX / 4, |n| n as i32 - 1);
+        let range = [high.saturating_sub(most).saturating_sub(l), low.saturating_add(most).saturating_sub(h)];
+        if range[0] <= range[1] { range } else { [i32::MIN / 4, i32::MAX / 4] }
+    }
+}
+
+/// Labels of image `k` after a change.
+pub(super) fn extent(problem: &RigProblem, ids: &[DotId], k: usize, change: &Relabelling) -> Extent {
+    Extent::of(problem.model.images[k].discs.iter().map(|d| change.apply(ids[d.disc])))
+}
+
+/// Columns and rows that labels of these images together may span: as stated, unless a quarter turn would exchange them.
+pub(super) fn size_of(problem: &RigProblem, images: &[usize]) -> [Option<usize>; 2] {
+    let quarter = |k: &usize| labellings(problem, *k).iter().any(|a| a.quarter_turns % 2 == 1);
+    if images.iter().any(quarter) { [None; 2] } else { problem.open.size }
 }
 
 /// The image of `camera` in `view`.
@@ -155,4 +206,43 @@ pub(super) fn order_pairs(problem: &mut RigProblem) -> Vec<Relabelling> {
         relabel(problem, &changes);
     }
     changes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ids(columns: [i32; 2], rows: [i32; 2]) -> Extent {
+        let corners = [(columns[0], rows[0]), (columns[1], rows[1])];
+        Extent::of(corners.into_iter().map(|(column, row)| DotId { column, row, level: 0 }))
+    }
+
+    /// Against every shift tried.
+    #[test]
+    fn shifts_that_fit_are_those_that_keep_both_inside() {
+        let size = [Some(16), Some(7)];
+        for (own, other) in [
+            (ids([0, 14], [0, 6]), ids([0, 15], [0, 6])),
+            (ids([0, 14], [0, 5]), ids([0, 13], [0, 6])),
+            (ids([-3, 2], [4, 5]), ids([5, 9], [-2, 0])),
+        ] {
+            for axis in 0..2 {
+                let fits = |i: i32| {
+                    let mut by = [0; 2];
+                    by[axis] = i;
+                    let mut one = [None; 2];
+                    one[axis] = size[axis];
+                    own.shifted(by).with(other).fits(one)
+                };
+                let wanted: Vec<i32> = (-40..=40).filter(|i| fits(*i)).collect();
+                let [low, high] = own.fitting_shifts(other, size, axis);
+                assert_eq!((low..=high).collect::<Vec<_>>(), wanted, "{own:?} {other:?} {axis}");
+                assert!(!wanted.is_empty());
+            }
+        }
+        assert!(!ids([0, 16], [0, 6]).fits(size) && ids([0, 15], [0, 6]).fits(size));
+        assert!(ids([0, 90], [0, 6]).fits([None, Some(7)]));
+        let [low, high] = ids([0, 20], [0, 6]).fitting_shifts(ids([0, 20], [0, 6]), size, 0);
+        assert!(low < -1000 && high > 1000, "what fits nowhere may be anywhere");
+    }
 }

@@ -13,10 +13,10 @@
 //! | m | `known` | mm | its mean over the views joined so far |
 //! | g | `change` | - | change of labels common to both cameras |
 //!
-//! Turns and shifts of all views together are a gauge: the view with most dots keeps its labels.
+//! Turns and shifts of all views together are a gauge: of the views that leave fewest turns open the one with most dots keeps its labels.
 
 use super::RigProblem;
-use super::labels::{any_origin, image_at, labellings, labels, relabel, slide, turned_target};
+use super::labels::{Extent, any_origin, image_at, labellings, labels, relabel, size_of, slide, turned_target};
 use super::mono::lightened;
 use crate::bundle::{AdjustOptions, Model, SolveOptions, State, adjust, residuals};
 use crate::camera::Camera;
@@ -51,12 +51,13 @@ pub(super) fn labels_by_print(problem: &mut RigProblem, state: &mut State) {
     let ids = labels(problem);
     let mut off: Vec<Offsets> = (0..views).map(|v| offsets(&model, &flat, &ids, v).unwrap_or_default()).collect();
     let mut order: Vec<usize> = (0..views).collect();
-    order.sort_by_key(|v| (open(*v), std::cmp::Reverse(off[*v].len()), *v));
+    order.sort_by_cached_key(|v| (open(*v), turns(problem, *v), std::cmp::Reverse(off[*v].len()), *v));
     let mut known: BTreeMap<DotId, (Vector2<f64>, f64)> = BTreeMap::new();
     let mut changes = vec![Relabelling::NONE; views];
     for v in order {
         let best = common_changes(problem, v)
             .into_iter()
+            .filter(|g| fits(problem, (v, g), &off[v], &known))
             .filter_map(|g| Some((g, correlation(&off[v], &known, &g)?)))
             .max_by(|a, b| a.1.total_cmp(&b.1));
         if let Some((g, _)) = best.filter(|b| b.1 > SIGNIFICANT) {
@@ -69,6 +70,18 @@ pub(super) fn labels_by_print(problem: &mut RigProblem, state: &mut State) {
         }
     }
     apply(problem, state, &changes);
+}
+
+/// Whether a view's labels, changed, and those of the views before it fit into the target together.
+fn fits(
+    problem: &RigProblem,
+    (v, change): (usize, &Relabelling),
+    off: &Offsets,
+    known: &BTreeMap<DotId, (Vector2<f64>, f64)>,
+) -> bool {
+    let images: Vec<usize> = (0..2).filter_map(|c| image_at(problem, c, v)).collect();
+    let own = Extent::of(off.keys().map(|id| change.apply(*id)));
+    own.with(Extent::of(known.keys().copied())).fits(size_of(problem, &images))
 }
 
 fn is_open(problem: &RigProblem, k: usize) -> bool {
@@ -120,6 +133,12 @@ fn common_changes(problem: &RigProblem, v: usize) -> Vec<Relabelling> {
         }
     };
     candidates.into_iter().filter(|g| images.iter().all(|k| allowed(*k, g))).collect()
+}
+
+/// How many turns a view leaves open.
+fn turns(problem: &RigProblem, v: usize) -> usize {
+    let all = common_changes(problem, v);
+    (0..4).filter(|q| all.iter().any(|g| g.quarter_turns == *q)).count()
 }
 
 /// Shift after which a turn leaves the middle of an image's labels where it was.
