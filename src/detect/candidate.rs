@@ -126,10 +126,27 @@ pub(crate) fn judge(
         }
         return Verdict::Disc(found(&direct, rms));
     }
+    if slim && direct.semi_minor_px >= SLIM_PX && rms < limit {
+        return slim_disc(found(&direct, rms), share, options.min_axis_ratio);
+    }
     if radius < 4.0 || slim {
         return Verdict::Nothing;
     }
     Verdict::Odd(Odd { rough: found(&rough, rms), u, v, share })
+}
+
+/// Minor semi-axis from which on, and part of the least ratio of axes down to which, something slim may be a disc, px and 1: scratches and fibres are finer.
+const SLIM_PX: f64 = 4.0;
+const SLIM: f64 = 0.4;
+
+/// A disc that is seen too obliquely, or a streak.
+fn slim_disc(candidate: Candidate, share: f64, least: f64) -> Verdict {
+    let axis_ratio = candidate.ellipse.semi_minor_px / candidate.ellipse.semi_major_px;
+    if share > 0.9 && axis_ratio > SLIM * least {
+        Verdict::Rejected(candidate, RejectionReason::TooSlim { axis_ratio, least })
+    } else {
+        Verdict::Nothing
+    }
 }
 
 /// Two discs in one, a disc with part of its contour spoilt, or neither.

@@ -42,6 +42,13 @@ pub enum RejectionReason {
     NoGreyLevels,
     /// A disc, but dark where the image's discs are bright, or bright where they are dark.
     OtherPolarity,
+    /// An ellipse that is slimmer than a disc that is worth measuring: seen too obliquely.
+    TooSlim {
+        /// Minor over major semi-axis.
+        axis_ratio: f64,
+        /// The least that is accepted.
+        least: f64,
+    },
 }
 
 impl RejectionReason {
@@ -57,6 +64,7 @@ impl RejectionReason {
             Self::Incomplete { .. } => "partly hidden",
             Self::NoGreyLevels => "without grey levels at the rim",
             Self::OtherPolarity => "of the other polarity",
+            Self::TooSlim { .. } => "too slim",
         }
     }
 }
@@ -79,6 +87,11 @@ impl fmt::Display for RejectionReason {
             }
             Self::Incomplete { coverage } => write!(f, ": {:.0} % of its contour seen", 100.0 * coverage),
             Self::NoGreyLevels => f.write_str(": the image was made black and white"),
+            Self::TooSlim { axis_ratio, least } => write!(
+                f,
+                ": axis ratio {axis_ratio:.3}, at least {least:.3}, as a disc seen {:.0} degrees off its normal has",
+                least.acos().to_degrees()
+            ),
             Self::CutByBorder | Self::Overlapping | Self::OtherPolarity => Ok(()),
         }
     }
@@ -174,6 +187,35 @@ mod tests {
         assert_eq!((counted_words(&[]), counted(&all)["cut by the border"]), (String::new(), 1));
         let words = RejectionReason::TooSmall { semi_minor_px: 2.06 }.to_string();
         assert_eq!(words, "too small: minor semi-axis 2.1 px");
+    }
+
+    /// Discs seen at 77 and 79 degrees: the limit is between, and what was turned down is told.
+    #[test]
+    fn discs_seen_too_obliquely_are_said_to_be_slim() {
+        for (degrees, found) in [(77.0_f64, true), (79.0, false), (82.0, false)] {
+            let (a, b) = (70.0, 70.0 * degrees.to_radians().cos());
+            let size = 180;
+            let grey: Vec<u8> = (0..size * size)
+                .map(|i| {
+                    let (x, y) = ((i % size) as f64 - 90.3, (i / size) as f64 - 88.7);
+                    let off =
+                        ((x / a).hypot(y / b) - 1.0) * (x / a).hypot(y / b) / (x / a / a).hypot(y / b / b).max(1e-9);
+                    let noise = ((i * 7919) % 101) as f64 / 101.0 - 0.5;
+                    (40.0 + 160.0 / (1.0 + (-1.7 * off).exp()) + 3.0 * noise) as u8
+                })
+                .collect();
+            let view = GrayView::new(Samples::U8(&grey), size, size, size).expect("an image");
+            let all = find_discs(&view, &DetectOptions::default()).expect("a search");
+            assert_eq!(all.discs.len(), usize::from(found), "{degrees}: {:?}", all.rejections);
+            let words = counted_words(&all.rejections);
+            let wanted =
+                if found { "" } else { "1 too slim; turn the target more towards this camera, or leave the view out" };
+            assert_eq!(words, wanted, "{degrees}");
+            if let Some(told) = all.rejections.first() {
+                let words = told.reason.to_string();
+                assert!(words.contains("at least 0.200") && words.contains("78 degrees off"), "{words}");
+            }
+        }
     }
 
     /// Spots without any size are too small, not bent; a dot of 1.5 px behind a blur of 1 px is one.

@@ -4,6 +4,7 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use spivcal::camera::INTRINSIC_NAMES;
+use spivcal::error::Result;
 use spivcal::pipeline::{CalibrateOptions, calibrate};
 use spivcal::record::Record;
 use spivcal::rig_file::RigDescription;
@@ -11,14 +12,19 @@ use spivcal::simulate::{Scene, simulate};
 
 /// A scene rendered, detected and calibrated from what an experimenter would know; and the truth.
 pub fn calibrated(scene: &Scene, options: &CalibrateOptions) -> (Record, Record) {
-    let made = simulate(scene).unwrap();
+    try_calibrated(scene, options).unwrap()
+}
+
+/// The same, or why not.
+pub fn try_calibrated(scene: &Scene, options: &CalibrateOptions) -> Result<(Record, Record)> {
+    let made = simulate(scene)?;
     let truth = Record::from_json(&made.truth_json, "truth.json").unwrap();
     let job = RigDescription::parse(&made.rig_toml, "rig.toml").unwrap();
     let load = |view: usize, camera: usize| {
         let name = job.views[view].images[camera].as_deref().unwrap();
         Ok(made.images.iter().find(|(n, _)| n == name).unwrap().1.clone())
     };
-    (calibrate(&job, &load, options, &mut |_| true).unwrap().record, truth)
+    Ok((calibrate(&job, &load, options, &mut |_| true)?.record, truth))
 }
 
 /// Chi-square of all that the covariance says of both cameras, correlations included, against the truth, and how many numbers that are. Poses
