@@ -207,10 +207,7 @@ mod tests {
             let view = GrayView::new(Samples::U8(&grey), size, size, size).expect("an image");
             let all = find_discs(&view, &DetectOptions::default()).expect("a search");
             assert_eq!(all.discs.len(), usize::from(found), "{degrees}: {:?}", all.rejections);
-            let words = counted_words(&all.rejections);
-            let wanted =
-                if found { "" } else { "1 too slim; turn the target more towards this camera, or leave the view out" };
-            assert_eq!(words, wanted, "{degrees}");
+            assert_eq!(counted_words(&all.rejections), if found { "" } else { "1 too slim" }, "{degrees}");
             if let Some(told) = all.rejections.first() {
                 let words = told.reason.to_string();
                 assert!(words.contains("at least 0.200") && words.contains("78 degrees off"), "{words}");
