@@ -31,7 +31,7 @@ mod whole;
 
 pub use find::{find_discs, find_discs_with};
 pub(crate) use plane::noise;
-pub use rejection::{Rejection, RejectionReason, counted, counted_words};
+pub use rejection::{Rejection, RejectionReason, counted, counted_words, missing_words};
 pub use whole::DetectMemory;
 
 use crate::conic::{CommonNoise, ContourNoise, Ellipse};

@@ -205,6 +205,28 @@ fn image_of_one_grey() {
     assert!(!job.out().exists());
 }
 
+/// Discs that were all turned down are drawn, so that it can be seen why.
+#[test]
+fn discs_that_are_too_slim() {
+    let job = Job::new();
+    job.redraw("v01_left.png", squeezed);
+    job.refused(3, &["v01_left.png", "found 0 disc(s)", "2 too slim", "turn the target more towards this camera"]);
+    let image = job.path("v01_left.png");
+    let found = spivcal(&["detect", image.to_str().unwrap(), "-o", job.out().to_str().unwrap()]);
+    refused(&found, 3, &["v01_left.png", "found 0 disc(s)", "2 too slim", "turn the target", "shows where"]);
+    assert!(job.out().join("v01_left_overlay.png").exists());
+}
+
+/// Every sixth column, on a ground as in the first.
+fn squeezed(image: &GrayImage) -> GrayImage {
+    let (width, height, view) = (image.width(), image.height(), image.view());
+    let grey = |i: usize| {
+        let (u, v) = (i % width, i / width);
+        view.get(if u < width / 6 { 6 * u } else { (u % 6).min(width - 1) }, v) as u8
+    };
+    GrayImage::new(Pixels::U8((0..width * height).map(grey).collect()), width, height).unwrap()
+}
+
 #[test]
 fn one_disc_only() {
     let job = Job::new();

@@ -5,7 +5,7 @@ use super::arguments::Detect;
 use super::files::{Output, fault, tell_further_pages};
 use super::progress::Bar;
 use super::threads;
-use crate::detect::{DetectMemory, DetectOptions, Detection, counted, counted_words, find_discs_with};
+use crate::detect::{DetectMemory, DetectOptions, Detection, counted, counted_words, find_discs_with, missing_words};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::image::GrayImage;
 use crate::pipeline::load_image;
@@ -25,6 +25,8 @@ struct Found {
     rejected: BTreeMap<&'static str, usize>,
     /// The same in words; empty where none was turned down.
     words: String,
+    /// The same with what to do where discs are missing.
+    missing: String,
     files: Vec<(String, Vec<u8>)>,
 }
 
@@ -45,7 +47,11 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
     // Collected first, so that the error that is told is that of the first image, whatever the threads did.
     let found: Vec<Result<Found>> = pool.install(|| command.images.par_iter().zip(&stems).map(one).collect());
     let found = found.into_iter().collect::<Result<Vec<Found>>>()?;
-    let flags = empty_images(&command.images, &found)?;
+    let flags = empty_images(&command.images, &found);
+    let none = nothing_found(command, &found);
+    if found.iter().all(|f| f.words.is_empty()) {
+        none.clone()?;
+    }
     let mut out = Output::default();
     let mut text = String::new();
     let mut images = Vec::new();
@@ -60,6 +66,7 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
     }
     out.commit_beside(&command.output, &command.images.iter().map(AsRef::as_ref).collect::<Vec<&Path>>())?;
     tell_further_pages(&command.images);
+    none?;
     let json = json!({ "output": command.output.display().to_string(), "images": images });
     Ok(Done { text, json, flags })
 }
@@ -108,23 +115,35 @@ fn describe(path: &Path, stem: &str, image: &GrayImage, detection: &Detection) -
         files.push((format!("{stem}_features.csv"), csv.into_bytes()));
     }
     let rejected = counted(&detection.rejections);
-    Ok(Found { discs: detection.discs.len(), rejected, words: counted_words(&detection.rejections), files })
+    let rejections = &detection.rejections;
+    let (words, missing) = (counted_words(rejections), missing_words(rejections));
+    Ok(Found { discs: detection.discs.len(), rejected, words, missing, files })
 }
 
-/// Images without discs are named; where no image has any, there is nothing to write.
-fn empty_images(images: &[PathBuf], found: &[Found]) -> Result<Vec<String>> {
-    let hint = |f: &Found| {
-        match f.words.as_str() {
+/// What to look at in an image without discs.
+fn hint(f: &Found) -> String {
+    match f.missing.as_str() {
         "" => "nothing round stands out from its surroundings; check exposure, focus and that the target is in the picture".into(),
         words => format!("candidates were turned down ({words})"),
     }
-    };
-    if let ([first, ..], [path, ..]) = (found, images)
-        && found.iter().all(|f| f.discs == 0)
-    {
-        let image = path.display().to_string();
-        return Err(Insufficient::TooFewDiscs { image, found: 0, needed: 1, hint: hint(first) }.into());
-    }
+}
+
+/// Images without discs, by name.
+fn empty_images(images: &[PathBuf], found: &[Found]) -> Vec<String> {
     let empty = images.iter().zip(found).filter(|(_, f)| f.discs == 0);
-    Ok(empty.map(|(path, f)| format!("{}: no disc was found; {}", path.display(), hint(f))).collect())
+    empty.map(|(path, f)| format!("{}: no disc was found; {}", path.display(), hint(f))).collect()
+}
+
+/// Where no image has any disc that is an error; what was turned down is drawn all the same, so that it can be seen why.
+fn nothing_found(command: &Detect, found: &[Found]) -> Result<()> {
+    let ([first, ..], [path, ..]) = (found, &command.images[..]) else { return Ok(()) };
+    if found.iter().any(|f| f.discs > 0) {
+        return Ok(());
+    }
+    let drawn = match found.iter().any(|f| !f.words.is_empty()) {
+        true => format!("; the overlay in {} shows where", command.output.display()),
+        false => String::new(),
+    };
+    let (image, hint) = (path.display().to_string(), hint(first) + &drawn);
+    Err(Insufficient::TooFewDiscs { image, found: 0, needed: 1, hint }.into())
 }

@@ -23,7 +23,7 @@ mod lattice;
 mod pair;
 mod plate;
 
-use super::{Detection, LabelledDisc, RejectionReason, counted_words};
+use super::{Detection, LabelledDisc, missing_words};
 use crate::error::{Insufficient, Result};
 use crate::target::{DotId, Target};
 
@@ -142,11 +142,9 @@ fn pattern_error(image: &str, message: String) -> crate::Error {
 
 /// What was turned down, in words, for messages about missing discs.
 fn rejected_in_words(detection: &Detection) -> String {
-    let slim = detection.rejections.iter().any(|r| matches!(r.reason, RejectionReason::TooSlim { .. }));
-    let advice = if slim { "; turn the target more towards this camera, or leave the view out" } else { "" };
-    match counted_words(&detection.rejections) {
+    match missing_words(&detection.rejections) {
         words if words.is_empty() => "nothing else was seen".into(),
-        words => format!("turned down: {words}{advice}"),
+        words => format!("turned down: {words}"),
     }
 }
 

@@ -168,6 +168,14 @@ pub fn counted_words(rejections: &[Rejection]) -> String {
     words.join(", ") + advice
 }
 
+/// The same where the discs that were looked for are missing, with what to do; empty where nothing was turned down.
+#[must_use]
+pub fn missing_words(rejections: &[Rejection]) -> String {
+    let slim = rejections.iter().any(|r| matches!(r.reason, RejectionReason::TooSlim { .. }));
+    let advice = if slim { "; turn the target more towards this camera, or leave the view out" } else { "" };
+    counted_words(rejections) + advice
+}
+
 #[cfg(test)]
 #[allow(clippy::expect_used)]
 mod tests {
@@ -198,6 +206,7 @@ mod tests {
             let grey: Vec<u8> = (0..size * size)
                 .map(|i| {
                     let (x, y) = ((i % size) as f64 - 90.3, (i / size) as f64 - 88.7);
+                    // To first order how far outside the ellipse, px.
                     let off =
                         ((x / a).hypot(y / b) - 1.0) * (x / a).hypot(y / b) / (x / a / a).hypot(y / b / b).max(1e-9);
                     let noise = ((i * 7919) % 101) as f64 / 101.0 - 0.5;
@@ -208,6 +217,7 @@ mod tests {
             let all = find_discs(&view, &DetectOptions::default()).expect("a search");
             assert_eq!(all.discs.len(), usize::from(found), "{degrees}: {:?}", all.rejections);
             assert_eq!(counted_words(&all.rejections), if found { "" } else { "1 too slim" }, "{degrees}");
+            assert_eq!(missing_words(&all.rejections).contains("; turn the target more towards this camera"), !found);
             if let Some(told) = all.rejections.first() {
                 let words = told.reason.to_string();
                 assert!(words.contains("at least 0.200") && words.contains("78 degrees off"), "{words}");

@@ -6,7 +6,8 @@
 //! ```text
 //! h_v      = D_v / (C + D_v)                                     part of what is known of the number that view v tells
 //! factor^2 = 1 + sum_v h_v (d_v^2 / D_v - 1) / max(1, sum_v h_v) C factor^2: the variance as the views tell it
-//! Q        = sum_v h_v d_v^2 / D_v                               with the cumulants of a quadratic form of the matrix K:
+//! f_v      = sign(d_v) min(|d_v|, |e_v|), 0 where d_v e_v <= 0   part of d_v that one Newton step of the equations foretells as e_v
+//! Q        = sum_v h_v f_v^2 / D_v                               with the cumulants of a quadratic form of the matrix K:
 //! K        = diag(h + a^2 / s) - a a^T / s,   a_v = h_v / (1 - h_v)^(1/2)
 //! p        = P(chi^2_nu > nu + (Q - c_1) (nu / c_2)^(1/2)),   nu = c_2^3 / c_3^2,   c_k = tr K^k
 //! ```
@@ -21,7 +22,8 @@
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
-//! | d_v | [`Change::size`]; in Q [`Change::foretold`] | that of the number | change of the number without view v |
+//! | d_v | [`Change::size`] | that of the number | change of the number without view v, adjusted |
+//! | f_v | [`Change::foretold`] | that of the number | the part of it that is predicted, all of it where equations are linear; where Q finds nothing it stands for d_v in factor^2, too |
 //! | D_v | [`Change::variance`] | its square | variance of that change where noise is all |
 //! | C | [`Number::variance`] | its square | variance of the number with all views |
 //! | h_v | `share` | 1 | share of view v |

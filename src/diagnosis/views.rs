@@ -53,12 +53,12 @@ impl<'a> Functions<'a> {
 
     /// From the estimate to another one of the same rig.
     fn change(&self, from: &Natural, to: &Natural) -> Option<DVector<f64>> {
-        let numbers = self.keys.values(to)? - self.keys.values(from)?;
+        let of_keys = self.keys.values(to)? - self.keys.values(from)?;
         let of_probes = match self.probes {
             Some(probes) => probes.change(to)?,
             None => DVector::zeros(0),
         };
-        Some(DVector::from_iterator(self.rows.nrows(), numbers.iter().chain(of_probes.iter()).copied()))
+        Some(DVector::from_iterator(self.rows.nrows(), of_keys.iter().chain(of_probes.iter()).copied()))
     }
 }
 
@@ -115,19 +115,8 @@ pub(super) fn views(
     let wrong = if out.iter().any(|v| v.contradicts) { culprits(s, names, watch)? } else { None };
     let single = wrong.is_some();
     name_the_wrong(&mut out, wrong);
-    let mut numbers: Vec<Option<Number>> =
-        (0..functions.variance.len()).map(|k| number(&functions, k, &left)).collect();
-    let sigmas: Vec<f64> = functions.variance[..keys.list.len()].iter().map(|x| x.sqrt()).collect();
-    let spreads_of = |of: &[Option<Number>]| -> Vec<Option<Spread>> {
-        of[..keys.list.len()].iter().map(|n| Spread::of(n.as_ref()?)).collect()
-    };
-    let mut spreads = spreads_of(&numbers);
-    let finding = spread::finding(keys, &sigmas, &spreads);
-    if finding.is_none() {
-        numbers.iter_mut().flatten().for_each(Number::as_foretold);
-        spreads = spreads_of(&numbers);
-    }
-    let felt = probes.and_then(|p| p.by_views(&numbers[keys.list.len()..], finding.is_some()));
+    let Scatter { of_probes, spreads, finding } = Scatter::of(&functions, &left);
+    let felt = probes.and_then(|p| p.by_views(&of_probes, finding.is_some()));
     match finding.filter(|_| !single) {
         // Where all differ none is wrong by itself.
         Some(words) => {
@@ -137,6 +126,33 @@ pub(super) fn views(
         None => flags.extend(out.iter().filter(|v| v.contradicts && change(v) > FELT_SIGMAS).map(|v| v.words.clone())),
     }
     Ok(Views { influences: out, spreads, felt })
+}
+
+/// How all views scatter.
+struct Scatter {
+    of_probes: Vec<Option<Number>>,
+    /// Of each key.
+    spreads: Vec<Option<Spread>>,
+    finding: Option<String>,
+}
+
+impl Scatter {
+    /// By the changes as adjusted; where they contradict nothing, by the part of them that is foretold.
+    fn of(functions: &Functions<'_>, left: &[Option<Left>]) -> Self {
+        let keys = functions.keys;
+        let mut of_keys: Vec<Option<Number>> =
+            (0..functions.variance.len()).map(|k| number(functions, k, left)).collect();
+        let mut of_probes = of_keys.split_off(keys.list.len());
+        let spreads = |of: &[Option<Number>]| of.iter().map(|n| Spread::of(n.as_ref()?)).collect();
+        let adjusted: Vec<Option<Spread>> = spreads(&of_keys);
+        let sigmas: Vec<f64> = functions.variance[..keys.list.len()].iter().map(|x| x.sqrt()).collect();
+        let finding = spread::finding(keys, &sigmas, &adjusted);
+        if finding.is_some() {
+            return Self { of_probes, spreads: adjusted, finding };
+        }
+        of_keys.iter_mut().chain(&mut of_probes).flatten().for_each(Number::as_foretold);
+        Self { of_probes, spreads: spreads(&of_keys), finding }
+    }
 }
 
 /// A function with all views and without each; none where it is not determined.

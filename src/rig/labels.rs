@@ -80,6 +80,10 @@ impl Extent {
         Self([0, 1].map(|a| [self.0[a][0].min(other.0[a][0]), self.0[a][1].max(other.0[a][1])]))
     }
 
+    pub(super) fn middle(self) -> [i32; 2] {
+        self.0.map(|[low, high]| low.midpoint(high))
+    }
+
     pub(super) fn shifted(self, by: [i32; 2]) -> Self {
         Self([0, 1].map(|a| self.0[a].map(|x| x + by[a])))
     }

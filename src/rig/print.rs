@@ -16,7 +16,7 @@
 //! Turns and shifts of all views together are a gauge: of the views that leave fewest turns open the one with most dots keeps its labels.
 
 use super::RigProblem;
-use super::labels::{Extent, any_origin, image_at, labellings, labels, relabel, size_of, slide, turned_target};
+use super::labels::{Extent, any_origin, extent, image_at, labellings, labels, relabel, size_of, slide, turned_target};
 use super::mono::lightened;
 use crate::bundle::{AdjustOptions, Model, SolveOptions, State, adjust, residuals};
 use crate::camera::Camera;
@@ -55,9 +55,10 @@ pub(super) fn labels_by_print(problem: &mut RigProblem, state: &mut State) {
     let mut known: BTreeMap<DotId, (Vector2<f64>, f64)> = BTreeMap::new();
     let mut changes = vec![Relabelling::NONE; views];
     for v in order {
+        let fits = fitting(problem, v, &off[v], &known);
         let best = common_changes(problem, v)
             .into_iter()
-            .filter(|g| fits(problem, (v, g), &off[v], &known))
+            .filter(|g| fits(g))
             .filter_map(|g| Some((g, correlation(&off[v], &known, &g)?)))
             .max_by(|a, b| a.1.total_cmp(&b.1));
         if let Some((g, _)) = best.filter(|b| b.1 > SIGNIFICANT) {
@@ -72,16 +73,19 @@ pub(super) fn labels_by_print(problem: &mut RigProblem, state: &mut State) {
     apply(problem, state, &changes);
 }
 
-/// Whether a view's labels, changed, and those of the views before it fit into the target together.
-fn fits(
+/// Whether a view's labels, changed, fit into the target together with those of the views before it, as long as these do themselves.
+fn fitting(
     problem: &RigProblem,
-    (v, change): (usize, &Relabelling),
+    v: usize,
     off: &Offsets,
     known: &BTreeMap<DotId, (Vector2<f64>, f64)>,
-) -> bool {
+) -> impl Fn(&Relabelling) -> bool + use<> {
     let images: Vec<usize> = (0..2).filter_map(|c| image_at(problem, c, v)).collect();
-    let own = Extent::of(off.keys().map(|id| change.apply(*id)));
-    own.with(Extent::of(known.keys().copied())).fits(size_of(problem, &images))
+    let known = Extent::of(known.keys().copied());
+    let stated = size_of(problem, &images);
+    let size = if known.fits(stated) { stated } else { [None; 2] };
+    let own: Vec<DotId> = off.keys().copied().collect();
+    move |change| Extent::of(own.iter().map(|id| change.apply(*id))).with(known).fits(size)
 }
 
 fn is_open(problem: &RigProblem, k: usize) -> bool {
@@ -143,15 +147,9 @@ fn turns(problem: &RigProblem, v: usize) -> usize {
 
 /// Shift after which a turn leaves the middle of an image's labels where it was.
 fn middle_turn(problem: &RigProblem, k: usize, turn: &Relabelling) -> (i32, i32) {
-    let ids = labels(problem);
-    let (mut low, mut high) = ((i32::MAX, i32::MAX), (i32::MIN, i32::MIN));
-    for d in &problem.model.images[k].discs {
-        let id = ids[d.disc];
-        low = (low.0.min(id.column), low.1.min(id.row));
-        high = (high.0.max(id.column), high.1.max(id.row));
-    }
     let n = slide(problem);
-    let middle = DotId { column: (low.0 + high.0) / 2 / n * n, row: (low.1 + high.1) / 2 / n * n, level: 0 };
+    let [column, row] = extent(problem, &labels(problem), k, &Relabelling::NONE).middle().map(|x| x / n * n);
+    let middle = DotId { column, row, level: 0 };
     let moved = Relabelling { columns: 0, rows: 0, ..*turn }.apply(middle);
     (middle.column - moved.column, middle.row - moved.row)
 }

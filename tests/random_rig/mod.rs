@@ -11,6 +11,7 @@ use joint::try_calibrated;
 use render::Random;
 use spivcal::pipeline::CalibrateOptions;
 use spivcal::record::Record;
+use spivcal::report::{Level, verdict};
 use spivcal::simulate::Scene;
 
 use std::fmt::Write;
@@ -36,11 +37,9 @@ impl Draw {
 
 /// What a field of view holds.
 struct Field {
-    /// Pixels across and down.
-    size_px: [usize; 2],
-    /// The shorter side on the sheet, mm.
-    short_mm: f64,
+    /// Width and height on the sheet, mm.
     wide_mm: f64,
+    high_mm: f64,
     /// Angle of either camera to the sheet's normal, degrees.
     half_deg: f64,
 }
@@ -97,7 +96,7 @@ fn cameras(d: &mut Draw, text: &mut String) -> Field {
         .unwrap();
     }
     let wide_mm = wide as f64 * pitch_mm * distance_mm / lens_mm;
-    Field { size_px, short_mm: wide_mm * size_px[1] as f64 / wide as f64, wide_mm, half_deg }
+    Field { high_mm: wide_mm * size_px[1] as f64 / wide as f64, wide_mm, half_deg }
 }
 
 /// Views by hand and the last one in the sheet; nothing is seen more than some 72 degrees off its normal.
@@ -115,7 +114,7 @@ fn polarity(d: &mut Draw) -> &'static str {
 }
 
 fn pair(d: &mut Draw, field: &Field, text: &mut String) -> String {
-    let r = 0.13 * field.short_mm;
+    let r = 0.13 * field.high_mm;
     let [other, spacing] = [d.between(0.6, 0.85) * r, d.between(2.0, 2.5) * r];
     let polarity = polarity(d);
     writeln!(
@@ -128,7 +127,7 @@ fn pair(d: &mut Draw, field: &Field, text: &mut String) -> String {
 }
 
 fn bubbles(d: &mut Draw, field: &Field, text: &mut String) -> String {
-    let r = 0.13 * field.short_mm;
+    let r = 0.13 * field.high_mm;
     *text += "[target]\nkind = \"bubbles\"\npolarity = \"bright\"\n";
     let radii = [0.7, 1.0, 0.4, 0.7].map(|x| x * r);
     *text += &views(d, field, (7, 10), 180.0, 26.0);
@@ -148,7 +147,7 @@ fn bubbles(d: &mut Draw, field: &Field, text: &mut String) -> String {
 
 fn grid(d: &mut Draw, field: &Field, kind: &str, text: &mut String) -> String {
     let (columns, rows) = (d.count(7, 14), d.count(6, 11));
-    let pitch = 0.62 * (field.wide_mm / columns as f64).min(field.short_mm / rows as f64);
+    let pitch = 0.62 * (field.wide_mm / columns as f64).min(field.high_mm / rows as f64);
     let radius = d.between(0.18, 0.3) * pitch;
     let polarity = polarity(d);
     writeln!(
@@ -173,7 +172,7 @@ fn grid(d: &mut Draw, field: &Field, kind: &str, text: &mut String) -> String {
 
 fn plate(d: &mut Draw, field: &Field, text: &mut String) -> String {
     let (columns, rows) = (d.count(5, 7), d.count(4, 6));
-    let pitch = 0.62 * (field.wide_mm / columns as f64).min(field.short_mm / rows as f64);
+    let pitch = 0.62 * (field.wide_mm / columns as f64).min(field.high_mm / rows as f64);
     let [radius, step] = [d.between(0.14, 0.2) * pitch, d.between(0.05, 0.12) * pitch];
     writeln!(
         text,
@@ -197,13 +196,12 @@ pub struct Outcome {
 }
 
 /// Words of flags that find fault; that something is not determined, or that more views would help, is no fault.
-const FAULTS: [&str; 6] = [
+const FAULTS: [&str; 5] = [
     "contradicts the others",
     "differ by more than their noise",
     "the images ask for",
     "the dots lie",
     "standard deviations apart",
-    "Do not use",
 ];
 
 fn outcome(record: &Record, truth: &Record) -> Outcome {
@@ -219,7 +217,10 @@ fn outcome(record: &Record, truth: &Record) -> Outcome {
     z.push((sheet.distance_mm - true_sheet.distance_mm) / sheet.sigma.distance_mm);
     z.push((sheet.angle_to_baseline_deg - true_sheet.angle_to_baseline_deg) / sheet.sigma.angle_to_baseline_deg);
     let fault = |f: &&String| FAULTS.iter().any(|w| f.contains(w));
-    Outcome { z, alarms: record.fit.flags.iter().filter(fault).cloned().collect() }
+    let mut alarms: Vec<String> = record.fit.flags.iter().filter(fault).cloned().collect();
+    let verdict = verdict(record);
+    alarms.extend((verdict.level == Level::Bad).then_some(verdict.headline));
+    Outcome { z, alarms }
 }
 
 /// What are the numbers of [`Outcome::z`].
