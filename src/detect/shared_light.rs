@@ -5,10 +5,12 @@
 //! for distortion. But the levels of many discs, and of the ground around them, tell the light of the image, a polynomial of the place
 //!
 //! ```text
-//! L(x, y) = sum c_ij x^i y^j,   i + j <= 3, of few discs <= 1
+//! L(x, y) = sum c_ij x^i y^j,   i + j <= 1, 2 or 3
 //! ```
 //!
-//! on either side, and its gradient is what the fit of a single disc expects.
+//! on either side, and its gradient is what the fit of a single disc expects. The degree is the likeliest one (Akaike's criterion with the correction of
+//! Hurvich and Tsai, Biometrika 76 (1989), for few data). What the polynomial is wrong by makes all centres of the image wrong alike, which no covariance
+//! of a disc tells: so levels are means over every pixel that blur does not reach, not over a few.
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
@@ -17,36 +19,51 @@
 //!
 //! Where the light is even, or not a polynomial, nothing is expected.
 
-use crate::conic::Ellipse;
+use crate::conic::{Ellipse, Frame};
 use crate::detect::candidate::Candidate;
 use crate::frames::Pixel;
-use crate::image::GrayView;
+use crate::image::{GrayView, Samples};
 use nalgebra::{SMatrix, SVector};
+use std::ops::Range;
 
-/// Discs from which a plane and the whole polynomial are told; fewer tell nothing.
-const LEAST_DISCS: usize = 12;
-const MANY_DISCS: usize = 40;
+/// Fewer discs tell nothing.
+const LEAST_DISCS: usize = 9;
+/// Discs that a coefficient asks for.
+const PER_COEFFICIENT: usize = 2;
+/// Longest contour of a disc that goes by a plane where there are too few discs for more, px: longer ones tell slopes of their own, and better.
+const BY_PLANE_PX: f64 = 90.0;
 /// By how much the polynomial must lessen the variance of the levels: less is noise, or light of another kind.
 const TOLD: f64 = 4.0;
 /// Rounds of leaving out what is no level (marks, dirt), and their limit in standard deviations.
 const ROUNDS: usize = 4;
 const CLIP: f64 = 4.0;
-/// Directions in which levels are looked at: every 30 degrees, opposite ones in pairs.
+/// The part of the semi-axes up to which a disc is looked at however large its blur.
+const CORE: f64 = 0.3;
+/// Width of the ring around a disc in which the ground is looked at, px.
+const RING_PX: f64 = 1.0;
+/// Fewest pixels of a mean, and rows of it at most (twice as many, at the least).
+const FEWEST_PIXELS: f64 = 12.0;
+const MOST_ROWS: usize = 48;
+/// Directions in which levels of the smallest discs are looked at: every 30 degrees, opposite ones in pairs.
 const DIRECTIONS: [[f64; 2]; 6] = [[1.0, 0.0], [ROOT, 0.5], [0.5, ROOT], [0.0, 1.0], [-0.5, ROOT], [-ROOT, 0.5]];
 const ROOT: f64 = 0.866_025_403_784_438_6;
-/// Coefficients, and those of a plane, which come first.
+/// Coefficients up to the first, second and third degree.
+const COUNTS: [usize; 3] = [3, 6, N];
 const N: usize = 10;
-const PLANE: usize = 3;
 
 /// What the discs of an image tell of its light.
 #[derive(Debug, Default)]
 pub(crate) struct SharedLight {
     bright: bool,
+    discs: usize,
     /// Inside and outside, where they vary.
     sides: [Option<Polynomial>; 2],
 }
 
-#[derive(Debug)]
+/// Matrix and right-hand side of the normal equations.
+type Sums = (SMatrix<f64, N, N>, SVector<f64, N>);
+
+#[derive(Clone, Debug)]
 struct Polynomial {
     /// How many coefficients there are; the others are zero.
     count: usize,
@@ -64,17 +81,19 @@ impl SharedLight {
         if alike.len() < LEAST_DISCS {
             return Self::default();
         }
-        let fit = |level: &dyn Fn(&Candidate) -> Option<f64>| {
-            let told = alike.iter().filter_map(|c| Some((c.ellipse.center_px, level(c)?)));
+        let fit = |level: &dyn Fn(&Candidate) -> Option<(Pixel, f64)>| {
+            let told = alike.iter().filter_map(|c| level(c));
             Polynomial::fit([view.width() as f64, view.height() as f64], &told.collect::<Vec<_>>())
         };
-        Self { bright, sides: [fit(&|c| inside(view, &c.ellipse)), fit(&|c| ground(view, c))] }
+        Self { bright, discs: alike.len(), sides: [fit(&|c| inside(view, c)), fit(&|c| ground(view, c))] }
     }
 
     /// Gradients inside and outside that a disc may expect, grey/px along u and v.
     pub(crate) fn slopes(&self, disc: &Candidate) -> [[f64; 2]; 2] {
+        let only_plane = self.discs < PER_COEFFICIENT * COUNTS[1];
+        let tells_more = only_plane && disc.ellipse.perimeter_px() > BY_PLANE_PX;
         let at = |p: &Option<Polynomial>| match p {
-            Some(p) if disc.bright == self.bright => p.gradient(disc.ellipse.center_px),
+            Some(p) if disc.bright == self.bright && !tells_more => p.gradient(disc.ellipse.center_px),
             _ => [0.0; 2],
         };
         [at(&self.sides[0]), at(&self.sides[1])]
@@ -91,40 +110,73 @@ impl Polynomial {
     /// Robustly; none where the levels do not follow it, or vary no more than by chance.
     fn fit([width, height]: [f64; 2], levels: &[(Pixel, f64)]) -> Option<Self> {
         let mut fitted = Self {
-            count: PLANE,
+            count: COUNTS[0],
             coefficients: SVector::zeros(),
             centre: Pixel::new(0.5 * width, 0.5 * height),
             scale_px: 0.5 * width.max(height),
         };
         let mut kept: Vec<(Pixel, f64)> = levels.to_vec();
-        let mut equations: Option<(usize, usize, _)> = None;
+        let mut summed: Option<(usize, usize, Sums)> = None;
         for _ in 0..ROUNDS {
             if kept.len() < LEAST_DISCS {
                 return None;
             }
-            fitted.count = if kept.len() < MANY_DISCS { PLANE } else { N };
+            fitted.count = *COUNTS.iter().rfind(|count| PER_COEFFICIENT * **count <= kept.len())?;
             // Nothing left out, nothing to sum up anew.
-            let (matrix, right) = match equations {
+            let sums = match summed {
                 Some((count, of, sums)) if (count, of) == (fitted.count, kept.len()) => sums,
                 _ => fitted.normal_equations(&kept),
             };
-            equations = Some((fitted.count, kept.len(), (matrix, right)));
-            // Discs in a row, say, fix no polynomial; what they leave open is no gradient.
-            let ridge = 1e-9 * matrix.trace();
-            fitted.coefficients = (matrix + SMatrix::identity() * ridge).cholesky()?.solve(&right);
+            summed = Some((fitted.count, kept.len(), sums));
+            fitted.solve(&sums)?;
             let mut off: Vec<f64> = kept.iter().map(|x| fitted.off(x).abs()).collect();
             let middle = off.len() / 2;
             let limit = CLIP * 1.4826 * *off.select_nth_unstable_by(middle, f64::total_cmp).1;
             kept.retain(|x| fitted.off(x).abs() <= limit);
         }
+        if kept.len() < LEAST_DISCS {
+            return None;
+        }
         let n = kept.len() as f64;
         let mean = kept.iter().map(|x| x.1).sum::<f64>() / n;
         let about_mean = kept.iter().map(|x| (x.1 - mean).powi(2)).sum::<f64>() / (n - 1.0);
-        let about_fit = kept.iter().map(|x| fitted.off(x).powi(2)).sum::<f64>() / (n - fitted.count as f64);
-        (kept.len() >= LEAST_DISCS && about_mean > TOLD * about_fit).then_some(fitted)
+        let fitted = fitted.of_likeliest_degree(&kept)?;
+        let about_fit = fitted.sum_of_squares(&kept) / (n - fitted.count as f64);
+        (about_mean > TOLD * about_fit).then_some(fitted)
     }
 
-    fn normal_equations(&self, levels: &[(Pixel, f64)]) -> (SMatrix<f64, N, N>, SVector<f64, N>) {
+    /// Of this degree or a lower one, by Akaike's criterion for few data: what a degree does not need only adds noise to the gradient.
+    fn of_likeliest_degree(&self, levels: &[(Pixel, f64)]) -> Option<Self> {
+        let (n, sums) = (levels.len() as f64, self.normal_equations(levels));
+        let mut likeliest: Option<(f64, Self)> = None;
+        for count in COUNTS.into_iter().filter(|count| *count <= self.count) {
+            let (mut lower, p) = (self.clone(), count as f64 + 1.0);
+            lower.count = count;
+            lower.solve(&sums)?;
+            let unlikely = n * lower.sum_of_squares(levels).ln() + 2.0 * p * n / (n - p - 1.0);
+            if likeliest.as_ref().is_none_or(|(least, _)| unlikely < *least) {
+                likeliest = Some((unlikely, lower));
+            }
+        }
+        likeliest.map(|x| x.1)
+    }
+
+    /// The first coefficients, as many as there are; those of the others stay zero.
+    fn solve(&mut self, (matrix, right): &Sums) -> Option<()> {
+        // Discs in a row, say, fix no polynomial; what they leave open is no gradient.
+        let ridge = 1e-9 * matrix.trace();
+        let mine = |i: usize| i < self.count;
+        let part = SMatrix::<f64, N, N>::from_fn(|i, j| if mine(i) && mine(j) { matrix[(i, j)] } else { 0.0 });
+        let side = SVector::<f64, N>::from_fn(|i, _| if mine(i) { right[i] } else { 0.0 });
+        self.coefficients = (part + SMatrix::identity() * ridge).cholesky()?.solve(&side);
+        Some(())
+    }
+
+    fn sum_of_squares(&self, levels: &[(Pixel, f64)]) -> f64 {
+        levels.iter().map(|x| self.off(x).powi(2)).sum()
+    }
+
+    fn normal_equations(&self, levels: &[(Pixel, f64)]) -> Sums {
         let (mut matrix, mut right) = ([[0.0; N]; N], [0.0; N]);
         for (p, level) in levels {
             let row = self.monomials(*p);
@@ -165,25 +217,83 @@ impl Polynomial {
     }
 }
 
+/// Mean level inside, and where, as far as blur does not reach.
+fn inside(view: &GrayView, c: &Candidate) -> Option<(Pixel, f64)> {
+    let e = &c.ellipse;
+    let axes = [e.semi_major_px, e.semi_minor_px].map(|x| (x - beyond_px(c)).max(CORE * x));
+    mean_between(view, e, axes, None).or_else(|| {
+        // So few pixels that the nearest ones have to do.
+        let part = Ellipse { semi_major_px: CORE * e.semi_major_px, semi_minor_px: CORE * e.semi_minor_px, ..*e };
+        Some((e.center_px, mean_on(view, &part)?))
+    })
+}
+
+/// Mean level beside the edge, beyond its blur, and where.
+fn ground(view: &GrayView, c: &Candidate) -> Option<(Pixel, f64)> {
+    let e = &c.ellipse;
+    let [inner, outer] =
+        [-0.5, 0.5].map(|d| [e.semi_major_px, e.semi_minor_px].map(|x| x + beyond_px(c) + d * RING_PX));
+    mean_between(view, e, outer, Some(inner))
+}
+
+/// How far from the edge blur no longer matters, px.
+fn beyond_px(c: &Candidate) -> f64 {
+    3.0 * c.blur_px + 1.5
+}
+
+/// Mean over the pixels between two ellipses about the centre of `e`, or within the outer one, and their own middle; semi-axes are `[major, minor]` in px. Of large
+/// ones over some rows. None where they do not lie in the image or are fewer than [`FEWEST_PIXELS`].
+fn mean_between(view: &GrayView, e: &Ellipse, outer: [f64; 2], inner: Option<[f64; 2]>) -> Option<(Pixel, f64)> {
+    let (frame, Pixel { u_px: u0, v_px: v0, .. }) = (Frame::new(e), e.center_px);
+    let half = (outer[0] * frame.sin).hypot(outer[1] * frame.cos);
+    let (first, last) = ((v0 - half).ceil(), (v0 + half).floor());
+    if first < 0.0 || last >= view.height() as f64 {
+        return None;
+    }
+    let step = ((last - first) as usize / MOST_ROWS).max(1);
+    let (mut count, mut sums) = (0.0, [0.0; 3]);
+    for v in (first as usize..=last.max(first) as usize).step_by(step) {
+        let dv = v as f64 - v0;
+        let Some((left, right)) = frame.row_span(dv, outer[0], outer[1]) else { continue };
+        let (left, right) = ((u0 + left).ceil(), (u0 + right).floor());
+        if left < 0.0 || right >= view.width() as f64 {
+            return None;
+        }
+        let hole = inner.and_then(|[a, b]| frame.row_span(dv, a, b));
+        let hole = hole.map(|(l, r)| ((u0 + l).ceil(), (u0 + r).floor()));
+        let parts = match hole {
+            Some((l, r)) if l <= r => [(left, l - 1.0), (r + 1.0, right)],
+            _ => [(left, right), (0.0, -1.0)],
+        };
+        for (from, to) in parts.into_iter().filter(|(from, to)| from <= to) {
+            let n = to - from + 1.0;
+            count += n;
+            sums[0] += n * 0.5 * (from + to);
+            sums[1] += n * v as f64;
+            sums[2] += sum_of_row(view, v, from as usize..to as usize + 1);
+        }
+    }
+    (count >= FEWEST_PIXELS).then(|| {
+        let [u, v, grey] = sums.map(|x| x / count);
+        (Pixel::new(u, v), grey)
+    })
+}
+
+/// Sum of grey levels of a part of a row.
+fn sum_of_row(view: &GrayView, v: usize, columns: Range<usize>) -> f64 {
+    let at = v * view.stride() + columns.start..v * view.stride() + columns.end;
+    match view.samples() {
+        Samples::U8(s) => f64::from(s[at].iter().map(|x| u32::from(*x)).sum::<u32>()),
+        Samples::U16(s) => s[at].iter().map(|x| u64::from(*x)).sum::<u64>() as f64,
+        Samples::F32(s) => s[at].iter().map(|x| f64::from(*x)).sum(),
+    }
+}
+
 /// Grey level at the nearest pixel; none outside the image.
 fn grey(view: &GrayView, p: Pixel) -> Option<f64> {
     let (u, v) = (p.u_px.round(), p.v_px.round());
     let within = u >= 0.0 && v >= 0.0 && u < view.width() as f64 && v < view.height() as f64;
     within.then(|| f64::from(view.get(u as usize, v as usize)))
-}
-
-/// Mean level around the centre; none where blur reaches it.
-fn inside(view: &GrayView, e: &Ellipse) -> Option<f64> {
-    let part = Ellipse { semi_major_px: 0.3 * e.semi_major_px, semi_minor_px: 0.3 * e.semi_minor_px, ..*e };
-    mean_on(view, &part)
-}
-
-/// Mean level beside the edge, beyond its blur.
-fn ground(view: &GrayView, c: &Candidate) -> Option<f64> {
-    let beyond = 3.0 * c.blur_px + 1.5;
-    let e = &c.ellipse;
-    let ring = Ellipse { semi_major_px: e.semi_major_px + beyond, semi_minor_px: e.semi_minor_px + beyond, ..*e };
-    mean_on(view, &ring)
 }
 
 /// Mean over an ellipse that lies in the image: opposite places, so that a slope leaves the level of the centre.
@@ -235,7 +345,7 @@ mod tests {
     fn nothing_is_expected_of_even_light_or_where_no_polynomial_follows_it() {
         assert!(Polynomial::fit(SIZE_PX, &levels(|_, _| 150.0)).is_none());
         assert!(Polynomial::fit(SIZE_PX, &levels(|u, v| 150.0 + 20.0 * (0.2 * u + 0.3 * v).sin())).is_none());
-        assert!(Polynomial::fit(SIZE_PX, &levels(|u, _| 150.0 + u)[..11]).is_none(), "too few");
+        assert!(Polynomial::fit(SIZE_PX, &levels(|u, _| 150.0 + u)[..8]).is_none(), "too few");
         let few = Polynomial::fit(SIZE_PX, &levels(|u, v| 150.0 + 0.3 * u - 0.2 * v)[..24]).expect("a plane");
         let [gu, gv] = few.gradient(Pixel::new(80.0, 60.0));
         assert!((gu - 0.3).abs() < 0.01 && (gv + 0.2).abs() < 0.05, "{gu} {gv}");
