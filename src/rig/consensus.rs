@@ -6,7 +6,9 @@
 //! origin, the shift that brings the target of a view to where the motion expects it is rounded to whole pitches. Choices
 //! that differ little are left to the cost of the common adjustment.
 
-use super::labels::{Extent, any_origin, changed, extent, image_at, is_pair, labellings, labels, size_of, slide};
+use super::labels::{
+    Extent, Size, any_origin, changed, extent, image_at, is_pair, labellings, labels, largest_of, sizes_of, slide,
+};
 use super::{Pose, RigProblem};
 use crate::bundle::TargetShape;
 use crate::detect::pattern::Relabelling;
@@ -41,7 +43,7 @@ pub(super) struct Vote {
     slides: Option<usize>,
     /// Labels of each image after the change, and the columns and rows that both together may span.
     extents: [Extent; 2],
-    size: [Option<usize>; 2],
+    size: Size,
     /// Middle of the dots seen, on the target, mm.
     middle: Vector3<f64>,
     /// Length of a shift that changes nothing, mm.
@@ -164,14 +166,16 @@ pub(super) fn votes(problem: &RigProblem, left: &Poses, right: &Poses, any: bool
         } else {
             None
         };
+        let sizes = if any { vec![] } else { sizes_of(problem, &[a, b]) };
         for changes in relations(problem, [a, b], any) {
+            let extents = [extent(problem, &ids, a, &changes[0]), extent(problem, &ids, b, &changes[1])];
             out.push(Vote {
                 view,
                 changes,
                 poses: [changed(problem, l, &changes[0]), changed(problem, r, &changes[1])],
                 slides,
-                extents: [extent(problem, &ids, a, &changes[0]), extent(problem, &ids, b, &changes[1])],
-                size: if any { [None; 2] } else { size_of(problem, &[a, b]) },
+                extents,
+                size: largest_of(&sizes, &extents),
                 middle: middle(problem, a, &changes[0], &l.1),
                 step_mm: f64::from(slide(problem)) * problem.open.step_pitches * l.1[0],
             });

@@ -109,10 +109,25 @@ pub(super) fn extent(problem: &RigProblem, ids: &[DotId], k: usize, change: &Rel
     Extent::of(problem.model.images[k].discs.iter().map(|d| change.apply(ids[d.disc])))
 }
 
-/// Columns and rows that labels of these images together may span: as stated, unless a quarter turn would exchange them.
-pub(super) fn size_of(problem: &RigProblem, images: &[usize]) -> [Option<usize>; 2] {
+/// Columns and rows of a target; none where they are not known.
+pub(super) type Size = [Option<usize>; 2];
+
+/// Columns and rows that labels of these images together may span: as stated, or exchanged where a quarter turn may have exchanged them.
+pub(super) fn sizes_of(problem: &RigProblem, images: &[usize]) -> Vec<Size> {
     let quarter = |k: &usize| labellings(problem, *k).iter().any(|a| a.quarter_turns % 2 == 1);
-    if images.iter().any(quarter) { [None; 2] } else { problem.open.size }
+    let [columns, rows] = problem.open.size;
+    let mut out = vec![[columns, rows]];
+    if columns != rows && images.iter().any(quarter) {
+        out.push([rows, columns]);
+    }
+    out
+}
+
+/// The larger of each way of those sizes into which each of these labels fits; any size where there is none.
+pub(super) fn largest_of(sizes: &[Size], extents: &[Extent]) -> Size {
+    let fitting = sizes.iter().filter(|size| extents.iter().all(|e| e.fits(**size)));
+    let larger = |a: Size, b: &Size| [0, 1].map(|i| a[i].zip(b[i]).map(|(a, b)| a.max(b)));
+    fitting.copied().reduce(|a, b| larger(a, &b)).unwrap_or([None; 2])
 }
 
 /// The image of `camera` in `view`.
@@ -248,5 +263,19 @@ mod tests {
         assert!(ids([0, 90], [0, 6]).fits([None, Some(7)]));
         let [low, high] = ids([0, 20], [0, 6]).fitting_shifts(ids([0, 20], [0, 6]), size, 0);
         assert!(low < -1000 && high > 1000, "what fits nowhere may be anywhere");
+    }
+    #[test]
+    fn an_image_that_shows_all_columns_tells_which_way_a_grid_lies() {
+        let sizes = [[Some(12), Some(11)], [Some(11), Some(12)]];
+        let [whole, square] = [ids([0, 11], [0, 10]), ids([0, 10], [0, 10])];
+        assert_eq!(largest_of(&sizes, &[whole, square]), sizes[0]);
+        assert_eq!(largest_of(&sizes, &[square, ids([3, 13], [0, 11])]), sizes[1]);
+        assert_eq!(largest_of(&sizes, &[square, square]), [Some(12), Some(12)]);
+        assert_eq!(
+            largest_of(&sizes, &[whole, ids([0, 10], [0, 11])]),
+            [None; 2],
+            "one way for one, the other for the other"
+        );
+        assert_eq!(largest_of(&[[None, Some(7)], [Some(7), None]], &[ids([0, 5], [0, 5])]), [None; 2]);
     }
 }

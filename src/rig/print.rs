@@ -16,7 +16,9 @@
 //! Turns and shifts of all views together are a gauge: of the views that leave fewest turns open the one with most dots keeps its labels.
 
 use super::RigProblem;
-use super::labels::{Extent, any_origin, extent, image_at, labellings, labels, relabel, size_of, slide, turned_target};
+use super::labels::{
+    Extent, Size, any_origin, extent, image_at, labellings, labels, relabel, sizes_of, slide, turned_target,
+};
 use super::mono::lightened;
 use crate::bundle::{AdjustOptions, Model, SolveOptions, State, adjust, residuals};
 use crate::camera::Camera;
@@ -82,10 +84,12 @@ fn fitting(
 ) -> impl Fn(&Relabelling) -> bool + use<> {
     let images: Vec<usize> = (0..2).filter_map(|c| image_at(problem, c, v)).collect();
     let known = Extent::of(known.keys().copied());
-    let stated = size_of(problem, &images);
-    let size = if known.fits(stated) { stated } else { [None; 2] };
+    let sizes: Vec<Size> = sizes_of(problem, &images).into_iter().filter(|size| known.fits(*size)).collect();
     let own: Vec<DotId> = off.keys().copied().collect();
-    move |change| Extent::of(own.iter().map(|id| change.apply(*id))).with(known).fits(size)
+    move |change| {
+        let both = Extent::of(own.iter().map(|id| change.apply(*id))).with(known);
+        sizes.is_empty() || sizes.iter().any(|size| both.fits(*size))
+    }
 }
 
 fn is_open(problem: &RigProblem, k: usize) -> bool {
