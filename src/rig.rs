@@ -29,6 +29,7 @@ mod joint;
 mod labels;
 mod mono;
 mod off_plane;
+mod pitches;
 mod print;
 mod sides;
 mod starts;

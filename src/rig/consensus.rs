@@ -60,24 +60,46 @@ impl Vote {
         Motion::new(m.rotation, m.translation_mm)
     }
 
+    /// Whether labels of one of the images may be shifted.
+    pub(super) fn may_slide(&self) -> bool {
+        self.slides.is_some()
+    }
+
     /// Disagreement with a motion, rad; labels that may slide are slid to agree best.
     fn against(&self, problem: &RigProblem, motion: &Motion<Cam, Rig>) -> (Self, f64) {
-        let own = self.motion();
-        let turn = angle(&own.rotation, &motion.rotation);
-        let Some(camera) = self.slides.filter(|_| turn < 2.0 * CONSENSUS_RAD) else {
-            let t = [own.translation_mm.normalize(), motion.translation_mm.normalize()];
-            return (*self, turn + 0.3 * t[0].angle(&t[1]));
-        };
+        let (turn, miss) = self.apart(motion);
+        match miss {
+            Some(miss) if turn < 2.0 * CONSENSUS_RAD => {
+                let slid = self.slid(problem, self.nearest(problem, [miss.x, miss.y]));
+                (slid, slid.gap(motion))
+            }
+            _ => (*self, self.gap(motion)),
+        }
+    }
+
+    /// Disagreement with a motion, labels as they are, rad.
+    fn gap(&self, motion: &Motion<Cam, Rig>) -> f64 {
+        let (turn, miss) = self.apart(motion);
+        match miss {
+            Some(miss) if turn < 2.0 * CONSENSUS_RAD => turn + PITCH_RAD * miss.norm(),
+            _ => turn + 0.3 * self.motion().translation_mm.angle(&motion.translation_mm),
+        }
+    }
+
+    /// Angle to a motion, rad, and, where labels may slide, by how many shifts the target misses the place where the motion expects it.
+    fn apart(&self, motion: &Motion<Cam, Rig>) -> (f64, Option<Vector3<f64>>) {
+        let turn = angle(&self.motion().rotation, &motion.rotation);
         let [l, r] = [&self.poses[0].0, &self.poses[1].0];
-        let expected = motion.apply(&l.apply(&self.middle));
-        let miss = if camera == 1 {
-            r.rotation.transpose() * (r.apply(&self.middle) - expected)
-        } else {
-            l.rotation.transpose() * motion.rotation.transpose() * (expected - r.apply(&self.middle))
-        } / self.step_mm;
-        let [i, j] = self.nearest(problem, [miss.x, miss.y]);
-        let left = miss - Vector3::new(f64::from(i), f64::from(j), 0.0);
-        (self.slid(problem, [i, j]), turn + PITCH_RAD * left.norm())
+        let miss = |camera: usize| {
+            let expected = motion.apply(&l.apply(&self.middle));
+            let off = if camera == 1 {
+                r.rotation.transpose() * (r.apply(&self.middle) - expected)
+            } else {
+                l.rotation.transpose() * motion.rotation.transpose() * (expected - r.apply(&self.middle))
+            };
+            off / self.step_mm
+        };
+        (turn, self.slides.map(miss))
     }
 
     /// The shift nearest to the one wished after which both images' labels fit into the target.
@@ -208,6 +230,23 @@ impl Choice {
         Self { center: *center, best, cost }
     }
 
+    /// The same with one view's labels shifted by one each way, as far as they fit, for every view whose labels may be.
+    pub(super) fn shifted_by_one(&self, problem: &RigProblem) -> Vec<Self> {
+        let motion = self.center.motion();
+        let mut out = vec![];
+        for (vote, _) in self.best.iter().flatten().filter(|(v, _)| v.may_slide()) {
+            for by in (-1..=1).flat_map(|i| [-1, 0, 1].map(|j| [i, j])).filter(|by| *by != [0, 0]) {
+                let slid = vote.slid(problem, by);
+                if slid.fits() {
+                    let mut other = self.clone();
+                    other.best[vote.view] = Some((slid, slid.gap(&motion)));
+                    out.push(other);
+                }
+            }
+        }
+        out
+    }
+
     /// How many views both cameras have.
     pub(super) fn common(&self) -> usize {
         self.best.iter().flatten().count()
@@ -256,9 +295,9 @@ pub(super) fn choices(problem: &RigProblem, votes: &[Vote]) -> Vec<Choice> {
     let common = around.first().map_or(0, |c| c.best.iter().flatten().count());
     let rival_rad = RIVAL_RAD * common.min(3) as f64;
     let mut out = distinct(around, rival_rad);
-    if out.iter().any(|c| c.center.slides.is_some()) {
+    if out.iter().any(|c| c.center.may_slide()) {
         let mut slid = out.clone();
-        for c in out.iter().filter(|c| c.center.slides.is_some()) {
+        for c in out.iter().filter(|c| c.center.may_slide()) {
             for i in -MOST_SHIFT..=MOST_SHIFT {
                 for j in -MOST_SHIFT..=MOST_SHIFT {
                     let center = c.center.slid(problem, [i, j]);

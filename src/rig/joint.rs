@@ -7,6 +7,7 @@ use super::contradiction::{
 use super::labels::{changed, image_at, is_pair, labels, order_pairs, relabel};
 use super::mono::{calibrate_camera, thinned_model};
 use super::off_plane::views_off_plane;
+use super::pitches::shifted;
 use super::print::labels_by_print;
 use super::sides::{Side, Way, cheapest_side, side, ways};
 use super::starts::{best_start, joint_start};
@@ -205,16 +206,22 @@ fn start_of(problem: &RigProblem, ways: &[Way], context: &Context<'_>, undecided
         starts.push((labelled, agreed, state));
     }
     let best = if starts.len() > 1 { cheapest(&starts, undecided, told) } else { 0 };
-    let Some((labelled, agreed, state)) = (!starts.is_empty()).then(|| starts.swap_remove(best)) else {
+    let Some((mut labelled, mut views_agree, mut state)) = (!starts.is_empty()).then(|| starts.swap_remove(best))
+    else {
         return Err(Insufficient::Degenerate(
             "no view was seen by both cameras; at least one view needs an image of each camera".into(),
         )
         .into());
     };
-    if agreed.outside.is_empty() {
+    let mut way = ways[best].clone();
+    if let Some(better) = shifted(problem, &way, context) {
+        (labelled, views_agree) = agreed(problem, &better.monos, &better.choice);
+        state = pair_start(&labelled, &better.monos, &views_agree)?;
+        way = better;
+    }
+    if views_agree.outside.is_empty() {
         return Ok(Common::Start(Box::new((labelled, state))));
     }
-    let way = ways[best].clone();
     // A weak pose of one camera alone is no contradiction: let the common adjustment decide, quickly first.
     let limit_px = contradicts_px(&way.monos);
     let fits = |model: &Model, state: State| {
@@ -224,10 +231,10 @@ fn start_of(problem: &RigProblem, ways: &[Way], context: &Context<'_>, undecided
     let light = fits(&thinned_model(&labelled.model), State { offsets_mm: vec![], ..state.clone() });
     Ok(match light.and_then(|_| fits(&labelled.model, state)) {
         Some((state, rms_px)) if rms_px > DOUBT * worst_px(&way.monos) => {
-            Common::Doubtful(Box::new((labelled, state, way)), agreed.outside)
+            Common::Doubtful(Box::new((labelled, state, way)), views_agree.outside)
         }
         Some((state, _)) => Common::Start(Box::new((labelled, state))),
-        None => Common::Apart(Box::new(way), agreed.outside),
+        None => Common::Apart(Box::new(way), views_agree.outside),
     })
 }
 
