@@ -10,7 +10,8 @@
 //!
 //! on either side, and its gradient is what the fit of a single disc expects. The degree is the likeliest one (Akaike's criterion with the correction of
 //! Hurvich and Tsai, Biometrika 76 (1989), for few data). What the polynomial is wrong by makes all centres of the image wrong alike, which no covariance
-//! of a disc tells: so levels are means over every pixel that blur does not reach, not over a few.
+//! of a disc tells: so levels are means over every pixel inside that blur does not reach, and all
+//! along a line around the disc.
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
@@ -39,14 +40,12 @@ const ROUNDS: usize = 4;
 const CLIP: f64 = 4.0;
 /// The part of the semi-axes up to which a disc is looked at however large its blur.
 const CORE: f64 = 0.3;
-/// Width of the ring around a disc in which the ground is looked at, px.
-const RING_PX: f64 = 1.0;
 /// Fewest pixels of a mean, and rows of it at most (twice as many, at the least).
 const FEWEST_PIXELS: f64 = 12.0;
 const MOST_ROWS: usize = 48;
-/// Directions in which levels of the smallest discs are looked at: every 30 degrees, opposite ones in pairs.
-const DIRECTIONS: [[f64; 2]; 6] = [[1.0, 0.0], [ROOT, 0.5], [0.5, ROOT], [0.0, 1.0], [-0.5, ROOT], [-ROOT, 0.5]];
-const ROOT: f64 = 0.866_025_403_784_438_6;
+/// Places of a mean on an ellipse, at least and at most.
+const FEWEST_PLACES: usize = 12;
+const MOST_PLACES: usize = 128;
 /// Coefficients up to the first, second and third degree.
 const COUNTS: [usize; 3] = [3, 6, N];
 const N: usize = 10;
@@ -220,20 +219,20 @@ impl Polynomial {
 /// Mean level inside, and where, as far as blur does not reach.
 fn inside(view: &GrayView, c: &Candidate) -> Option<(Pixel, f64)> {
     let e = &c.ellipse;
-    let axes = [e.semi_major_px, e.semi_minor_px].map(|x| (x - beyond_px(c)).max(CORE * x));
-    mean_between(view, e, axes, None).or_else(|| {
+    let part = |axes: [f64; 2]| Ellipse { semi_major_px: axes[0], semi_minor_px: axes[1], ..*e };
+    let axes = [e.semi_major_px, e.semi_minor_px];
+    mean_within(view, &part(axes.map(|x| (x - beyond_px(c)).max(CORE * x)))).or_else(|| {
         // So few pixels that the nearest ones have to do.
-        let part = Ellipse { semi_major_px: CORE * e.semi_major_px, semi_minor_px: CORE * e.semi_minor_px, ..*e };
-        Some((e.center_px, mean_on(view, &part)?))
+        Some((e.center_px, mean_on(view, &part(axes.map(|x| CORE * x)))?))
     })
 }
 
 /// Mean level beside the edge, beyond its blur, and where.
 fn ground(view: &GrayView, c: &Candidate) -> Option<(Pixel, f64)> {
-    let e = &c.ellipse;
-    let [inner, outer] =
-        [-0.5, 0.5].map(|d| [e.semi_major_px, e.semi_minor_px].map(|x| x + beyond_px(c) + d * RING_PX));
-    mean_between(view, e, outer, Some(inner))
+    let mut around = c.ellipse;
+    around.semi_major_px += beyond_px(c);
+    around.semi_minor_px += beyond_px(c);
+    Some((around.center_px, mean_on(view, &around)?))
 }
 
 /// How far from the edge blur no longer matters, px.
@@ -241,11 +240,10 @@ fn beyond_px(c: &Candidate) -> f64 {
     3.0 * c.blur_px + 1.5
 }
 
-/// Mean over the pixels between two ellipses about the centre of `e`, or within the outer one, and their own middle; semi-axes are `[major, minor]` in px. Of large
-/// ones over some rows. None where they do not lie in the image or are fewer than [`FEWEST_PIXELS`].
-fn mean_between(view: &GrayView, e: &Ellipse, outer: [f64; 2], inner: Option<[f64; 2]>) -> Option<(Pixel, f64)> {
+/// Mean over the pixels within an ellipse that lies in the image, of a large one over some rows, and their own middle. None of fewer than [`FEWEST_PIXELS`].
+fn mean_within(view: &GrayView, e: &Ellipse) -> Option<(Pixel, f64)> {
     let (frame, Pixel { u_px: u0, v_px: v0, .. }) = (Frame::new(e), e.center_px);
-    let half = (outer[0] * frame.sin).hypot(outer[1] * frame.cos);
+    let half = (e.semi_major_px * frame.sin).hypot(e.semi_minor_px * frame.cos);
     let (first, last) = ((v0 - half).ceil(), (v0 + half).floor());
     if first < 0.0 || last >= view.height() as f64 {
         return None;
@@ -253,24 +251,17 @@ fn mean_between(view: &GrayView, e: &Ellipse, outer: [f64; 2], inner: Option<[f6
     let step = ((last - first) as usize / MOST_ROWS).max(1);
     let (mut count, mut sums) = (0.0, [0.0; 3]);
     for v in (first as usize..=last.max(first) as usize).step_by(step) {
-        let dv = v as f64 - v0;
-        let Some((left, right)) = frame.row_span(dv, outer[0], outer[1]) else { continue };
+        let Some((left, right)) = frame.row_span(v as f64 - v0, e.semi_major_px, e.semi_minor_px) else { continue };
         let (left, right) = ((u0 + left).ceil(), (u0 + right).floor());
         if left < 0.0 || right >= view.width() as f64 {
             return None;
         }
-        let hole = inner.and_then(|[a, b]| frame.row_span(dv, a, b));
-        let hole = hole.map(|(l, r)| ((u0 + l).ceil(), (u0 + r).floor()));
-        let parts = match hole {
-            Some((l, r)) if l <= r => [(left, l - 1.0), (r + 1.0, right)],
-            _ => [(left, right), (0.0, -1.0)],
-        };
-        for (from, to) in parts.into_iter().filter(|(from, to)| from <= to) {
-            let n = to - from + 1.0;
+        if left <= right {
+            let n = right - left + 1.0;
             count += n;
-            sums[0] += n * 0.5 * (from + to);
+            sums[0] += n * 0.5 * (left + right);
             sums[1] += n * v as f64;
-            sums[2] += sum_of_row(view, v, from as usize..to as usize + 1);
+            sums[2] += sum_of_row(view, v, left as usize..right as usize + 1);
         }
     }
     (count >= FEWEST_PIXELS).then(|| {
@@ -296,18 +287,21 @@ fn grey(view: &GrayView, p: Pixel) -> Option<f64> {
     within.then(|| f64::from(view.get(u as usize, v as usize)))
 }
 
-/// Mean over an ellipse that lies in the image: opposite places, so that a slope leaves the level of the centre.
+/// Mean at places on an ellipse that lies in the image, one in a pixel: opposite ones, so that a slope leaves the level of the centre.
 fn mean_on(view: &GrayView, e: &Ellipse) -> Option<f64> {
+    let places = (e.perimeter_px() as usize).clamp(FEWEST_PLACES, MOST_PLACES).div_ceil(2);
     let (sin, cos) = e.angle_rad.sin_cos();
-    let mut sum = 0.0;
-    for [x, y] in DIRECTIONS {
+    let (turn_sin, turn_cos) = (std::f64::consts::PI / places as f64).sin_cos();
+    let ([mut x, mut y], mut sum) = ([1.0, 0.0], 0.0);
+    for _ in 0..places {
         let (p, q) = (x * e.semi_major_px, y * e.semi_minor_px);
         let (du, dv) = (cos * p - sin * q, sin * p + cos * q);
         for sign in [1.0, -1.0] {
             sum += grey(view, Pixel::new(e.center_px.u_px + sign * du, e.center_px.v_px + sign * dv))?;
         }
+        (x, y) = (turn_cos * x - turn_sin * y, turn_sin * x + turn_cos * y);
     }
-    Some(sum / (2 * DIRECTIONS.len()) as f64)
+    Some(sum / (2 * places) as f64)
 }
 
 #[cfg(test)]
