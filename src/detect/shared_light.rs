@@ -10,8 +10,7 @@
 //!
 //! on either side, and its gradient is what the fit of a single disc expects. The degree is the likeliest one (Akaike's criterion with the correction of
 //! Hurvich and Tsai, Biometrika 76 (1989), for few data). What the polynomial is wrong by makes all centres of the image wrong alike, which no covariance
-//! of a disc tells: so levels are means over every pixel inside that blur does not reach, and all
-//! along a line around the disc.
+//! of a disc tells: so levels are means over every pixel inside that blur does not reach, and all along a line around the disc.
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
@@ -54,7 +53,6 @@ const N: usize = 10;
 #[derive(Debug, Default)]
 pub(crate) struct SharedLight {
     bright: bool,
-    discs: usize,
     /// Inside and outside, where they vary.
     sides: [Option<Polynomial>; 2],
 }
@@ -66,6 +64,8 @@ type Sums = (SMatrix<f64, N, N>, SVector<f64, N>);
 struct Polynomial {
     /// How many coefficients there are; the others are zero.
     count: usize,
+    /// Whether there are discs enough for more than a plane.
+    bends: bool,
     coefficients: SVector<f64, N>,
     centre: Pixel,
     scale_px: f64,
@@ -84,15 +84,14 @@ impl SharedLight {
             let told = alike.iter().filter_map(|c| level(c));
             Polynomial::fit([view.width() as f64, view.height() as f64], &told.collect::<Vec<_>>())
         };
-        Self { bright, discs: alike.len(), sides: [fit(&|c| inside(view, c)), fit(&|c| ground(view, c))] }
+        Self { bright, sides: [fit(&|c| inside(view, c)), fit(&|c| ground(view, c))] }
     }
 
     /// Gradients inside and outside that a disc may expect, grey/px along u and v.
     pub(crate) fn slopes(&self, disc: &Candidate) -> [[f64; 2]; 2] {
-        let only_plane = self.discs < PER_COEFFICIENT * COUNTS[1];
-        let tells_more = only_plane && disc.ellipse.perimeter_px() > BY_PLANE_PX;
+        let long = disc.ellipse.perimeter_px() > BY_PLANE_PX;
         let at = |p: &Option<Polynomial>| match p {
-            Some(p) if disc.bright == self.bright && !tells_more => p.gradient(disc.ellipse.center_px),
+            Some(p) if disc.bright == self.bright && (p.bends || !long) => p.gradient(disc.ellipse.center_px),
             _ => [0.0; 2],
         };
         [at(&self.sides[0]), at(&self.sides[1])]
@@ -105,11 +104,17 @@ pub(crate) fn in_axes(e: &Ellipse, slopes: [[f64; 2]; 2]) -> [[f64; 2]; 2] {
     slopes.map(|[gu, gv]| [e.semi_major_px * (cos * gu + sin * gv), e.semi_minor_px * (cos * gv - sin * gu)])
 }
 
+/// Coefficients up to each degree that so many discs tell.
+fn counts(discs: usize) -> impl Iterator<Item = usize> {
+    COUNTS.into_iter().filter(move |count| PER_COEFFICIENT * count <= discs)
+}
+
 impl Polynomial {
     /// Robustly; none where the levels do not follow it, or vary no more than by chance.
     fn fit([width, height]: [f64; 2], levels: &[(Pixel, f64)]) -> Option<Self> {
         let mut fitted = Self {
             count: COUNTS[0],
+            bends: false,
             coefficients: SVector::zeros(),
             centre: Pixel::new(0.5 * width, 0.5 * height),
             scale_px: 0.5 * width.max(height),
@@ -120,7 +125,7 @@ impl Polynomial {
             if kept.len() < LEAST_DISCS {
                 return None;
             }
-            fitted.count = *COUNTS.iter().rfind(|count| PER_COEFFICIENT * **count <= kept.len())?;
+            fitted.count = counts(kept.len()).last()?;
             // Nothing left out, nothing to sum up anew.
             let sums = match summed {
                 Some((count, of, sums)) if (count, of) == (fitted.count, kept.len()) => sums,
@@ -144,13 +149,13 @@ impl Polynomial {
         (about_mean > TOLD * about_fit).then_some(fitted)
     }
 
-    /// Of this degree or a lower one, by Akaike's criterion for few data: what a degree does not need only adds noise to the gradient.
+    /// Of the degree that is likeliest, of those that so many discs tell, by Akaike's criterion for few data: what a degree does not need only adds noise to the gradient.
     fn of_likeliest_degree(&self, levels: &[(Pixel, f64)]) -> Option<Self> {
         let (n, sums) = (levels.len() as f64, self.normal_equations(levels));
         let mut likeliest: Option<(f64, Self)> = None;
-        for count in COUNTS.into_iter().filter(|count| *count <= self.count) {
+        for count in counts(levels.len()) {
             let (mut lower, p) = (self.clone(), count as f64 + 1.0);
-            lower.count = count;
+            (lower.count, lower.bends) = (count, counts(levels.len()).nth(1).is_some());
             lower.solve(&sums)?;
             let unlikely = n * lower.sum_of_squares(levels).ln() + 2.0 * p * n / (n - p - 1.0);
             if likeliest.as_ref().is_none_or(|(least, _)| unlikely < *least) {
@@ -343,5 +348,17 @@ mod tests {
         let few = Polynomial::fit(SIZE_PX, &levels(|u, v| 150.0 + 0.3 * u - 0.2 * v)[..24]).expect("a plane");
         let [gu, gv] = few.gradient(Pixel::new(80.0, 60.0));
         assert!((gu - 0.3).abs() < 0.01 && (gv + 0.2).abs() < 0.05, "{gu} {gv}");
+    }
+
+    /// The third degree asks for 20 levels; of 14 it is not told, even where the rounds began with it.
+    #[test]
+    fn what_is_left_out_tells_no_degree() {
+        let all = levels(|u, v| 150.0 + 0.3 * u - 0.2 * v);
+        let some: Vec<_> = all.into_iter().enumerate().filter(|(k, _)| k % 10 != 4).map(|x| x.1).collect();
+        assert!(counts(20).eq(COUNTS) && counts(14).eq([3, 6]) && counts(9).eq([3]));
+        let fitted = Polynomial::fit(SIZE_PX, &some[..14]).expect("a plane");
+        let of_all = Polynomial { count: N, ..fitted.clone() }.of_likeliest_degree(&some[..14]).expect("a plane");
+        assert_eq!((fitted.count, of_all.count, of_all.bends), (3, 3, true));
+        assert!(!Polynomial::fit(SIZE_PX, &some[..9]).expect("a plane").bends);
     }
 }

@@ -264,6 +264,7 @@ mod tests {
         let [low, high] = ids([0, 20], [0, 6]).fitting_shifts(ids([0, 20], [0, 6]), size, 0);
         assert!(low < -1000 && high > 1000, "what fits nowhere may be anywhere");
     }
+
     #[test]
     fn an_image_that_shows_all_columns_tells_which_way_a_grid_lies() {
         let sizes = [[Some(12), Some(11)], [Some(11), Some(12)]];
