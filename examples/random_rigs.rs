@@ -47,8 +47,8 @@ fn summary(kind: &str, all: &[(u64, Result<Outcome, String>)]) {
     let z = || told.iter().flat_map(|o| o.z.iter().copied());
     let beyond = |limit: f64| z().filter(|z| z.abs() > limit).count();
     println!(
-        "{kind}: {} rigs, {} refused; rms error in standard deviations {:.2}, {} of {} numbers beyond 2, {} beyond 3, largest {:.1}; {} \
-         with an alarm",
+        "{kind}: {} rigs, {} refused; rms error in standard deviations {:.2}, {} of {} numbers beyond 2, {} beyond 3, largest {:.1}; {} beyond \
+         1.96, {} outside their intervals of 95 %; {} with an alarm",
         all.len(),
         all.len() - told.len(),
         rms(z()),
@@ -56,6 +56,8 @@ fn summary(kind: &str, all: &[(u64, Result<Outcome, String>)]) {
         z().count(),
         beyond(3.0),
         z().fold(0.0, |most: f64, z| most.max(z.abs())),
+        beyond(1.96),
+        told.iter().map(|o| o.outside).sum::<usize>(),
         told.iter().filter(|o| !o.alarms.is_empty()).count()
     );
     for (seed, outcome) in all {

@@ -57,6 +57,7 @@ mod outline;
 mod part;
 mod points;
 mod posterior;
+mod reach;
 mod refit;
 mod residuals;
 mod retraction;
@@ -81,6 +82,7 @@ pub use model::{
 };
 pub(crate) use posterior::{MOSTLY_PRIOR, ONLY_PRIOR, intrinsic_words, layer_words};
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
+pub use reach::{Numbers, Reach};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};
 pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
 pub use state::{State, ViewState};

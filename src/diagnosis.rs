@@ -7,6 +7,7 @@
 //! | model tests | is a lens term lacking? is the plate bent, are its dots displaced? | [`crate::bundle::extension_tests`] |
 //! | views | what does each view contribute, does it agree with the others, and which one does not? | [`crate::bundle::ViewsLeftOut`], and an adjustment without it |
 //! | spread | do the views scatter as their noise says? what standard deviations do they tell? | the same changes, all together |
+//! | reach | how far may a number be where equations bend? | [`crate::bundle::Reach`] |
 //! | probes | and of what is felt in the sheet? | functions at a few points of it, without each view |
 //! | mapping | what do errors of the calibration do to u, v, w and to dewarped images? | [`crate::sheet::SheetUncertainty`] |
 //!
@@ -21,6 +22,7 @@ mod model_tests;
 mod outliers;
 mod priors;
 mod probes;
+mod reach;
 mod spread;
 mod views;
 mod weak;
@@ -30,7 +32,7 @@ pub use mapping::mapping_of_record;
 use crate::bundle::{AdjustOptions, Adjustment, Iteration, NamedCovariance};
 use crate::error::{Result, Unusable};
 use crate::frames::{Rig, Sheet};
-use crate::record::{Diagnosis, KeyQuantity, MappingUncertainty, NearNull};
+use crate::record::{Diagnosis, Interval, KeyQuantity, MappingUncertainty, NearNull};
 use crate::rigid::Motion;
 use crate::target::DotId;
 use crate::threads;
@@ -117,6 +119,7 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
     let names: Vec<&str> = a.model.cameras.iter().map(|c| c.name.as_str()).collect();
     watch.check()?;
     let keys = Keys::of(s.covariance, &names);
+    let sigmas = s.covariance.sigmas(&keys.rows);
     let mut out = Findings { near_null: weak::near_null(s.covariance, &names, &keys), ..Findings::default() };
     out.diagnosis.priors = priors::priors(s, &mut out.flags);
     watch.check()?;
@@ -131,13 +134,14 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
         let (mut of_tests, mut of_mapping) = (vec![], vec![]);
         let tests = model_tests::model_tests(s, &keys, &mut of_tests);
         watch.check()?;
+        let intervals = reach::intervals(a, &keys, &sigmas, &watch)?;
         let mapping =
             sheet.as_ref().and_then(|sheet| mapping::mapping_uncertainty(s.covariance, sheet, &mut of_mapping));
-        Ok((tests, of_tests, mapping, of_mapping))
+        Ok((tests, of_tests, mapping, of_mapping, intervals))
     };
     let (views, others) = threads::both(views, others);
-    let ((views, of_views), (tests, of_tests, mapping, of_mapping)) = (views?, others?);
-    out.diagnosis.key_quantities = quantities(s.covariance, &keys, &views.spreads);
+    let ((views, of_views), (tests, of_tests, mapping, of_mapping, intervals)) = (views?, others?);
+    out.diagnosis.key_quantities = quantities(&keys, &sigmas, &views.spreads, &intervals);
     (out.diagnosis.model_tests, out.diagnosis.views) = (tests, views.influences);
     out.mapping = mapping.map(|m| MappingUncertainty { by_views: views.felt, ..m });
     out.diagnosis.outliers = outliers::outliers(s, !of_tests.is_empty());
@@ -145,13 +149,18 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
     Ok(out)
 }
 
-fn quantities(covariance: &NamedCovariance, keys: &Keys, spreads: &[Option<Spread>]) -> Vec<KeyQuantity> {
-    let sigmas = covariance.sigmas(&keys.rows);
+fn quantities(
+    keys: &Keys,
+    sigmas: &[f64],
+    spreads: &[Option<Spread>],
+    intervals: &[Option<Interval>],
+) -> Vec<KeyQuantity> {
     let quantity = |(k, key): (usize, &keys::Key)| KeyQuantity {
         name: key.name.clone(),
         unit: key.unit.into(),
         value: key.value,
         sigma: sigmas[k],
+        interval_95: intervals.get(k).copied().flatten(),
         sigma_by_views: spreads.get(k).copied().flatten().map_or(f64::NAN, |s| s.factor * sigmas[k]),
     };
     keys.list.iter().enumerate().map(quantity).collect()

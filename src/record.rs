@@ -27,7 +27,7 @@ mod sigma;
 
 pub(crate) use diagnosis::SHEET_QUANTITIES;
 pub use diagnosis::{
-    Diagnosis, EXACT, KeyQuantity, MappingByViews, MappingMap, MappingSigma, MappingUncertainty, ModelTest,
+    Diagnosis, EXACT, Interval, KeyQuantity, MappingByViews, MappingMap, MappingSigma, MappingUncertainty, ModelTest,
     OutlierReason, Prior, ViewInfluence,
 };
 pub use geometry::PlacedCamera;

@@ -225,7 +225,7 @@ fn what_the_views_tell_is_told_and_long_lists_say_that_they_go_on() {
     let mut record = scene::record();
     let key = |name: &str, unit: &str, sigma_by_views: f64| {
         let (name, unit) = (name.into(), unit.into());
-        KeyQuantity { name, unit, value: 1474.31, sigma: 0.085, sigma_by_views }
+        KeyQuantity { name, unit, value: 1474.31, sigma: 0.085, interval_95: None, sigma_by_views }
     };
     let aside = |row: i32| OutlierReason {
         view: 3,
@@ -250,6 +250,32 @@ fn what_the_views_tell_is_told_and_long_lists_say_that_they_go_on() {
         assert!(!text.contains("effective principal point"), "{text}");
         assert!(text.contains("disc 9, 39, 0: 0.5 px") && !text.contains("disc 9, 40, 0"), "{text}");
         assert!(text.contains("nd 3 more: all are in calibration.json"), "{text}");
+    }
+}
+
+/// Numbers whose intervals are others than their standard deviations tell have a row, with what holds them.
+#[test]
+fn where_equations_bend_intervals_are_told() {
+    let mut record = scene::record();
+    let key = |name: &str, unit: &str, interval_95| {
+        let (name, unit) = (name.into(), unit.into());
+        KeyQuantity { name, unit, value: 530.26, sigma: 3.02, interval_95, sigma_by_views: f64::NAN }
+    };
+    record.fit.diagnosis = Some(Diagnosis {
+        key_quantities: vec![
+            key("principal point cx", "px", Some([Some(511.04), Some(536.18)])),
+            key("angle between the lens axes", "deg", Some([Some(524.4), None])),
+            key("focal length", "px", Some([Some(524.33), Some(536.18)])),
+            key("distance of the sheet", "mm", None),
+        ],
+        ..Diagnosis::default()
+    });
+    let html = report::write_html(&record, &[], &ResidualTable::default()).unwrap();
+    for text in [words(&parse(&html)), report::text(&record).split_whitespace().collect::<Vec<_>>().join(" ")] {
+        assert!(text.contains("principal point cx (530.3 ± 3.0) px 524.3 to 536.2 511.0 to 536.2"), "{text}");
+        assert!(text.contains("axes 530.3° ± 3.0° 524.3 to 536.2 524.4 to no end found"), "{text}");
+        let section = text.split("does not tell how far").nth(1).unwrap();
+        assert!(!section.contains("focal length (530.3") && !section.contains("sheet (530.3"), "{text}");
     }
 }
 

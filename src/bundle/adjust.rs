@@ -128,6 +128,14 @@ impl<'a> Bundle<'a> {
         Some(e)
     }
 
+    /// Adds a row of what all views share to equations, with its cost.
+    pub(super) fn add_row(&self, e: &mut NormalEquations, row: &facts::Row) {
+        match &self.by {
+            Some(by) => by.add_row(e, row),
+            None => facts::add(e, row),
+        }
+    }
+
     /// Equations with one block per view.
     fn by_view(&self, equations: NormalEquations) -> NormalEquations {
         match &self.by {

@@ -223,11 +223,14 @@ pub(super) fn cost(model: &Model, places: &Places, state: &State) -> Option<f64>
 
 /// Adds all facts to the normal equations.
 pub(super) fn linearise(model: &Model, places: &Places, state: &State, e: &mut NormalEquations) -> Option<()> {
-    for (_, row) in rows(model, places, state)? {
-        add_row(e, row.view, &row.slots, row.residual);
-        e.cost += 0.5 * row.residual * row.residual;
-    }
+    rows(model, places, state)?.iter().for_each(|(_, row)| add(e, row));
     Some(())
+}
+
+/// Adds one row to equations with one block per view.
+pub(super) fn add(e: &mut NormalEquations, row: &Row) {
+    add_row(e, row.view, &row.slots, row.residual);
+    e.cost += 0.5 * row.residual * row.residual;
 }
 
 /// The same with one block per disc.

@@ -24,14 +24,17 @@ fn observed(image: &ImageObservations) -> usize {
 
 /// The model with a part of its observations; `None` where all of them are few, or where tangents are among them.
 pub(super) fn part(model: &Model) -> Option<Model> {
+    let out = thinned_model(model)?;
+    let sum = |model: &Model| model.images.iter().map(observed).sum::<usize>();
+    (sum(&out) as f64 <= WORTH * sum(model) as f64).then_some(out)
+}
+
+/// The model with no more than some hundred observations of each image; `None` where tangents are among them.
+pub(super) fn thinned_model(model: &Model) -> Option<Model> {
     if model.images.iter().any(|i| !i.pairs.is_empty()) {
         return None;
     }
-    let images: Vec<ImageObservations> = model.images.iter().map(thinned).collect();
-    let sum = |images: &[ImageObservations]| images.iter().map(observed).sum::<usize>();
-    if sum(&images) as f64 > WORTH * sum(&model.images) as f64 {
-        return None;
-    }
+    let images = model.images.iter().map(thinned).collect();
     let Model { cameras, target, views, facts, loss, .. } = model;
     let (cameras, mut target, views) = (cameras.clone(), target.clone(), views.clone());
     // Discs stay where the start has them: few of them are seen, and views are eliminated sooner than discs.

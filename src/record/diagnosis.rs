@@ -2,6 +2,7 @@
 
 use super::number::{maybe, maybe_array, maybe_list, maybe_rows};
 use super::schema::Record;
+use crate::stats::NORMAL_95;
 use serde::{Deserialize, Serialize};
 
 /// Tests of a calibration against its own assumptions.
@@ -39,6 +40,9 @@ impl Record {
     }
 }
 
+/// Lower and upper end; none for an end that was not found.
+pub type Interval = [Option<f64>; 2];
+
 /// A number that a user relies on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct KeyQuantity {
@@ -52,10 +56,24 @@ pub struct KeyQuantity {
     /// Its standard deviation.
     #[serde(with = "maybe")]
     pub sigma: f64,
+    /// What holds the number 95 times in 100: 1.96 standard deviations either way, or by the profile of the likelihood where equations bend within the standard
+    /// deviations. Unknown where the number is not determined.
+    #[serde(default)]
+    pub interval_95: Option<Interval>,
     /// The standard deviation that the views tell by what changes without each of them: larger than `sigma` by more than chance where something that the
     /// model does not have differs from view to view. Unknown where too few views tell, or one of them alone fixes the number.
     #[serde(with = "maybe", default = "maybe::unknown")]
     pub sigma_by_views: f64,
+}
+
+impl KeyQuantity {
+    /// Whether the interval is another than the standard deviation tells, by a tenth of either side.
+    pub fn bends(&self) -> bool {
+        const FELT: f64 = 0.1;
+        let straight = NORMAL_95 * self.sigma;
+        let felt = |end: &Option<f64>| end.is_none_or(|x| ((x - self.value).abs() / straight - 1.0).abs() > FELT);
+        self.interval_95.as_ref().is_some_and(|ends| ends.iter().any(felt))
+    }
 }
 
 /// One prior against the images.

@@ -1,8 +1,9 @@
 //! The diagnosis as tables, for the text and for the HTML alike.
 
-use super::number::{measured, plain, with_unit};
+use super::number::{as_precise, measured, plain, with_unit};
 use super::tables::{Cell, LONGEST_LIST, Row, Table};
-use crate::record::{MappingByViews, MappingSigma, Record};
+use crate::record::{Interval, MappingByViews, MappingSigma, Record};
+use crate::stats::NORMAL_95;
 
 fn cells(texts: impl IntoIterator<Item = String>) -> Vec<Cell> {
     texts.into_iter().map(|text| Cell { text, ..Cell::default() }).collect()
@@ -136,6 +137,23 @@ pub(super) fn spread(record: &Record) -> Table {
     };
     let known = d.key_quantities.iter().filter(|k| k.sigma_by_views.is_finite());
     table(&["value as stated", "sigma by the views", "of the one stated"], known.map(row).collect())
+}
+
+/// Numbers whose standard deviation does not tell how far they may be.
+pub(super) fn bent(record: &Record) -> Table {
+    let Some(d) = &record.fit.diagnosis else { return Table::default() };
+    let row = |k: &crate::record::KeyQuantity| {
+        let unit = if k.unit == "deg" { "°" } else { k.unit.as_str() };
+        let straight = [-NORMAL_95, NORMAL_95].map(|by| Some(k.value + by * k.sigma));
+        let told = |ends: Interval| {
+            let end = |x: Option<f64>| x.map_or("no end found".into(), |x| as_precise(x, k.sigma));
+            format!("{} to {}", end(ends[0]), end(ends[1]))
+        };
+        let interval = k.interval_95.map_or_else(String::new, told);
+        (k.name.clone(), vec![with_unit(k.value, k.sigma, unit), told(straight), interval])
+    };
+    let heads = ["value as stated", "1.96 sigma either way", "95 of 100, by the images"];
+    table(&heads, d.key_quantities.iter().filter(|k| k.bends()).map(row).collect())
 }
 
 /// Discs that were set aside, each with its reason; of a long list the first.

@@ -200,6 +200,11 @@ fn diagnosis_section(out: &mut String, r: &Record) {
              where there are six views, to a sixth where there are twenty. Where it is larger by more than that, something that the model does not have \
              differs from view to view: state the larger one.",
         ),
+        (
+            "Where a standard deviation does not tell how far a number may be",
+            diagnosis::bent(r),
+            "These numbers hang on others that are hardly known (an axis point on a lens that distorts by little), so that noise changes their standard deviations, too. The              last column is what the likelihood of all images allows: state that. More views, more tilted ones and targets that fill the image make it narrower.",
+        ),
     ];
     if tables.iter().all(|(_, t, _)| t.rows.is_empty()) {
         return;

@@ -54,6 +54,11 @@ pub(super) fn significant(x: f64, digits: usize) -> String {
     fixed(x, (digits as i32 - 1 - exponent).max(0))
 }
 
+/// A number rounded as one with this standard deviation is.
+pub(super) fn as_precise(x: f64, sigma: f64) -> String {
+    if sigma > 0.0 { fixed(x, (1 - exponent_of_rounded(sigma)).min(MOST_DECIMALS)) } else { plain(x, 6) }
+}
+
 /// How a value and its standard deviation read.
 ///
 /// `0.110700` with sigma `0.00198` reads `0.1107 ± 0.0020`; a sigma of 0 means held, an unknown one is said in words.

@@ -44,6 +44,7 @@ pub fn text(record: &Record) -> String {
     section(&mut out, "Is something missing in the model?", &diagnosis::model_tests(record));
     section(&mut out, "Each view left out once", &diagnosis::views(record));
     section(&mut out, "What the views say of the standard deviations", &diagnosis::spread(record));
+    section(&mut out, "Where a standard deviation does not tell how far a number may be", &diagnosis::bent(record));
     let aside = diagnosis::set_aside(record);
     if !aside.is_empty() {
         let _ = writeln!(out, "\nDiscs set aside");

@@ -249,6 +249,7 @@ pub(super) struct ViewKeys {
 #[serde(deny_unknown_fields)]
 pub(super) struct RandomKeys {
     pub(super) count: usize,
+    pub(super) seed: Option<u64>,
     #[serde(default)]
     pub(super) sheet_count: usize,
     pub(super) tilt_deg: [f64; 2],

@@ -152,7 +152,7 @@ impl Setup {
         scene: &SceneFile,
         fixed: Option<&Pattern>,
     ) -> Result<PlacedView> {
-        let mut stream = Stream::new(scene.seed, Use::Pose, &[index]);
+        let mut stream = Stream::new(r.seed.unwrap_or(scene.seed), Use::Pose, &[index]);
         let in_sheet = index + r.sheet_count >= r.count;
         let mut why = String::new();
         for _ in 0..MOST_DRAWS {

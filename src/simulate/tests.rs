@@ -103,6 +103,20 @@ fn the_same_seed_gives_the_same_bits_and_another_seed_other_noise() {
     assert_ne!(a.images[0].1, a.images[1].1);
 }
 
+/// Views drawn with a seed of their own stay where they are under other noise; without one they are drawn anew.
+#[test]
+fn views_drawn_with_their_own_seed_stay() {
+    let of = |seed: u64, own: &str| {
+        let views = format!("[random]\n{own}count = 2\ntilt_deg = [5, 5]\nposition_mm = [1, 1, 1]\n[rig]");
+        run(&SMALL.replace("seed = 7", &format!("seed = {seed}")).replace("[rig]", &views))
+    };
+    let [a, b] = [7, 8].map(|seed| of(seed, "seed = 3\n"));
+    assert_eq!(a.truth_json, b.truth_json);
+    assert_ne!(a.images, b.images);
+    assert_ne!(of(7, "").truth_json, of(8, "").truth_json);
+    assert_eq!(of(7, "").truth_json, of(7, "seed = 7\n").truth_json);
+}
+
 #[test]
 fn without_noise_the_grey_levels_are_those_asked_for() {
     let text =

@@ -191,6 +191,8 @@ fn plate(d: &mut Draw, field: &Field, text: &mut String) -> String {
 pub struct Outcome {
     /// Errors of what a user relies on over their standard deviations.
     pub z: Vec<f64>,
+    /// How many of them the record's intervals of 95 % leave out.
+    pub outside: usize,
     /// Flags that say something is wrong with images, views or model.
     pub alarms: Vec<String>,
 }
@@ -204,26 +206,39 @@ const FAULTS: [&str; 5] = [
     "standard deviations apart",
 ];
 
+/// [`NUMBERS`] of a record and their standard deviations.
+fn numbers(r: &Record) -> (Vec<f64>, Vec<f64>) {
+    let (rig, sheet) = (r.rig.as_ref().unwrap(), r.sheet.as_ref().unwrap());
+    let of_cameras = r.cameras.iter().flat_map(|c| {
+        let (own, s) = (&c.effective, &c.sigma.effective);
+        [(own.f_px, s.f_px), (own.cx_px, s.cx_px), (own.cy_px, s.cy_px)]
+    });
+    let others = [
+        (rig.baseline_mm, rig.sigma.baseline_mm),
+        (rig.axes_angle_deg, rig.sigma.axes_angle_deg),
+        (sheet.distance_mm, sheet.sigma.distance_mm),
+        (sheet.angle_to_baseline_deg, sheet.sigma.angle_to_baseline_deg),
+    ];
+    of_cameras.chain(others).unzip()
+}
+
 fn outcome(record: &Record, truth: &Record) -> Outcome {
-    let mut z = vec![];
-    for (c, t) in record.cameras.iter().zip(&truth.cameras) {
-        let (own, at, s) = (&c.effective, &t.effective, &c.sigma.effective);
-        z.extend([(own.f_px - at.f_px) / s.f_px, (own.cx_px - at.cx_px) / s.cx_px, (own.cy_px - at.cy_px) / s.cy_px]);
-    }
-    let [(rig, sheet), (true_rig, true_sheet)] =
-        [record, truth].map(|r| (r.rig.as_ref().unwrap(), r.sheet.as_ref().unwrap()));
-    z.push((rig.baseline_mm - true_rig.baseline_mm) / rig.sigma.baseline_mm);
-    z.push((rig.axes_angle_deg - true_rig.axes_angle_deg) / rig.sigma.axes_angle_deg);
-    z.push((sheet.distance_mm - true_sheet.distance_mm) / sheet.sigma.distance_mm);
-    z.push((sheet.angle_to_baseline_deg - true_sheet.angle_to_baseline_deg) / sheet.sigma.angle_to_baseline_deg);
+    let [(mut own, sigmas), (wanted, _)] = [record, truth].map(numbers);
+    let keys = &record.fit.diagnosis.as_ref().unwrap().key_quantities;
+    let outside = keys.iter().zip(&wanted).filter(|(key, x)| {
+        let [low, high] = key.interval_95.unwrap_or_default();
+        low.is_some_and(|low| **x < low) || high.is_some_and(|high| **x > high)
+    });
+    let outside = outside.count();
+    own.iter_mut().zip(&wanted).zip(&sigmas).for_each(|((own, at), sigma)| *own = (*own - at) / sigma);
     let fault = |f: &&String| FAULTS.iter().any(|w| f.contains(w));
     let mut alarms: Vec<String> = record.fit.flags.iter().filter(fault).cloned().collect();
     let verdict = verdict(record);
     alarms.extend((verdict.level == Level::Bad).then_some(verdict.headline));
-    Outcome { z, alarms }
+    Outcome { z: own, outside, alarms }
 }
 
-/// What are the numbers of [`Outcome::z`].
+/// What are the numbers of [`Outcome::z`], as the first of the key quantities.
 pub const NUMBERS: [&str; 10] = [
     "effective f, left",
     "effective cx, left",
