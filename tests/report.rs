@@ -279,6 +279,18 @@ fn where_equations_bend_intervals_are_told() {
     }
 }
 
+/// Parameters that move together are listed, poses of views are not.
+#[test]
+fn poses_of_views_are_no_news() {
+    let mut record = scene::record();
+    record.covariance.names = ["left.f_px", "left.cx_px", "view0.rig_from_target.tz_mm", "view1.rig_from_target.tz_mm"]
+        .map(String::from)
+        .into();
+    record.covariance.matrix = vec![vec![1.0; 4]; 4];
+    let html = words(&parse(&report::write_html(&record, &[], &ResidualTable::default()).unwrap()));
+    assert!(html.contains("left.f_px left.cx_px 1.0000") && !html.contains("rig_from_target"), "{html}");
+}
+
 /// What the views tell of measurements stands beside what is stated, and in the verdict and under the maps where they differ by more than their noise.
 #[test]
 fn what_the_views_tell_of_measurements_is_told() {

@@ -491,11 +491,11 @@ fn correlation_section(out: &mut String, r: &Record) {
     }
     out.push_str("</tbody></table>\n");
     if pairs.len() == LONGEST_LIST {
-        out.push_str("<p class=\"note\">The strongest pairs; the whole covariance is in calibration.json.</p>\n");
+        out.push_str("<p class=\"note\">The strongest pairs, without poses of views, which all move with the cameras; the whole covariance is in calibration.json.</p>\n");
     } else {
         let _ = writeln!(
             out,
-            "<p class=\"note\">All pairs above {CORRELATION}; the whole covariance is in calibration.json.</p>"
+            "<p class=\"note\">All pairs above {CORRELATION}, without poses of views, which all move with the cameras; the whole covariance is in calibration.json.</p>"
         );
     }
 }

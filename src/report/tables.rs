@@ -359,13 +359,14 @@ pub(super) struct Pair<'a> {
     pub(super) coefficient: f64,
 }
 
-/// The strongest correlations, at least `least` in size, strongest first, `most` of them.
+/// The strongest correlations, at least `least` in size, strongest first, `most` of them. Poses of views, which all move with the cameras, are no news.
 pub(super) fn correlations(record: &Record, least: f64, most: usize) -> Vec<Pair<'_>> {
     let c = &record.covariance;
     let variance = |i: usize| c.matrix.get(i).and_then(|row| row.get(i)).copied().unwrap_or(f64::NAN);
     let mut pairs = Vec::new();
-    for i in 0..c.names.len() {
-        for j in 0..i {
+    let told: Vec<usize> = (0..c.names.len()).filter(|i| !c.names[*i].contains(".rig_from_target.")).collect();
+    for (n, &i) in told.iter().enumerate() {
+        for &j in &told[..n] {
             let scale = (variance(i) * variance(j)).sqrt();
             let coefficient = c.matrix.get(i).and_then(|row| row.get(j)).copied().unwrap_or(f64::NAN) / scale;
             if coefficient.is_finite() && coefficient.abs() >= least {
