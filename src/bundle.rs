@@ -82,7 +82,7 @@ pub use model::{
 };
 pub(crate) use posterior::{MOSTLY_PRIOR, ONLY_PRIOR, intrinsic_words, layer_words};
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
-pub use reach::{Numbers, Reach};
+pub use reach::{Numbers, Observe, Reach};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};
 pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
 pub use state::{State, ViewState};

@@ -27,6 +27,7 @@ mod spread;
 mod views;
 mod weak;
 
+pub use crate::bundle::Observe;
 pub use mapping::mapping_of_record;
 
 use crate::bundle::{AdjustOptions, Adjustment, Iteration, NamedCovariance};
@@ -78,9 +79,6 @@ pub struct Findings {
     /// What a user must look at before relying on the result.
     pub flags: Vec<String>,
 }
-
-/// Told of iterations from several threads; returns false to stop.
-pub type Observe<'a> = &'a (dyn Fn(&Iteration) -> bool + Sync);
 
 /// Asks whether to go on, and remembers a no.
 struct Watch<'a> {

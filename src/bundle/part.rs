@@ -24,13 +24,13 @@ fn observed(image: &ImageObservations) -> usize {
 
 /// The model with a part of its observations; `None` where all of them are few, or where tangents are among them.
 pub(super) fn part(model: &Model) -> Option<Model> {
-    let out = thinned_model(model)?;
+    let out = with_few_observations(model)?;
     let sum = |model: &Model| model.images.iter().map(observed).sum::<usize>();
     (sum(&out) as f64 <= WORTH * sum(model) as f64).then_some(out)
 }
 
 /// The model with no more than some hundred observations of each image; `None` where tangents are among them.
-pub(super) fn thinned_model(model: &Model) -> Option<Model> {
+pub(super) fn with_few_observations(model: &Model) -> Option<Model> {
     if model.images.iter().any(|i| !i.pairs.is_empty()) {
         return None;
     }

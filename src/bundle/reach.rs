@@ -38,8 +38,8 @@ use super::posterior::{Natural, natural};
 use super::state::State;
 use super::{part, retraction};
 use crate::solve::{
-    self, Gradient, Iteration, NormalEquations, Options, Posterior, Problem, Step, Termination, posterior,
-    symmetric_eigen,
+    self, FIRST_DAMPING, Gradient, Iteration, NormalEquations, Options, Posterior, Problem, Step, Termination,
+    minimise_from, posterior, symmetric_eigen,
 };
 use crate::threads;
 use nalgebra::{DMatrix, DVector};
@@ -63,7 +63,7 @@ const PARTS: usize = 64;
 const PATTERNS: usize = 4;
 
 /// Told of iterations, maybe from several threads; returns false to stop.
-type Observe<'a> = &'a (dyn Fn(&Iteration) -> bool + Sync);
+pub type Observe<'a> = &'a (dyn Fn(&Iteration) -> bool + Sync);
 
 /// Numbers that depend on cameras, motion and sheet.
 #[derive(Clone, Copy)]
@@ -114,7 +114,7 @@ impl<'a> Reach<'a> {
 
     /// How much the standard deviation of each number changes within that of all unknowns; `None` where nothing can be said.
     pub fn bend(&self) -> Option<Vec<f64>> {
-        let model = part::thinned_model(&self.adjustment.model)?;
+        let model = part::with_few_observations(&self.adjustment.model)?;
         let near = Near::of(&model, &self.adjustment.state, &self.numbers)?;
         let sides: Vec<(usize, f64)> = (0..PATTERNS).flat_map(|p| [(p, 1.0), (p, -1.0)]).collect();
         let all: Option<Vec<Vec<f64>>> = threads::gathered(true, &sides, |(p, side)| near.logarithms(*p, *side));
@@ -127,29 +127,41 @@ impl<'a> Reach<'a> {
     /// iteration and returns false to stop.
     pub fn interval(&self, k: usize, observe: Observe<'_>) -> [Option<f64>; 2] {
         let Numbers { values, sigmas, .. } = self.numbers;
-        let (below, above) = threads::both(|| self.side(k, -1.0, observe), || self.side(k, 1.0, observe));
+        let Some(start) = self.start() else { return [None; 2] };
+        let side = |side: f64| self.side(&start, k, side, observe);
+        let (below, above) = threads::both(|| side(-1.0), || side(1.0));
         let ends = middle(&below, &above);
         [ends[0].filter(|_| below.ends), ends[1].filter(|_| above.ends)].map(|t| t.map(|t| values[k] + t * sigmas[k]))
     }
 
     /// r: the signed root of the likelihood ratio with number `k` at `t` standard deviations from its estimate; `None` where no estimate has it there.
     pub fn root(&self, k: usize, t: f64, observe: Observe<'_>) -> Option<f64> {
+        self.root_from(&self.start()?, k, t, observe)
+    }
+
+    /// Equations at the estimate, from which every profile starts, with their cost: sigmas may have been set anew since the last adjustment.
+    fn start(&self) -> Option<NormalEquations> {
+        Bundle::of(&self.adjustment.model).linearise(&self.adjustment.state)
+    }
+
+    fn root_from(&self, start: &NormalEquations, k: usize, t: f64, observe: Observe<'_>) -> Option<f64> {
         let Adjustment { model, state, .. } = self.adjustment;
         let wanted = self.numbers.values[k] + t * self.numbers.sigmas[k];
         let (bundle, places) = (Bundle::of(model), Places::of(model));
         let held = Held { bundle, model, places, numbers: self.numbers, k, wanted };
-        let out = solve::minimise(&held, state.clone(), &LIMITS, &mut |i| observe(i));
-        // Sigmas may have been set anew since the last adjustment.
-        let square = 2.0 * (out.cost - held.bundle.cost(state)?) - out.decrement * out.decrement;
+        let mut equations = start.clone();
+        held.hold(&mut equations, state)?;
+        let out = minimise_from(&held, (state.clone(), equations), &LIMITS, FIRST_DAMPING, &mut |i| observe(i));
+        let square = 2.0 * (out.cost - start.cost) - out.decrement * out.decrement;
         (out.termination == Termination::Converged).then(|| t.signum() * square.max(0.0).sqrt())
     }
 
     /// Roots on one side of the estimate, as far as they matter.
-    fn side(&self, k: usize, side: f64, observe: Observe<'_>) -> Side {
+    fn side(&self, start: &NormalEquations, k: usize, side: f64, observe: Observe<'_>) -> Side {
         let mut places = vec![(0.0, 0.0)];
         let (mut t, mut apart) = (APART, APART);
         while t < FURTHEST {
-            let Some(r) = self.root(k, side * t, observe).map(f64::abs) else { break };
+            let Some(r) = self.root_from(start, k, side * t, observe).map(f64::abs) else { break };
             let last = places.last().map_or(0.0, |(_, r)| *r);
             places.push((t, r));
             if 0.5 * r * r > ENOUGH {
@@ -286,6 +298,16 @@ impl Held<'_> {
     fn residual(&self, state: &State) -> Option<f64> {
         Some((self.numbers.at(self.model, state)?[self.k] - self.wanted) / self.row_sigma())
     }
+
+    /// Adds the row that holds the number.
+    fn hold(&self, e: &mut NormalEquations, state: &State) -> Option<()> {
+        let gradient = self.numbers.gradient(self.model, &self.places, state)?;
+        let by = |k: usize| (Slot::Global(k), gradient[(k, self.k)] / self.row_sigma());
+        let slots = (0..gradient.nrows()).map(by).filter(|(_, by)| *by != 0.0).collect();
+        let row = Row { view: 0, residual: self.residual(state)?, slots };
+        self.bundle.add_row(e, &row);
+        Some(())
+    }
 }
 
 impl Problem for Held<'_> {
@@ -298,11 +320,7 @@ impl Problem for Held<'_> {
     }
     fn linearise(&self, state: &State) -> Option<NormalEquations> {
         let mut e = self.bundle.linearise(state)?;
-        let gradient = self.numbers.gradient(self.model, &self.places, state)?;
-        let by = |k: usize| (Slot::Global(k), gradient[(k, self.k)] / self.row_sigma());
-        let slots = (0..gradient.nrows()).map(by).filter(|(_, by)| *by != 0.0).collect();
-        let row = Row { view: 0, residual: self.residual(state)?, slots };
-        self.bundle.add_row(&mut e, &row);
+        self.hold(&mut e, state)?;
         Some(e)
     }
     fn scales(&self, state: &State) -> Step {
@@ -333,7 +351,7 @@ mod tests {
         assert!((low + 1.959964).abs() < 2e-3 && (high - 1.959964).abs() < 2e-3, "{low} {high}");
         // 1 and 3 standard deviations either side: a quarter of it below.
         let [low, high] = ends(&side(|t| t, 7.0), &side(|t| t / 3.0, 21.0));
-        // 5 % of either half of a normal one is beyond 1.959964, so that a tenth and a thirtieth are these:
+        // 2.5 % of all are a tenth of that quarter, and a thirtieth of the rest: beyond these numbers either way.
         let (tenth, thirtieth) = (1.644854, 2.128045);
         assert!((low + tenth).abs() < 2e-3 && (high - 3.0 * thirtieth).abs() < 6e-3, "{low} {high}");
         let nothing = Side { places: vec![(0.0, 0.0), (1e-9, 9.0)], ends: true };

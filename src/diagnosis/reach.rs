@@ -8,8 +8,7 @@ use crate::record::Interval;
 use crate::stats::NORMAL_95;
 use crate::threads;
 
-/// Part of a standard deviation by which it is uncertain, from which on it is not relied on: where lens terms and motions hang on each other by that much
-/// a quarter of the intervals are by a tenth longer or shorter than they are told.
+/// Part of a standard deviation by which it is uncertain from which on the profile is asked: to less than that nobody states one.
 const BENT: f64 = 0.05;
 
 /// An interval for each number, none for those that are not determined.
