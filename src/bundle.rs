@@ -34,6 +34,9 @@
 //! **Order of work.** Where observations are many a part of them finds the start. Views are eliminated, or where every disc is estimated and
 //! discs are more than poses the discs; either way the normal equations of the result have one block per view.
 //!
+//! **Two cameras.** Errors of the contours of a bubble in both cameras are alike as far as both see the same smoke; how far, the images tell
+//! (`same_light.rs`).
+//!
 //! **Gauge.** The first camera is the rig frame. Scale comes from one [`Fact`]. Nothing else is free.
 //!
 //! Source: the paper's section 2; Triggs et al. (2000); the orthogonal distance after Ahn, "Least squares orthogonal
@@ -61,6 +64,7 @@ mod reach;
 mod refit;
 mod residuals;
 mod retraction;
+mod same_light;
 mod state;
 mod tangent;
 mod typical;

@@ -35,6 +35,7 @@
 //!
 //! This room knows numbers, never cameras. Not for problems whose blocks meet each other directly.
 
+mod evidence;
 mod factor;
 mod posterior;
 mod reduced;
@@ -42,6 +43,7 @@ mod score;
 mod secant;
 mod tiles;
 
+pub use evidence::evidence;
 pub use factor::{SymmetricEigen, symmetric_eigen};
 pub use posterior::{BlockPosterior, Posterior, global_covariance, posterior};
 pub use score::{Prediction, Score, ScoreTests, predict};

@@ -16,6 +16,7 @@ use super::part;
 use super::points;
 use super::residuals::{self, DiscResidual, ImageResiduals};
 use super::retraction;
+use super::same_light;
 use super::state::State;
 use crate::solve::{self, Gradient, Iteration, NormalEquations, Posterior, Problem, Step, Termination};
 use crate::stats::chi_square_above;
@@ -72,6 +73,8 @@ pub struct Adjustment {
     pub outliers: Vec<Outlier>,
     /// Standard deviation of the printed discs' ovality, mm, where their outlines show one.
     pub ovality_mm: Option<f64>,
+    /// Correlation of what the contours of both cameras say of a disc that drifts (`same_light.rs`).
+    pub same_light: Option<f64>,
 }
 
 /// The least-squares problem of a model, for solvers and tests of other makes.
@@ -107,9 +110,14 @@ impl<'a> Bundle<'a> {
     ) -> Option<NormalEquations> {
         let of_images = match &self.by {
             Some(by) => assemble::summed_by_disc(by, images),
-            None => assemble::summed(&self.places, images),
+            None => assemble::summed(self.model, &self.places, images),
         };
         self.with_facts(of_images, state)
+    }
+
+    /// View and equations of each image, in their order; they are summed by [`Bundle::summed`].
+    pub(super) fn of_each_image(&self, state: &State) -> Option<Vec<(usize, MappedNormal)>> {
+        assemble::of_each_image(self.model, &self.places, state)
     }
 
     /// Equations of the images as the solver wants them.
@@ -269,7 +277,7 @@ pub fn adjust_owned(
     let mut damping = Some(damping);
     let mut iterations = 0;
     let mut outliers = vec![];
-    let mut ovality_mm = None;
+    let (mut ovality_mm, mut same_light) = (None, None);
     let mut round = 0;
     loop {
         let bundle = Bundle::of(&model);
@@ -288,7 +296,11 @@ pub fn adjust_owned(
             if oval {
                 all = residuals::of_each_image(&model, &out.state);
             }
-            rescale(&mut model, &all, &out.state, out.equations.as_ref()) || set_aside || oval
+            if round == 0 || set_aside {
+                same_light = same_light::tie(&mut model, &out.state);
+            }
+            let tied = round == 0 && same_light.is_some();
+            rescale(&mut model, &all, &out.state, out.equations.as_ref()) || set_aside || oval || tied
         };
         if !changed {
             return Adjustment {
@@ -301,6 +313,7 @@ pub fn adjust_owned(
                 equations: out.equations,
                 outliers,
                 ovality_mm,
+                same_light,
             };
         }
         state = out.state;

@@ -16,8 +16,9 @@ use super::contour::{self, EDGE, EDGE_BEHIND, SeenCircle};
 use super::edges::{self, Columns};
 use super::image_map::{self, MapColumn, MappedNormal, add_mapped, image_map, mapped, mirror};
 use super::layout::Places;
-use super::model::{ImageObservations, Model};
+use super::model::{DiscObservation, ImageObservations, Model};
 use super::points;
+use super::same_light::{Pairs, Tie, Tied};
 use super::state::State;
 use super::tangent;
 use crate::camera::{INTRINSICS, WINDOW_STEPS};
@@ -47,12 +48,14 @@ pub(super) struct ImageNormal<const L: usize> {
     pub(super) h: SMatrix<f64, L, L>,
     pub(super) b: SVector<f64, L>,
     pub(super) offsets: Vec<OffsetNormal<L>>,
+    /// What it says together with the other camera's.
+    pub(super) tied: Vec<Tied<SVector<f64, L>>>,
     pub(super) cost: f64,
 }
 
 impl<const L: usize> ImageNormal<L> {
     pub(super) fn zeros() -> Self {
-        Self { h: SMatrix::zeros(), b: SVector::zeros(), offsets: vec![], cost: 0.0 }
+        Self { h: SMatrix::zeros(), b: SVector::zeros(), offsets: vec![], tied: vec![], cost: 0.0 }
     }
 }
 
@@ -76,6 +79,8 @@ pub(super) struct SeenImage<'a> {
     pub(super) cam_from_target: Motion<Cam, Target>,
     pub(super) shape_mm: [f64; 3],
     pub(super) offsets_mm: &'a [[f64; 4]],
+    /// Whether it stands beside the other camera's image, so that ties hold.
+    pub(super) paired: bool,
 }
 
 impl<'a> SeenImage<'a> {
@@ -91,7 +96,7 @@ impl<'a> SeenImage<'a> {
         let turn: Motion<Cam, Cam> = Motion::new(camera.cam_from_solver, Vector3::zeros());
         let cam_from_target = turn * state.camera_from_first[c] * view.first_from_target;
         let shape_mm = if model.target.per_view() { view.shape_mm } else { state.shape_mm };
-        Self { model, observations, camera, cam_from_target, shape_mm, offsets_mm: &state.offsets_mm }
+        Self { model, observations, camera, cam_from_target, shape_mm, offsets_mm: &state.offsets_mm, paired: true }
     }
 
     /// Centre and radius of disc `j`, offsets included, mm.
@@ -109,22 +114,30 @@ impl<'a> SeenImage<'a> {
         SeenCircle { camera: &self.camera.camera, cam_from_target: &self.cam_from_target, center, radius }
     }
 
-    fn cost(&self, scratch: &mut Scratch) -> Option<f64> {
+    /// The tie of one of its contours.
+    #[inline(always)]
+    pub(super) fn tie<'s>(&self, seen: &'s DiscObservation) -> Option<&'s Tie> {
+        if self.paired { seen.tie.as_deref() } else { None }
+    }
+
+    /// Cost of the image by itself, and what it says together with the other camera's.
+    fn cost(&self, scratch: &mut Scratch) -> Option<(f64, Vec<Tied<()>>)> {
+        let mut tied = vec![];
         let mut sum = match edges::allows(&self.camera.camera) {
-            true => edges::cost(self, &mut scratch.edges)? + points::cost(self, &mut scratch.points)?,
-            false => self.plain_cost()? + points::plain_cost(self)?,
+            true => edges::cost(self, &mut scratch.edges, &mut tied)? + points::cost(self, &mut scratch.points)?,
+            false => self.plain_cost(&mut tied)? + points::plain_cost(self)?,
         };
         for pair in &self.observations.pairs {
             sum += tangent::cost(self, pair, &mut scratch.tangent)?;
         }
-        Some(sum)
+        Some((sum, tied))
     }
 
-    /// Cost of the contours, point by point.
-    pub(super) fn plain_cost(&self) -> Option<f64> {
+    /// Cost of the contours, point by point; what they say together with the other camera's is added to `tied`.
+    pub(super) fn plain_cost(&self, tied: &mut Vec<Tied<()>>) -> Option<f64> {
         let (scale, loss) = (self.observations.sigma_scale, self.model.loss);
         let discs = self.observations.discs.iter();
-        discs.map(|seen| contour::cost(&self.circle(seen.disc), seen, scale, loss)).sum()
+        discs.map(|seen| contour::cost(&self.circle(seen.disc), (seen, self.tie(seen)), scale, loss, tied)).sum()
     }
 
     /// Adds the contours, point by point; with the discs' own equations where each is `estimated`.
@@ -135,12 +148,13 @@ impl<'a> SeenImage<'a> {
     ) -> Option<()> {
         let (scale, loss) = (self.observations.sigma_scale, self.model.loss);
         for seen in &self.observations.discs {
-            let n = contour::linearise::<E>(&self.circle(seen.disc), seen, scale, loss)?;
+            let n = contour::linearise::<E>(&self.circle(seen.disc), (seen, self.tie(seen)), scale, loss)?;
             let map = self.disc_map::<E, L>(seen.disc);
             let hm = n.h * map;
             out.h += map.tr_mul(&hm);
             out.b += map.tr_mul(&n.b);
             out.cost += n.cost;
+            out.tied.extend(n.tied.iter().map(|t| t.moved_by(&map)));
             if estimated {
                 let o = self.offset_map::<E>();
                 out.offsets.push(OffsetNormal {
@@ -212,8 +226,12 @@ pub(super) fn cost(model: &Model, state: &State) -> Option<f64> {
     let of = |o: &&ImageObservations| {
         memory.with(|scratch| SeenImage::through(model, state, o, cameras[o.camera]).cost(scratch))
     };
-    let each: Option<Vec<f64>> = gathered(threaded(&images), &images, of);
-    each.map(|c| c.iter().sum())
+    let each: Option<Vec<(f64, Vec<Tied<()>>)>> = gathered(threaded(&images), &images, of);
+    let mut pairs = Pairs::default();
+    each.map(|each| {
+        let whole = images.iter().zip(&each).map(|(o, (own, tied))| own + pairs.cost(o.view, tied, model.loss));
+        whole.sum()
+    })
 }
 
 /// Normal equations of one image in the unknowns that it touches.
@@ -267,7 +285,9 @@ fn each_image(
         model.images.iter().filter(|i| camera.is_none_or(|c| i.camera == c)).collect();
     let cameras = cameras(model, state)?;
     let of = |scratch: &mut Scratch, o: &ImageObservations| {
-        linearised(model, places, state, &SeenImage::through(model, state, o, cameras[o.camera]), scratch)
+        let mut image = SeenImage::through(model, state, o, cameras[o.camera]);
+        image.paired = camera.is_none();
+        linearised(model, places, state, &image, scratch)
     };
     if !threaded(&wanted) {
         let mut scratch = Scratch::default();
@@ -315,15 +335,27 @@ pub(super) fn linearise(
     camera: Option<usize>,
 ) -> Option<NormalEquations> {
     let mut equations = NormalEquations::zeros(&places.layout());
-    each_image(model, places, state, camera, |view, n| add_mapped(&mut equations, view, n, places.offsets))?;
+    let mut pairs = Pairs::default();
+    each_image(model, places, state, camera, |view, n| {
+        add_mapped(&mut equations, view, n, places.offsets);
+        pairs.add(&mut equations, view, n, model.loss);
+    })?;
     mirror(&mut equations);
     Some(equations)
 }
 
 /// Those of images at hand.
-pub(super) fn summed<'a>(places: &Places, images: impl Iterator<Item = &'a (usize, MappedNormal)>) -> NormalEquations {
+pub(super) fn summed<'a>(
+    model: &Model,
+    places: &Places,
+    images: impl Iterator<Item = &'a (usize, MappedNormal)>,
+) -> NormalEquations {
     let mut equations = NormalEquations::zeros(&places.layout());
-    images.for_each(|(view, n)| add_mapped(&mut equations, *view, n, places.offsets));
+    let mut pairs = Pairs::default();
+    images.for_each(|(view, n)| {
+        add_mapped(&mut equations, *view, n, places.offsets);
+        pairs.add(&mut equations, *view, n, model.loss);
+    });
     mirror(&mut equations);
     equations
 }

@@ -12,6 +12,7 @@
 //! with e the radial direction. A shift of the centre is a shift v turned into the camera frame.
 
 use super::model::{DiscObservation, Loss};
+use super::same_light::{Tie, Tied};
 use crate::camera::{Camera, INTRINSICS, ProjectionJet, WINDOW_STEPS};
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
@@ -105,10 +106,18 @@ pub(super) struct DiscNormal<const E: usize> {
     pub(super) h: SMatrix<f64, E, E>,
     pub(super) b: SVector<f64, E>,
     pub(super) cost: f64,
+    /// What it says together with the other camera's.
+    pub(super) tied: Vec<Tied<SVector<f64, E>>>,
 }
 
-/// Cost of one contour; `None` where the circle has no image.
-pub(super) fn cost(circle: &SeenCircle, seen: &DiscObservation, scale: f64, loss: Loss) -> Option<f64> {
+/// Cost of one contour; `None` where the circle has no image. What it says by its `tie` is added to `tied`.
+pub(super) fn cost(
+    circle: &SeenCircle,
+    (seen, tie): (&DiscObservation, Option<&Tie>),
+    scale: f64,
+    loss: Loss,
+    tied: &mut Vec<Tied<()>>,
+) -> Option<f64> {
     let start = circle.start()?;
     let edge = &seen.edge;
     let residual = |i: usize| -> Option<f64> {
@@ -124,15 +133,18 @@ pub(super) fn cost(circle: &SeenCircle, seen: &DiscObservation, scale: f64, loss
     } else {
         let mut all: Vec<[f64; 1]> = (0..edge.u_px.len()).map(|i| Some([residual(i)?])).collect::<Option<_>>()?;
         seen.whiten(&mut all);
+        if let Some(tie) = tie {
+            tied.extend(tie.tied(seen.disc, tie.take(&mut all).into_iter().map(|[r]| (r, ()))));
+        }
         all.iter().for_each(|[r]| sum += loss.apply(r * r).0);
     }
     sum.is_finite().then_some(0.5 * sum)
 }
 
-/// Normal equations of one contour; `None` where the circle has no image.
+/// Normal equations of one contour, with what it says by its `tie`; `None` where the circle has no image.
 pub(super) fn linearise<const E: usize>(
     circle: &SeenCircle,
-    seen: &DiscObservation,
+    (seen, tie): (&DiscObservation, Option<&Tie>),
     scale: f64,
     loss: Loss,
 ) -> Option<DiscNormal<E>> {
@@ -145,6 +157,7 @@ pub(super) fn linearise<const E: usize>(
         Some((row::<E>(circle.camera, &foot)?.map(|x| x * iw), [foot.distance_px * iw]))
     };
     let mut sums = Sums { h: [[0.0; E]; E], b: [0.0; E], rho: 0.0 };
+    let mut tied = vec![];
     if seen.independent() {
         for i in 0..edge.u_px.len() {
             let (row, [r]) = whitened(i)?;
@@ -155,9 +168,13 @@ pub(super) fn linearise<const E: usize>(
             (0..edge.u_px.len()).map(whitened).collect::<Option<_>>()?;
         seen.whiten(&mut rows);
         seen.whiten(&mut rest);
+        if let Some(tie) = tie {
+            let numbers = tie.take(&mut rest).into_iter().zip(tie.take(&mut rows));
+            tied.extend(tie.tied(seen.disc, numbers.map(|([r], row)| (r, SVector::from(row)))));
+        }
         rows.iter().zip(&rest).for_each(|(row, [r])| sums.add(row, *r, loss));
     }
-    sums.done()
+    sums.done(tied)
 }
 
 /// Normal equations under way, lower triangle.
@@ -180,9 +197,9 @@ impl<const E: usize> Sums<E> {
             }
         }
     }
-    fn done(self) -> Option<DiscNormal<E>> {
+    fn done(self, tied: Vec<Tied<SVector<f64, E>>>) -> Option<DiscNormal<E>> {
         let h = SMatrix::from_fn(|m, n| if n <= m { self.h[m][n] } else { self.h[n][m] });
-        self.rho.is_finite().then(|| DiscNormal { h, b: SVector::from(self.b), cost: 0.5 * self.rho })
+        self.rho.is_finite().then(|| DiscNormal { h, b: SVector::from(self.b), cost: 0.5 * self.rho, tied })
     }
 }
 

@@ -19,6 +19,7 @@ mod rows;
 
 pub(super) use super::assemble::{ImageNormal, LOCAL, OffsetNormal, SeenImage};
 use super::model::Loss;
+use super::same_light::Tied;
 use crate::camera::{Camera, INTRINSICS, LaneCamera, Radial};
 use crate::lanes::{self, GROUP, Kernel, Lanes};
 pub(super) use feet::{Feet, filled, padded};
@@ -75,9 +76,9 @@ pub(super) struct Scratch {
     sums: Vec<f64>,
 }
 
-/// Cost of an image's contours; `None` where a circle has no image.
-pub(super) fn cost(image: &SeenImage, scratch: &mut Scratch) -> Option<f64> {
-    lanes::run(Cost { image, scratch })
+/// Cost of an image's contours; `None` where a circle has no image. What they say together with the other camera's is added to `tied`.
+pub(super) fn cost(image: &SeenImage, scratch: &mut Scratch, tied: &mut Vec<Tied<()>>) -> Option<f64> {
+    lanes::run(Cost { image, scratch, tied })
 }
 
 /// Adds an image's contours to its normal equations; `None` where a circle has no image.
@@ -105,6 +106,7 @@ pub(super) fn bend(
 struct Cost<'a> {
     image: &'a SeenImage<'a>,
     scratch: &'a mut Scratch,
+    tied: &'a mut Vec<Tied<()>>,
 }
 
 impl Kernel for Cost<'_> {
@@ -122,6 +124,10 @@ impl Kernel for Cost<'_> {
             let scale = image.observations.sigma_scale;
             rows.distances(first, (0, None), &camera, &image.circle(seen.disc), (seen, scale))?;
             rows.whiten::<L>(first, seen, 1);
+            if let Some(tie) = image.tie(seen) {
+                let products = rows.take_tie::<L>(first, tie, 1);
+                self.tied.extend(tie.tied(seen.disc, products.iter().map(|r| (r[0], ()))));
+            }
             rho += rows.weigh(first, n, 1, loss);
         }
         rho.is_finite().then_some(0.5 * rho)
@@ -149,6 +155,10 @@ impl Kernel for Normal<'_> {
             let first = rows.grow(n);
             rows.fill(first, (columns, None), &camera, (image, seen))?;
             rows.whiten::<L>(first, seen, used);
+            if let Some(tie) = image.tie(seen) {
+                let products = rows.take_tie::<L>(first, tie, used);
+                out.tied.extend(tie.tied(seen.disc, products.iter().map(|p| (p[used - 1], local(p, columns)))));
+            }
             rho += rows.weigh(first, n, used, image.model.loss);
             if estimated {
                 rows.multiply::<L>();
@@ -164,6 +174,13 @@ impl Kernel for Normal<'_> {
         out.cost += 0.5 * rho;
         rho.is_finite().then_some(())
     }
+}
+
+/// Numbers of the columns in their places of the camera space.
+fn local(products: &[f64], columns: &Columns) -> SVector<f64, LOCAL> {
+    let mut out = SVector::zeros();
+    columns.list().iter().zip(products).filter(|(k, _)| **k != RADIUS).for_each(|(k, x)| out[*k] = *x);
+    out
 }
 
 /// Adds the running sums to the normal equations.

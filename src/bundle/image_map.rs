@@ -8,6 +8,7 @@ use super::assemble::{ImageNormal, LOCAL, SPACE, SeenImage};
 use super::chart;
 use super::layout::Places;
 use super::model::Model;
+use super::same_light::Tied;
 use super::state::State;
 use crate::camera::INTRINSICS;
 use crate::frames::Cam;
@@ -121,6 +122,8 @@ pub(super) struct MappedNormal {
     pub(super) offsets: Vec<MappedOffset>,
     /// Coupling of each of them with each of the slots.
     pub(super) crosses: Vec<Vector4<f64>>,
+    /// What it says together with the other camera's.
+    pub(super) tied: Vec<Tied<Vec<f64>>>,
     pub(super) cost: f64,
 }
 
@@ -148,6 +151,8 @@ pub(super) fn mapped<const L: usize>(normal: &ImageNormal<L>, map: &[MapColumn],
         }
         out.h.extend(map[..=i].iter().map(|other| other.dot(&moved)));
     }
+    out.tied.clear();
+    out.tied.extend(normal.tied.iter().map(|t| t.mapped(map)));
     out.offsets.clear();
     out.offsets.extend(normal.offsets.iter().map(|o| MappedOffset { disc: o.disc, own: o.own, b: o.b }));
     out.crosses.clear();

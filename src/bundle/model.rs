@@ -1,6 +1,7 @@
 //! What is adjusted: cameras, target, views, observations; constant during a solve.
 
 use super::facts::Fact;
+use super::same_light::Tie;
 use crate::camera::{INTRINSICS, LAYERS};
 use crate::conic::CommonNoise;
 use crate::detect::{Disc, EdgePoints};
@@ -170,12 +171,14 @@ pub struct DiscObservation {
     pub common: CommonNoise,
     /// What they have in common beyond that where the printed disc is not round; set by the adjustment.
     pub outline: CommonNoise,
+    /// What it says together with the same disc's contour in the other camera; set by the adjustment.
+    pub(super) tie: Option<Box<Tie>>,
 }
 
 impl DiscObservation {
     /// Independent edge points of an outline that is round as far as is known.
     pub fn new(disc: usize, edge: EdgePoints) -> Self {
-        Self { disc, edge, common: CommonNoise::default(), outline: CommonNoise::default() }
+        Self { disc, edge, common: CommonNoise::default(), outline: CommonNoise::default(), tie: None }
     }
 
     /// The contour of a disc of an image.
@@ -196,7 +199,7 @@ impl DiscObservation {
 
     /// Whether the edge points are independent.
     pub(super) fn independent(&self) -> bool {
-        self.common.is_none() && self.outline.is_none()
+        self.common.is_none() && self.outline.is_none() && self.tie.is_none()
     }
 }
 

@@ -58,6 +58,16 @@ impl CommonNoise {
         out
     }
 
+    /// That of orthonormal columns, given by their rows, each shrunk by as much.
+    pub(crate) fn of_orthonormal<const N: usize>(rows: &[[f64; N]], shrink: f64) -> Self {
+        let mut out = Self { columns: vec![], shrink: vec![shrink; N] };
+        for k in 0..N {
+            out.columns.extend(rows.iter().map(|row| row[k]));
+            out.columns.resize(out.columns.len().next_multiple_of(GROUP), 0.0);
+        }
+        out
+    }
+
     /// Adds that nothing is known of how the points move by `rows`, over their sigmas, beyond what the numbers that move them by `known` say.
     pub(crate) fn forget<const K: usize, const N: usize>(&mut self, known: &[[f64; K]], rows: &[[f64; N]]) {
         let n = known.len();

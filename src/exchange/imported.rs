@@ -135,6 +135,7 @@ fn no_target() -> Target {
         extent_mm: None,
         shift_rms_mm: None,
         ovality_mm: None,
+        same_light: None,
         points: Vec::new(),
     }
 }

@@ -220,6 +220,7 @@ fn target(s: &Solved) -> Target {
         step_mm: plate.then_some(shape[2]),
         extent_mm: (!per_view).then_some(extent),
         ovality_mm: s.adjustment.ovality_mm,
+        same_light: s.adjustment.same_light,
         shift_rms_mm: (!points.is_empty()).then(|| (shift / points.len() as f64).sqrt()),
         points,
     }

@@ -358,6 +358,9 @@ pub struct Target {
     /// Standard deviation of the printed discs' ovality (two parts, across and along the diagonals), mm, where it shows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ovality_mm: Option<f64>,
+    /// Of bubbles: correlation of what the contours of both cameras say of a disc, since both see the same smoke; from the images, 0 to 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub same_light: Option<f64>,
     /// Every point of the target, where the points were adjusted.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub points: Vec<TargetPoint>,

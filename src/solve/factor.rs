@@ -128,6 +128,14 @@ impl Cholesky {
             }
         }
     }
+    /// Logarithm of the determinant of the matrix.
+    pub(super) fn log_determinant(&self) -> f64 {
+        let root: f64 = match self {
+            Cholesky::Small(l) => l.diagonal().iter().map(|x| x.ln()).sum(),
+            Cholesky::Large(l) => (0..l.L().nrows()).map(|i| l.L()[(i, i)].ln()).sum(),
+        };
+        2.0 * root
+    }
     /// `rhs^T m^-1 rhs`.
     pub(super) fn square(&self, rhs: &DVector<f64>) -> f64 {
         match self {

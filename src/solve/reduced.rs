@@ -269,6 +269,16 @@ impl<'a> Reduced<'a> {
         (views + self.factor.as_ref().map_or(0.0, |f| f.square(&self.rhs))).sqrt()
     }
 
+    /// `ln det (H + lambda D)`.
+    pub(super) fn log_determinant(&self) -> f64 {
+        let of_block = |b: EliminatedBlock<'_>| {
+            let d = b.own.len();
+            (0..d).map(|i| b.factor[i * d + i].ln()).sum::<f64>()
+        };
+        let own: f64 = self.blocks.blocks().map(of_block).sum();
+        2.0 * own + self.factor.as_ref().map_or(0.0, Cholesky::log_determinant)
+    }
+
     fn b_dot(&self, step: &Step) -> f64 {
         let views: f64 = self.equations.blocks.iter().zip(&step.blocks).map(|(b, d)| b.b_v.dot(d)).sum();
         self.equations.b_g.dot(&step.global) + views

@@ -22,8 +22,8 @@ mod scatter;
 pub(crate) use diagnosed::{adjusted, diagnosed, diagnosed_while, drawn};
 pub(crate) use reference::{Draw, Problem};
 pub(crate) use scatter::{
-    Bound, QUANTITIES, Run, Summary, TWO_SIDED_95, TWO_SIDED_995, band, disparities, given_sigmas, grid, moved, solved,
-    together, true_stereo,
+    Bound, QUANTITIES, Run, Summary, TWO_SIDED_95, TWO_SIDED_995, band, camera_covariance, camera_numbers, disparities,
+    given_sigmas, grid, moved, nees, solved, together, true_stereo,
 };
 
 const STEP: u64 = 0x9e37_79b9_7f4a_7c15;

@@ -70,7 +70,7 @@ pub(crate) fn given_sigmas() -> AdjustOptions {
     AdjustOptions { rounds: 0, ..AdjustOptions::default() }
 }
 
-fn camera_numbers(camera: &Camera) -> [f64; 4] {
+pub(crate) fn camera_numbers(camera: &Camera) -> [f64; 4] {
     let e = camera.effective_pinhole();
     [e.f_px, e.cx_px, e.cy_px, camera.intrinsics().k[0]]
 }
@@ -91,13 +91,13 @@ fn camera_rows(name: &str, camera: &Camera) -> Vec<Vec<(String, f64)>> {
 }
 
 /// Covariance of the eight camera numbers.
-fn camera_covariance(covariance: &NamedCovariance) -> DMatrix<f64> {
+pub(crate) fn camera_covariance(covariance: &NamedCovariance) -> DMatrix<f64> {
     let cameras = covariance.natural.cameras.iter().zip(NAMES);
     covariance.propagate(&cameras.flat_map(|(c, n)| camera_rows(n, c)).collect::<Vec<_>>())
 }
 
 /// `e^T C^-1 e / 8`, in correlation form: f and k1 differ by ten powers of ten in variance.
-fn nees(e: &[f64], covariance: &DMatrix<f64>) -> f64 {
+pub(crate) fn nees(e: &[f64], covariance: &DMatrix<f64>) -> f64 {
     let sigma = covariance.diagonal().map(f64::sqrt);
     let z = DVector::from_column_slice(e).component_div(&sigma);
     let correlation = DMatrix::from_fn(8, 8, |i, j| covariance[(i, j)] / (sigma[i] * sigma[j]));

@@ -306,6 +306,7 @@ pub fn record() -> Record {
             extent_mm: Some([-25.5, -12.5, 23.0, 12.5]),
             shift_rms_mm: None,
             ovality_mm: None,
+            same_light: None,
             points: Vec::new(),
         },
         scale: Some(Scale { fact: "spacing".into(), value_mm: 26.0, sigma_mm: 0.0 }),

@@ -26,7 +26,7 @@ fn bits(model: &Model, states: [&State; 3]) -> Vec<Vec<u64>> {
     let places = Places::of(model);
     let whole = linearise(model, &places, states[1], None).unwrap();
     let each = of_each_image(model, &places, states[1]).unwrap();
-    let again = summed(&places, each.iter());
+    let again = summed(model, &places, each.iter());
     let gradient = bend(model, &places, states, 0.1).unwrap();
     let bent = gradient.global.iter().chain(gradient.blocks.iter().flat_map(|b| b.iter()));
     vec![

@@ -5,6 +5,7 @@ use super::{COLLECTED, COLUMNS, Columns, Scratch};
 use crate::bundle::assemble::{SPACE, SeenImage};
 use crate::bundle::contour::SeenCircle;
 use crate::bundle::model::{DiscObservation, Loss};
+use crate::bundle::same_light::Tie;
 use crate::camera::{INTRINSICS, LaneCamera};
 use crate::lanes::{self, GROUP, Lanes, splats};
 use nalgebra::Vector3;
@@ -172,6 +173,25 @@ impl<'a> Rows<'a> {
         if before.is_some() {
             self.take_and_sum::<L, C>(at, before, None);
         }
+    }
+
+    /// Products of what a tie holds with the first `used` columns, from which it is taken where the common rows say it.
+    #[inline(always)]
+    pub(super) fn take_tie<L: Lanes>(&mut self, first: usize, tie: &Tie, used: usize) -> Vec<Vec<f64>> {
+        let mut out = vec![];
+        for (basis, shrink) in tie.columns() {
+            let (basis, _) = basis.as_chunks::<GROUP>();
+            let mut products = vec![0.0; used];
+            for (column, product) in products.iter_mut().enumerate() {
+                let [sums] = self.take_and_sum::<L, 1>((first, column), None, Some(basis));
+                *product = lanes::sum(&sums);
+                if shrink > 0.0 {
+                    self.take_and_sum::<L, 1>((first, column), Some((basis, [shrink * *product])), None);
+                }
+            }
+            out.push(products);
+        }
+        out
     }
 
     /// Takes a list of numbers, one per point, times a part of each from `C` columns, and returns the sums of these columns times another list.

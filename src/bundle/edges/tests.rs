@@ -7,6 +7,7 @@ use crate::bundle::layout::Places;
 use crate::bundle::model::Model;
 use crate::bundle::outline;
 use crate::bundle::rig_scene::{Noise, Scene};
+use crate::bundle::same_light;
 use crate::bundle::state::State;
 use crate::conic::CommonNoise;
 use crate::lanes::run_all;
@@ -25,6 +26,7 @@ struct OneImage<'a> {
 struct Seen {
     cost: f64,
     normal: ImageNormal<LOCAL>,
+    tied: Vec<Tied<()>>,
 }
 
 impl Kernel for OneImage<'_> {
@@ -33,11 +35,12 @@ impl Kernel for OneImage<'_> {
     fn run<L: Lanes>(self) -> Seen {
         let mut scratch = Scratch::default();
         let mut normal = ImageNormal::zeros();
-        let cost = Cost { image: self.image, scratch: &mut scratch }.run::<L>().unwrap();
+        let mut tied = vec![];
+        let cost = Cost { image: self.image, scratch: &mut scratch, tied: &mut tied }.run::<L>().unwrap();
         Normal { image: self.image, columns: &self.columns, scratch: &mut scratch, out: &mut normal }
             .run::<L>()
             .unwrap();
-        Seen { cost, normal }
+        Seen { cost, normal, tied }
     }
 }
 
@@ -70,7 +73,9 @@ fn scenes() -> Vec<(Model, State)> {
         (Loss::Huber(2.0), false, false, true),
     ] {
         let scene = roughened(Scene::build(4, per_view, plane, points).with_noise(4), loss);
-        out.push((scene.perturbed_by(4, 0.1), scene.model));
+        let mut model = scene.model.clone();
+        assert_eq!(same_light::tie(&mut model, &scene.truth).is_some(), per_view);
+        out.push((scene.perturbed_by(4, 0.1), model));
     }
     // Everything free, contours that have something in common, and oval discs.
     let mut scene = roughened(Scene::build(4, false, false, true).with_noise(4), Loss::Huber(2.0));
@@ -99,6 +104,11 @@ fn same_bits(a: &ImageNormal<LOCAL>, b: &ImageNormal<LOCAL>) {
     assert_eq!(bits(a.h.as_slice()), bits(b.h.as_slice()));
     assert_eq!(bits(a.b.as_slice()), bits(b.b.as_slice()));
     assert_eq!(a.cost.to_bits(), b.cost.to_bits());
+    assert_eq!(a.tied.len(), b.tied.len());
+    for (a, b) in a.tied.iter().zip(&b.tied) {
+        assert_eq!(a.residual.to_bits(), b.residual.to_bits());
+        assert_eq!(bits(a.row.as_slice()), bits(b.row.as_slice()));
+    }
     assert_eq!(a.offsets.len(), b.offsets.len());
     for (a, b) in a.offsets.iter().zip(&b.offsets) {
         assert_eq!(bits(a.own.as_slice()), bits(b.own.as_slice()));
@@ -126,10 +136,24 @@ fn lanes_agree_with_the_plain_path_and_each_other() {
             let (fast, mut plain) = (&all[0], ImageNormal::<LOCAL>::zeros());
             let estimated = places.offsets.is_some();
             image.plain_contours::<EDGE, LOCAL>(estimated, &mut plain).unwrap();
-            assert!(plain.cost > 10.0);
+            // What the second camera says of the rim is no longer in its own cost.
+            let apart: f64 = plain.tied.iter().map(|t| 0.5 * t.residual * t.residual).sum();
+            assert!(plain.cost + apart > 10.0);
             assert!((fast.cost / plain.cost - 1.0).abs() < 1e-12);
             assert!((fast.normal.cost / plain.cost - 1.0).abs() < 1e-12);
-            assert!((image.plain_cost().unwrap() / plain.cost - 1.0).abs() < 1e-12);
+            let mut tied = vec![];
+            assert!((image.plain_cost(&mut tied).unwrap() / plain.cost - 1.0).abs() < 1e-12);
+            let size = (2.0 * plain.cost).sqrt();
+            assert_eq!(fast.normal.tied.len(), plain.tied.len());
+            assert_eq!([tied.len(), fast.tied.len()], [plain.tied.len(); 2]);
+            for (k, (a, b)) in fast.normal.tied.iter().zip(&plain.tied).enumerate() {
+                [a.residual, tied[k].residual, fast.tied[k].residual].iter().for_each(|r| near(*r, b.residual, size));
+                // The second camera's is no longer in the matrix.
+                columns
+                    .list()
+                    .iter()
+                    .for_each(|i| near(a.row[*i], b.row[*i], plain.h[(*i, *i)].sqrt() + b.row[*i].abs()));
+            }
             let size = |i: usize| plain.h[(i, i)].sqrt();
             for i in columns.list().iter().copied().filter(|i| *i < LOCAL) {
                 near(fast.normal.b[i], plain.b[i], size(i) * (2.0 * plain.cost).sqrt());
@@ -218,8 +242,8 @@ fn states_without_an_image_are_refused_as_by_the_plain_path() {
     for state in &states {
         let image = SeenImage::of(&scene.model, state, &scene.model.images[0]).unwrap();
         let columns = columns(&scene.model, &Places::of(&scene.model), 0);
-        assert!(image.plain_cost().is_none());
-        assert!(cost(&image, &mut Scratch::default()).is_none());
+        assert!(image.plain_cost(&mut vec![]).is_none());
+        assert!(cost(&image, &mut Scratch::default(), &mut vec![]).is_none());
         let mut out = ImageNormal::zeros();
         assert!(linearise(&image, &columns, &mut Scratch::default(), &mut out).is_none());
     }

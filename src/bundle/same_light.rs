@@ -1,0 +1,297 @@
+//! Two cameras see the same light: smoke in a bubble draws both contours of a disc alike.
+//!
+//! What smoke hides of an edge is the same in both images, so that errors of the two contours of a disc at one moment go together. Taken for
+//! independent, they let a bubble that smoke makes look oval to both cameras turn and bend these. An ellipse follows five harmonics of the rim in
+//! the plane of the disc,
+//! ```text
+//! rim + x cos phi + y sin phi + r + a cos 2 phi + b sin 2 phi,    d = (x, y, r, a, b)
+//! ```
+//! With B_c the movement of the edge points of camera c by d, whitened for all that its own contour knows, `U_c = B_c (B_c^T B_c)^(-1/2)` and
+//! r_c the whitened distances, the five numbers `U_c^T r_c` are what camera c says of the rim, of variance one. Those of both cameras correlate by
+//! the same g, `0 <= g < 1`:
+//! ```text
+//! Cov (r_1, r_2) = |      1       g U_1 U_2^T |
+//!                  | g U_2 U_1^T       1      |
+//! ```
+//! so that the second contour says beside the first
+//! ```text
+//! (1 - U_2 U_2^T) r_2    and    (U_2^T r_2 - g U_1^T r_1) / sqrt(1 - g^2)
+//! ```
+//! in independent numbers of variance one, the conditional density of a normal one. U is formed once, from the feet of the first solution, and held: the
+//! cost stays one of least squares with exact derivatives. g is the mean over its likelihood with all unknowns integrated out
+//! ([`crate::solve::evidence`]), all values alike beforehand: where images cannot tell it is about a half.
+//!
+//! | symbol | identifier | shape | unit | meaning |
+//! |---|---|---|---|---|
+//! | B | `rim` | points x 5 | 1/mm | movement of whitened edge points by the harmonics |
+//! | U | `Tie::columns` | points x 5 | 1 | the same, orthonormal |
+//! | g | `Tie::correlation` | 1 | 1 | correlation of what both cameras say |
+//! | u_k . r | [`Tied`] | 1 | 1 | one of the five numbers, with its derivative |
+//!
+//! Asked of discs that drift, which are bubbles. Not valid where the cameras look at different moments. Tangent features count as independent.
+
+use super::adjust::Bundle;
+use super::assemble::SeenImage;
+use super::contour::SeenCircle;
+use super::edges::Feet;
+use super::image_map::{MapColumn, MappedNormal, Slot, add_row};
+use super::model::{DiscObservation, ImageObservations, Loss, Model};
+use super::state::State;
+use crate::conic::CommonNoise;
+use crate::solve::{NormalEquations, Problem, SymmetricEigen, evidence, symmetric_eigen};
+use nalgebra::{DMatrix, SMatrix, SVector};
+
+/// Numbers that a contour says of its rim.
+const NUMBERS: usize = 5;
+/// Information on the one that is told least, over that on the one told most, below which a contour does not fix them.
+const LEAST: f64 = 1e-6;
+/// Correlations that are weighed.
+const TRIED: usize = 20;
+
+/// What a contour has in common with that of the same disc in the other camera.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Tie {
+    /// U; of the second contour it is taken, of the first not.
+    columns: CommonNoise,
+    correlation: f64,
+    second: bool,
+}
+
+impl Tie {
+    /// Columns of U, and how much of each is taken from the contour.
+    #[inline(always)]
+    pub(super) fn columns(&self) -> impl Iterator<Item = (&[f64], f64)> {
+        self.columns.columns()
+    }
+
+    /// Products of the columns with a matrix given by its rows, one per point, from which they are taken where the common rows say them.
+    pub(super) fn take<const N: usize>(&self, rows: &mut [[f64; N]]) -> Vec<[f64; N]> {
+        let mut out = vec![];
+        for (column, shrink) in self.columns() {
+            let mut sums = [0.0; N];
+            for (row, u) in rows.iter().zip(column) {
+                (0..N).for_each(|n| sums[n] += u * row[n]);
+            }
+            for (row, u) in rows.iter_mut().zip(column) {
+                (0..N).for_each(|n| row[n] -= u * shrink * sums[n]);
+            }
+            out.push(sums);
+        }
+        out
+    }
+
+    /// The contributions of a contour of the disc given, in the order of the columns.
+    pub(super) fn tied<'a, R>(
+        &'a self,
+        disc: usize,
+        numbers: impl Iterator<Item = (f64, R)> + 'a,
+    ) -> impl Iterator<Item = Tied<R>> + 'a
+    where
+        R: 'a,
+    {
+        let (correlation, second) = (self.correlation, self.second);
+        numbers.enumerate().map(move |(k, (residual, row))| Tied { of: (disc, k), correlation, second, residual, row })
+    }
+}
+
+/// One contribution of a contour to what both cameras say together, with what moves it: nothing, the camera space, or the unknowns of its image.
+#[derive(Debug, Clone)]
+pub(super) struct Tied<R> {
+    /// Disc of the target and which of its numbers.
+    of: (usize, usize),
+    correlation: f64,
+    second: bool,
+    pub(super) residual: f64,
+    pub(super) row: R,
+}
+
+impl<const L: usize> Tied<SVector<f64, L>> {
+    /// In other coordinates, of which `map` is the derivative of its own.
+    pub(super) fn moved_by<const M: usize>(&self, map: &SMatrix<f64, L, M>) -> Tied<SVector<f64, M>> {
+        self.with(map.tr_mul(&self.row))
+    }
+
+    /// In the unknowns of the image.
+    pub(super) fn mapped(&self, map: &[MapColumn]) -> Tied<Vec<f64>> {
+        self.with(map.iter().map(|z| z.dot(self.row.as_slice())).collect())
+    }
+}
+
+impl<R> Tied<R> {
+    fn with<S>(&self, row: S) -> Tied<S> {
+        let Self { of, correlation, second, residual, .. } = *self;
+        Tied { of, correlation, second, residual, row }
+    }
+}
+
+/// Factors of the first and the second contribution in what they say together.
+fn factors(correlation: f64) -> [f64; 2] {
+    let root = (1.0 - correlation * correlation).sqrt();
+    [-correlation / root, 1.0 / root]
+}
+
+/// Contributions of a view whose other camera has not come yet, and the unknowns of its image.
+struct Waiting<R> {
+    view: usize,
+    slots: Vec<Slot>,
+    tied: Vec<Tied<R>>,
+}
+
+/// A contribution with the unknowns of its image.
+type Of<'a, R> = (&'a [Slot], &'a Tied<R>);
+
+/// Brings together what both cameras contribute, image after image in their order.
+pub(super) struct Pairs<R> {
+    waiting: Vec<Waiting<R>>,
+}
+
+impl<R> Default for Pairs<R> {
+    fn default() -> Self {
+        Self { waiting: vec![] }
+    }
+}
+
+impl<R: Clone> Pairs<R> {
+    /// Gives `add` each pair of a first and a second contribution that an image of the view completes.
+    fn meet(&mut self, view: usize, (slots, tied): (&[Slot], &[Tied<R>]), mut add: impl FnMut(Of<'_, R>, Of<'_, R>)) {
+        if tied.is_empty() {
+            return;
+        }
+        let Some(at) = self.waiting.iter().position(|w| w.view == view) else {
+            self.waiting.push(Waiting { view, slots: slots.to_vec(), tied: tied.to_vec() });
+            return;
+        };
+        let other = self.waiting.swap_remove(at);
+        for own in tied {
+            for before in other.tied.iter().filter(|t| t.of == own.of && t.second != own.second) {
+                let (own, before) = ((slots, own), (&other.slots[..], before));
+                if own.1.second { add(before, own) } else { add(own, before) }
+            }
+        }
+    }
+}
+
+impl Pairs<()> {
+    /// Cost of what an image of the view completes.
+    pub(super) fn cost(&mut self, view: usize, tied: &[Tied<()>], loss: Loss) -> f64 {
+        let mut sum = 0.0;
+        self.meet(view, (&[], tied), |(_, first), (_, second)| {
+            let [a, b] = factors(first.correlation);
+            let r = a * first.residual + b * second.residual;
+            sum += 0.5 * loss.apply(r * r).0;
+        });
+        sum
+    }
+}
+
+impl Pairs<Vec<f64>> {
+    /// Adds what an image of the view completes to the equations.
+    pub(super) fn add(&mut self, e: &mut NormalEquations, view: usize, image: &MappedNormal, loss: Loss) {
+        self.meet(view, (&image.slots, &image.tied), |first, second| {
+            let [a, b] = factors(first.1.correlation);
+            let residual = a * first.1.residual + b * second.1.residual;
+            let (rho, weight) = loss.apply(residual * residual);
+            let root = weight.sqrt();
+            // Distances fall as the image moves outwards.
+            let of = |(slots, tied): (&[Slot], &Tied<Vec<f64>>), factor: f64| {
+                let each = slots.iter().zip(&tied.row).map(|(slot, x)| (*slot, -factor * root * x));
+                each.collect::<Vec<_>>()
+            };
+            let row = [of(first, a), of(second, b)].concat();
+            add_row(e, view, &row, residual * root);
+            e.cost += 0.5 * rho;
+        });
+    }
+}
+
+/// What the whitened edge points of a contour say of its rim, in five numbers; `None` where they do not fix them.
+fn columns(circle: &SeenCircle, seen: &DiscObservation) -> Option<Vec<[f64; NUMBERS]>> {
+    let feet = Feet::of(circle, seen)?;
+    let harmonics = |i: usize| {
+        let (cos, sin) = (feet.direction[0][i], feet.direction[1][i]);
+        let px = feet.px_per_mm[i] / seen.edge.sigma_px[i];
+        [px * cos, px * sin, px, px * (cos * cos - sin * sin), px * 2.0 * sin * cos]
+    };
+    let mut rim: Vec<[f64; NUMBERS]> = (0..seen.edge.u_px.len()).map(harmonics).collect();
+    seen.whiten(&mut rim);
+    let mut normal = SMatrix::<f64, NUMBERS, NUMBERS>::zeros();
+    for row in rim.iter().map(|row| SVector::from(*row)) {
+        normal += row * row.transpose();
+    }
+    let SymmetricEigen { values, vectors } =
+        symmetric_eigen(&DMatrix::from_column_slice(NUMBERS, NUMBERS, normal.as_slice()))?;
+    if !(values[0] > LEAST * values[NUMBERS - 1]) {
+        return None;
+    }
+    let root = &vectors * DMatrix::from_diagonal(&values.map(|x| x.powf(-0.5))) * vectors.transpose();
+    let root = SMatrix::<f64, NUMBERS, NUMBERS>::from_column_slice(root.as_slice());
+    rim.iter_mut().for_each(|row| *row = (root * SVector::from(*row)).into());
+    Some(rim)
+}
+
+/// The two contours of a disc, each by image and number, and what either says.
+type Pair = ([(usize, usize); 2], [Vec<[f64; NUMBERS]>; 2]);
+
+/// Discs that two images of a view show.
+fn pairs(model: &Model, state: &State, images: [usize; 2]) -> Vec<Pair> {
+    let observed = images.map(|i| &model.images[i]);
+    let [Some(first), Some(second)] = observed.map(|o| SeenImage::of(model, state, o)) else { return vec![] };
+    let of_disc = |(d, seen): (usize, &DiscObservation)| {
+        let e = observed[1].discs.iter().position(|other| other.disc == seen.disc)?;
+        let own = columns(&first.circle(seen.disc), seen)?;
+        let other = columns(&second.circle(seen.disc), &observed[1].discs[e])?;
+        Some(([(images[0], d), (images[1], e)], [own, other]))
+    };
+    observed[0].discs.iter().enumerate().filter_map(of_disc).collect()
+}
+
+/// Ties the contours of discs that drift and that two cameras see at one moment, in place of ties from before; their correlation, where there
+/// are any.
+pub(super) fn tie(model: &mut Model, state: &State) -> Option<f64> {
+    model.images.iter_mut().flat_map(|i| &mut i.discs).for_each(|d| d.tie = None);
+    if !model.target.per_view() || model.target.offset_sigma_mm.is_some() {
+        return None;
+    }
+    let mut found = vec![];
+    for (i, first) in model.images.iter().enumerate() {
+        let partner = |o: &ImageObservations| o.view == first.view && o.camera > first.camera;
+        let partners = model.images.iter().enumerate().filter(|(_, o)| partner(o));
+        found.extend(partners.flat_map(|(j, _)| pairs(model, state, [i, j])));
+    }
+    for (at, columns) in &found {
+        for (k, ((i, d), rows)) in at.iter().zip(columns).enumerate() {
+            let columns = CommonNoise::of_orthonormal(rows, k as f64);
+            model.images[*i].discs[*d].tie = Some(Box::new(Tie { columns, correlation: 0.0, second: k == 1 }));
+        }
+    }
+    let correlation = if found.is_empty() { None } else { correlation(model, state, found.len() * NUMBERS) };
+    for disc in model.images.iter_mut().flat_map(|i| &mut i.discs) {
+        match (correlation, &mut disc.tie) {
+            (Some(correlation), Some(tie)) => tie.correlation = correlation,
+            _ => disc.tie = None,
+        }
+    }
+    correlation
+}
+
+/// Mean of the correlation over its likelihood, for so many numbers.
+fn correlation(model: &Model, state: &State, numbers: usize) -> Option<f64> {
+    let bundle = Bundle::with_views(model);
+    let mut images = bundle.of_each_image(state)?;
+    let scales = bundle.scales(state);
+    let tried: Vec<f64> = (0..TRIED).map(|k| (k as f64 + 0.5) / TRIED as f64).collect();
+    let mut value = |g: f64| {
+        images.iter_mut().flat_map(|(_, n)| &mut n.tied).for_each(|t| t.correlation = g);
+        let equations = bundle.summed(images.iter(), state)?;
+        Some(evidence(&equations, &scales)? + numbers as f64 * (1.0 - g * g).ln())
+    };
+    let values: Option<Vec<f64>> = tried.iter().map(|g| value(*g)).collect();
+    let values = values?;
+    let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let weights: Vec<f64> = values.iter().map(|v| (-0.5 * (v - least)).exp()).collect();
+    Some(tried.iter().zip(&weights).map(|(g, w)| g * w).sum::<f64>() / weights.iter().sum::<f64>())
+}
+
+#[cfg(test)]
+#[allow(clippy::expect_used, clippy::unwrap_used)]
+mod tests;
