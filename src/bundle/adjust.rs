@@ -364,10 +364,12 @@ fn scale_of_camera(
         let Some(r) = r else { continue };
         let unscale = image.sigma_scale * image.sigma_scale;
         for (seen, disc) in image.discs.iter().zip(&r.discs) {
-            disc_chi2 += disc.chi2 * unscale;
-            disc_dof += 3.0;
-            edge_chi2 += (disc.edge_chi2 - disc.chi2) * unscale;
-            edge_dof += seen.count() as f64 - 3.0;
+            // Where cameras err alike both pay for what an ellipse may follow, which are all five numbers of the rim.
+            let (chi2, numbers) = disc.rim_chi2.map_or((disc.chi2, 3.0), |chi2| (chi2, 5.0));
+            disc_chi2 += chi2 * unscale;
+            disc_dof += numbers;
+            edge_chi2 += (disc.edge_chi2 - chi2) * unscale;
+            edge_dof += seen.count() as f64 - numbers;
         }
         // Points are to discs what discs are to edge points.
         let points = SeenImage::of(model, state, image).and_then(|seen| points::chi2(&seen));

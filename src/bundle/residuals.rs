@@ -36,6 +36,8 @@ pub struct DiscResidual {
     pub growth_px: f64,
     /// Chi-square of shift and growth (3 numbers), with scaled sigmas.
     pub chi2: f64,
+    /// Chi-square of the five numbers that its rim says together with the other camera's, with scaled sigmas, where it does.
+    pub rim_chi2: Option<f64>,
     /// Chi-square of all edge points, with scaled sigmas.
     pub edge_chi2: f64,
     /// The edge points.
@@ -82,12 +84,13 @@ fn disc_residual(image: &SeenImage, seen: &DiscObservation, scale: f64) -> Optio
     let mut rows: Vec<_> = (0..seen.edge.u_px.len()).map(row).collect();
     seen.whiten(&mut rows);
     let (mut n, mut b, mut edge_chi2) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
-    for [u, v, grow, r] in rows {
+    for &[u, v, grow, r] in &rows {
         let row = Vector3::new(u, v, grow);
         n += row * row.transpose();
         b += row * r;
         edge_chi2 += r * r;
     }
+    let rim_chi2 = seen.tie.as_ref().map(|tie| tie.take(&mut rows).iter().map(|[.., r]| r * r).sum());
     let x = n.cholesky().map_or_else(Vector3::zeros, |c| c.solve(&b));
     Some(DiscResidual {
         disc: seen.disc,
@@ -95,6 +98,7 @@ fn disc_residual(image: &SeenImage, seen: &DiscObservation, scale: f64) -> Optio
         shift_px: Vector2::new(x.x, x.y),
         growth_px: x.z,
         chi2: x.dot(&b),
+        rim_chi2,
         edge_chi2,
         edges,
     })
