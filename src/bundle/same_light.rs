@@ -28,12 +28,14 @@
 //! | g | `Tie::correlation` | 1 | 1 | correlation of what both cameras say |
 //! | u_k . r | [`Tied`] | 1 | 1 | one of the five numbers, with its derivative |
 //!
-//! Asked of discs that drift, which are bubbles. Not valid where the cameras look at different moments. Tangent features count as independent.
+//! Asked of discs that drift, in views of which nobody knows a length: these are bubbles, others may be holes in a foil. Not valid where the cameras
+//! look at different moments. Tangent features count as independent.
 
 use super::adjust::Bundle;
 use super::assemble::SeenImage;
 use super::contour::SeenCircle;
 use super::edges::Feet;
+use super::facts::Fact;
 use super::image_map::{MapColumn, MappedNormal, Slot, add_row};
 use super::model::{DiscObservation, ImageObservations, Loss, Model};
 use super::state::State;
@@ -245,15 +247,15 @@ fn pairs(model: &Model, state: &State, images: [usize; 2]) -> Vec<Pair> {
     observed[0].discs.iter().enumerate().filter_map(of_disc).collect()
 }
 
-/// Ties the contours of discs that drift and that two cameras see at one moment, in place of ties from before; their correlation, where there
-/// are any.
+/// Ties the contours of bubbles that two cameras see at one moment, in place of ties from before; their correlation, where there are any.
 pub(super) fn tie(model: &mut Model, state: &State) -> Option<f64> {
     model.images.iter_mut().flat_map(|i| &mut i.discs).for_each(|d| d.tie = None);
     if !model.target.per_view() || model.target.offset_sigma_mm.is_some() {
         return None;
     }
+    let known = |v: usize| model.facts.iter().any(|f| matches!(f, Fact::Shape { view: Some(of), .. } if *of == v));
     let mut found = vec![];
-    for (i, first) in model.images.iter().enumerate() {
+    for (i, first) in model.images.iter().enumerate().filter(|(_, o)| !known(o.view)) {
         let partner = |o: &ImageObservations| o.view == first.view && o.camera > first.camera;
         let partners = model.images.iter().enumerate().filter(|(_, o)| partner(o));
         found.extend(partners.flat_map(|(j, _)| pairs(model, state, [i, j])));

@@ -198,6 +198,13 @@ fn a_camera_alone_is_not_tied() {
     assert!(tie(&mut single, &state).is_some());
     let of_view = |v: usize| single.images.iter().filter(move |i| i.view == v).flat_map(|i| &i.discs);
     assert!(of_view(0).all(|d| d.tie.is_none()) && of_view(1).all(|d| d.tie.is_some()));
+    // A view of which a length is known may show holes in a foil.
+    let mut foil = model.clone();
+    foil.facts.push(Fact::Shape { parameter: 0, view: Some(1), value_mm: 26.0, sigma_mm: 0.01 });
+    assert!(tie(&mut foil, &state).is_some());
+    let tied =
+        |v: usize| foil.images.iter().filter(move |i| i.view == v).flat_map(|i| &i.discs).all(|d| d.tie.is_some());
+    assert!(tied(0) && !tied(1) && tied(2));
     // Printed discs have an outline of their own.
     let mut printed = Scene::build(4, false, true, false).model;
     assert!(tie(&mut printed, &state).is_none());
