@@ -89,6 +89,7 @@ pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covarian
 pub use reach::{Numbers, Observe, Reach};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};
 pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
+pub use same_light::Alike;
 pub use state::{State, ViewState};
 pub(crate) use typical::{distance_mm, typical};
 

@@ -35,7 +35,7 @@ pub use provenance::{ImageFile, Provenance};
 pub use residuals::{FeatureKind, Residual, ResidualTable};
 pub use schema::{
     ANGLES_CONVENTION, Camera, Covariance, Effective, FORMAT, Fit, Homography, Known, NearNull, Parameter, Pose,
-    Radial, Record, Rig, SHEET_ALONE, Scale, Sheet, Target, TargetPoint, VERSION, View, ViewTarget, Window,
+    Radial, Record, Rig, SHEET_ALONE, SameLight, Scale, Sheet, Target, TargetPoint, VERSION, View, ViewTarget, Window,
 };
 pub use sheet_check::{
     CamerasRefined, CheckRound, DisparityMap, LightProfile, Misalignment, RefinedNumber, SheetCheck,

@@ -16,7 +16,7 @@ use super::part;
 use super::points;
 use super::residuals::{self, DiscResidual, ImageResiduals};
 use super::retraction;
-use super::same_light;
+use super::same_light::{self, Alike};
 use super::state::State;
 use crate::solve::{self, Gradient, Iteration, NormalEquations, Posterior, Problem, Step, Termination};
 use crate::stats::chi_square_above;
@@ -73,8 +73,8 @@ pub struct Adjustment {
     pub outliers: Vec<Outlier>,
     /// Standard deviation of the printed discs' ovality, mm, where their outlines show one.
     pub ovality_mm: Option<f64>,
-    /// Correlation of what the contours of both cameras say of a disc that drifts (`same_light.rs`).
-    pub same_light: Option<f64>,
+    /// How what the contours of both cameras say of bubbles goes together.
+    pub same_light: Option<Alike>,
 }
 
 /// The least-squares problem of a model, for solvers and tests of other makes.
@@ -366,7 +366,8 @@ fn scale_of_camera(
         for (seen, disc) in image.discs.iter().zip(&r.discs) {
             // Where cameras err alike both pay for what an ellipse may follow, which are all five numbers of the rim.
             let (chi2, numbers) = disc.rim_chi2.map_or((disc.chi2, 3.0), |chi2| (chi2, 5.0));
-            disc_chi2 += chi2 * unscale;
+            let variance = seen.tie.as_ref().map_or(1.0, |tie| tie.alike.variance);
+            disc_chi2 += chi2 * unscale / variance;
             disc_dof += numbers;
             edge_chi2 += (disc.edge_chi2 - chi2) * unscale;
             edge_dof += seen.count() as f64 - numbers;

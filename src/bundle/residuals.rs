@@ -36,7 +36,7 @@ pub struct DiscResidual {
     pub growth_px: f64,
     /// Chi-square of shift and growth (3 numbers), with scaled sigmas.
     pub chi2: f64,
-    /// Chi-square of the five numbers that its rim says together with the other camera's, with scaled sigmas, where it does.
+    /// Chi-square of the five numbers that its rim says together with the other camera's, with scaled sigmas as the image has them, where it does.
     pub rim_chi2: Option<f64>,
     /// Chi-square of all edge points, with scaled sigmas.
     pub edge_chi2: f64,

@@ -7,26 +7,23 @@
 //! rim + x cos phi + y sin phi + r + a cos 2 phi + b sin 2 phi,    d = (x, y, r, a, b)
 //! ```
 //! With B_c the movement of the edge points of camera c by d, whitened for all that its own contour knows, `U_c = B_c (B_c^T B_c)^(-1/2)` and
-//! r_c the whitened distances, the five numbers `U_c^T r_c` are what camera c says of the rim, of variance one. Those of both cameras correlate by
-//! the same g, `0 <= g < 1`:
+//! r_c the whitened distances, the five numbers `p_c = U_c^T r_c` are what camera c says of the rim, of variance one as its image has it. What an image
+//! makes of smoke may be off by some tenths, so that the variance is v; and the numbers of both cameras correlate by g, `0 <= g < 1`:
 //! ```text
-//! Cov (r_1, r_2) = |      1       g U_1 U_2^T |
-//!                  | g U_2 U_1^T       1      |
+//! Cov (p_1, p_2) = v | 1  g |          (1 - U_c U_c^T) r_c      p_1 / sqrt v      (p_2 - g p_1) / sqrt(v (1 - g^2))
+//!                    | g  1 |
 //! ```
-//! so that the second contour says beside the first
-//! ```text
-//! (1 - U_2 U_2^T) r_2    and    (U_2^T r_2 - g U_1^T r_1) / sqrt(1 - g^2)
-//! ```
-//! in independent numbers of variance one, the conditional density of a normal one. U is formed once, from the feet of the first solution, and held: the
-//! cost stays one of least squares with exact derivatives. g is the mean over its likelihood with all unknowns integrated out
-//! ([`crate::solve::evidence`]), all values alike beforehand: where images cannot tell it is about a half.
+//! On the right the same in independent numbers of variance one: what is left of either contour, and the common rows. U is formed once, from the feet of the
+//! first solution, and held: the cost stays one of least squares with exact derivatives. g and v are means over their likelihood with all unknowns
+//! integrated out ([`crate::solve::evidence`]), one after the other; beforehand all g are alike, and `ln v` is normal about zero: where images
+//! cannot tell g is about a half and v one.
 //!
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
 //! | B | `rim` | points x 5 | 1/mm | movement of whitened edge points by the harmonics |
 //! | U | `Tie::columns` | points x 5 | 1 | the same, orthonormal |
-//! | g | `Tie::correlation` | 1 | 1 | correlation of what both cameras say |
-//! | u_k . r | [`Tied`] | 1 | 1 | one of the five numbers, with its derivative |
+//! | g, v | [`Alike`] | 1 | 1 | correlation of what both cameras say, and its variance |
+//! | p | [`Tied`] | 1 | 1 | one of the five numbers, with its derivative |
 //!
 //! Asked of discs that drift, in views of which nobody knows a length: these are bubbles, others may be holes in a foil. Not valid where the cameras
 //! look at different moments. Tangent features count as independent.
@@ -47,35 +44,61 @@ use nalgebra::{DMatrix, SMatrix, SVector};
 const NUMBERS: usize = 5;
 /// Information on the one that is told least, over that on the one told most, below which a contour does not fix them.
 const LEAST: f64 = 1e-6;
-/// Correlations that are weighed.
+/// Correlations and variances that are weighed, and how often one after the other.
 const TRIED: usize = 20;
+const TIMES: usize = 2;
+/// Standard deviation of `ln v` beforehand: mean squared errors of discs in smoke are 0.8 to 1.6 of their variances (docs/accuracy.md). And the largest
+/// weighed.
+const UNSURE: f64 = 0.25;
+const FURTHEST: f64 = 1.0;
+
+/// How what both cameras say of rims goes together.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Alike {
+    /// Correlation of the numbers of both cameras, 0 to 1.
+    pub correlation: f64,
+    /// Their variance over that which either image has.
+    pub variance: f64,
+}
+
+impl Alike {
+    /// What is taken until the images are asked.
+    const UNKNOWN: Self = Self { correlation: 0.5, variance: 1.0 };
+
+    /// Factors of a pair of numbers in the two common rows.
+    fn rows(self) -> [[f64; 2]; 2] {
+        let Self { correlation: g, variance: v } = self;
+        let root = (v * (1.0 - g * g)).sqrt();
+        [[1.0 / v.sqrt(), 0.0], [-g / root, 1.0 / root]]
+    }
+}
 
 /// What a contour has in common with that of the same disc in the other camera.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Tie {
-    /// U; of the second contour it is taken, of the first not.
+    /// U.
     columns: CommonNoise,
-    correlation: f64,
+    pub(super) alike: Alike,
     second: bool,
 }
 
 impl Tie {
-    /// Columns of U, and how much of each is taken from the contour.
+    /// Columns of U.
     #[inline(always)]
-    pub(super) fn columns(&self) -> impl Iterator<Item = (&[f64], f64)> {
-        self.columns.columns()
+    pub(super) fn columns(&self) -> impl Iterator<Item = &[f64]> {
+        self.columns.columns().map(|(column, _)| column)
     }
 
-    /// Products of the columns with a matrix given by its rows, one per point, from which they are taken where the common rows say them.
+    /// Products of the columns with a matrix given by its rows, one per point, from which they are taken.
     pub(super) fn take<const N: usize>(&self, rows: &mut [[f64; N]]) -> Vec<[f64; N]> {
         let mut out = vec![];
-        for (column, shrink) in self.columns() {
+        for column in self.columns() {
             let mut sums = [0.0; N];
             for (row, u) in rows.iter().zip(column) {
                 (0..N).for_each(|n| sums[n] += u * row[n]);
             }
             for (row, u) in rows.iter_mut().zip(column) {
-                (0..N).for_each(|n| row[n] -= u * shrink * sums[n]);
+                (0..N).for_each(|n| row[n] -= u * sums[n]);
             }
             out.push(sums);
         }
@@ -91,8 +114,8 @@ impl Tie {
     where
         R: 'a,
     {
-        let (correlation, second) = (self.correlation, self.second);
-        numbers.enumerate().map(move |(k, (residual, row))| Tied { of: (disc, k), correlation, second, residual, row })
+        let (alike, second) = (self.alike, self.second);
+        numbers.enumerate().map(move |(k, (residual, row))| Tied { of: (disc, k), alike, second, residual, row })
     }
 }
 
@@ -101,7 +124,7 @@ impl Tie {
 pub(super) struct Tied<R> {
     /// Disc of the target and which of its numbers.
     of: (usize, usize),
-    correlation: f64,
+    alike: Alike,
     second: bool,
     pub(super) residual: f64,
     pub(super) row: R,
@@ -121,15 +144,9 @@ impl<const L: usize> Tied<SVector<f64, L>> {
 
 impl<R> Tied<R> {
     fn with<S>(&self, row: S) -> Tied<S> {
-        let Self { of, correlation, second, residual, .. } = *self;
-        Tied { of, correlation, second, residual, row }
+        let Self { of, alike, second, residual, .. } = *self;
+        Tied { of, alike, second, residual, row }
     }
-}
-
-/// Factors of the first and the second contribution in what they say together.
-fn factors(correlation: f64) -> [f64; 2] {
-    let root = (1.0 - correlation * correlation).sqrt();
-    [-correlation / root, 1.0 / root]
 }
 
 /// Contributions of a view whose other camera has not come yet, and the unknowns of its image.
@@ -178,9 +195,10 @@ impl Pairs<()> {
     pub(super) fn cost(&mut self, view: usize, tied: &[Tied<()>], loss: Loss) -> f64 {
         let mut sum = 0.0;
         self.meet(view, (&[], tied), |(_, first), (_, second)| {
-            let [a, b] = factors(first.correlation);
-            let r = a * first.residual + b * second.residual;
-            sum += 0.5 * loss.apply(r * r).0;
+            for [a, b] in first.alike.rows() {
+                let r = a * first.residual + b * second.residual;
+                sum += 0.5 * loss.apply(r * r).0;
+            }
         });
         sum
     }
@@ -190,18 +208,20 @@ impl Pairs<Vec<f64>> {
     /// Adds what an image of the view completes to the equations.
     pub(super) fn add(&mut self, e: &mut NormalEquations, view: usize, image: &MappedNormal, loss: Loss) {
         self.meet(view, (&image.slots, &image.tied), |first, second| {
-            let [a, b] = factors(first.1.correlation);
-            let residual = a * first.1.residual + b * second.1.residual;
-            let (rho, weight) = loss.apply(residual * residual);
-            let root = weight.sqrt();
-            // Distances fall as the image moves outwards.
-            let of = |(slots, tied): (&[Slot], &Tied<Vec<f64>>), factor: f64| {
-                let each = slots.iter().zip(&tied.row).map(|(slot, x)| (*slot, -factor * root * x));
-                each.collect::<Vec<_>>()
-            };
-            let row = [of(first, a), of(second, b)].concat();
-            add_row(e, view, &row, residual * root);
-            e.cost += 0.5 * rho;
+            for [a, b] in first.1.alike.rows() {
+                let residual = a * first.1.residual + b * second.1.residual;
+                let (rho, weight) = loss.apply(residual * residual);
+                let root = weight.sqrt();
+                // Distances fall as the image moves outwards.
+                let of = |(slots, tied): Of<'_, Vec<f64>>, factor: f64| {
+                    let moves = if factor == 0.0 { &[][..] } else { slots };
+                    let each = moves.iter().zip(&tied.row).map(|(slot, x)| (*slot, -factor * root * x));
+                    each.collect::<Vec<_>>()
+                };
+                let row = [of(first, a), of(second, b)].concat();
+                add_row(e, view, &row, residual * root);
+                e.cost += 0.5 * rho;
+            }
         });
     }
 }
@@ -247,8 +267,8 @@ fn pairs(model: &Model, state: &State, images: [usize; 2]) -> Vec<Pair> {
     observed[0].discs.iter().enumerate().filter_map(of_disc).collect()
 }
 
-/// Ties the contours of bubbles that two cameras see at one moment, in place of ties from before; their correlation, where there are any.
-pub(super) fn tie(model: &mut Model, state: &State) -> Option<f64> {
+/// Ties the contours of bubbles that two cameras see at one moment, in place of ties from before; how, where there are any.
+pub(super) fn tie(model: &mut Model, state: &State) -> Option<Alike> {
     model.images.iter_mut().flat_map(|i| &mut i.discs).for_each(|d| d.tie = None);
     if !model.target.per_view() || model.target.offset_sigma_mm.is_some() {
         return None;
@@ -262,36 +282,48 @@ pub(super) fn tie(model: &mut Model, state: &State) -> Option<f64> {
     }
     for (at, columns) in &found {
         for (k, ((i, d), rows)) in at.iter().zip(columns).enumerate() {
-            let columns = CommonNoise::of_orthonormal(rows, k as f64);
-            model.images[*i].discs[*d].tie = Some(Box::new(Tie { columns, correlation: 0.0, second: k == 1 }));
+            let columns = CommonNoise::of_orthonormal(rows);
+            model.images[*i].discs[*d].tie = Some(Box::new(Tie { columns, alike: Alike::UNKNOWN, second: k == 1 }));
         }
     }
-    let correlation = if found.is_empty() { None } else { correlation(model, state, found.len() * NUMBERS) };
+    let alike = if found.is_empty() { None } else { alike(model, state, (found.len() * NUMBERS) as f64) };
     for disc in model.images.iter_mut().flat_map(|i| &mut i.discs) {
-        match (correlation, &mut disc.tie) {
-            (Some(correlation), Some(tie)) => tie.correlation = correlation,
+        match (alike, &mut disc.tie) {
+            (Some(alike), Some(tie)) => tie.alike = alike,
             _ => disc.tie = None,
         }
     }
-    correlation
+    alike
 }
 
-/// Mean of the correlation over its likelihood, for so many numbers.
-fn correlation(model: &Model, state: &State, numbers: usize) -> Option<f64> {
+/// Means of correlation and variance over their likelihood, for so many pairs of numbers.
+fn alike(model: &Model, state: &State, pairs: f64) -> Option<Alike> {
     let bundle = Bundle::with_views(model);
     let mut images = bundle.of_each_image(state)?;
     let scales = bundle.scales(state);
-    let tried: Vec<f64> = (0..TRIED).map(|k| (k as f64 + 0.5) / TRIED as f64).collect();
-    let mut value = |g: f64| {
-        images.iter_mut().flat_map(|(_, n)| &mut n.tied).for_each(|t| t.correlation = g);
-        let equations = bundle.summed(images.iter(), state)?;
-        Some(evidence(&equations, &scales)? + numbers as f64 * (1.0 - g * g).ln())
+    let mut value = |alike: Alike| {
+        images.iter_mut().flat_map(|(_, n)| &mut n.tied).for_each(|t| t.alike = alike);
+        let own = evidence(&bundle.summed(images.iter(), state)?, &scales)?;
+        let Alike { correlation: g, variance: v } = alike;
+        Some(own + pairs * (2.0 * v.ln() + (1.0 - g * g).ln()) + (v.ln() / UNSURE).powi(2))
     };
-    let values: Option<Vec<f64>> = tried.iter().map(|g| value(*g)).collect();
-    let values = values?;
+    let mut out = Alike::UNKNOWN;
+    for _ in 0..TIMES {
+        let part = |k: usize| (k as f64 + 0.5) / TRIED as f64;
+        let correlations: Vec<f64> = (0..TRIED).map(part).collect();
+        out.correlation = mean(&correlations, |correlation| value(Alike { correlation, ..out }))?;
+        let variances: Vec<f64> = (0..TRIED).map(|k| (FURTHEST * (2.0 * part(k) - 1.0)).exp()).collect();
+        out.variance = mean(&variances, |variance| value(Alike { variance, ..out }))?;
+    }
+    Some(out)
+}
+
+/// Mean of numbers by how likely they are, of which `value` says minus twice the logarithm.
+fn mean(numbers: &[f64], value: impl FnMut(f64) -> Option<f64>) -> Option<f64> {
+    let values: Vec<f64> = numbers.iter().copied().map(value).collect::<Option<_>>()?;
     let least = values.iter().copied().fold(f64::INFINITY, f64::min);
     let weights: Vec<f64> = values.iter().map(|v| (-0.5 * (v - least)).exp()).collect();
-    Some(tried.iter().zip(&weights).map(|(g, w)| g * w).sum::<f64>() / weights.iter().sum::<f64>())
+    Some(numbers.iter().zip(&weights).map(|(x, w)| x * w).sum::<f64>() / weights.iter().sum::<f64>())
 }
 
 #[cfg(test)]

@@ -58,9 +58,9 @@ impl CommonNoise {
         out
     }
 
-    /// That of orthonormal columns, given by their rows, each shrunk by as much.
-    pub(crate) fn of_orthonormal<const N: usize>(rows: &[[f64; N]], shrink: f64) -> Self {
-        let mut out = Self { columns: vec![], shrink: vec![shrink; N] };
+    /// Orthonormal columns, given by their rows, of which points say nothing.
+    pub(crate) fn of_orthonormal<const N: usize>(rows: &[[f64; N]]) -> Self {
+        let mut out = Self { columns: vec![], shrink: vec![1.0; N] };
         for k in 0..N {
             out.columns.extend(rows.iter().map(|row| row[k]));
             out.columns.resize(out.columns.len().next_multiple_of(GROUP), 0.0);

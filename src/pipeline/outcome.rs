@@ -8,7 +8,7 @@ use crate::diagnosis::Findings;
 use crate::error::{Error, Result};
 use crate::record::{
     self, CameraSigma, Covariance, Effective, Fit, Known, Parameter, PlacedCamera, Pose, PoseSigma, Provenance, Record,
-    Rig, RigSigma, Scale, Sheet, Target, TargetPoint, TargetSigma, View, ViewTarget, WindowSigma,
+    Rig, RigSigma, SameLight, Scale, Sheet, Target, TargetPoint, TargetSigma, View, ViewTarget, WindowSigma,
 };
 use crate::rig_file::{Adjust, Length, Loss, Observations, Scale as ScaleFact};
 use crate::rigid::AxesAngle;
@@ -220,7 +220,7 @@ fn target(s: &Solved) -> Target {
         step_mm: plate.then_some(shape[2]),
         extent_mm: (!per_view).then_some(extent),
         ovality_mm: s.adjustment.ovality_mm,
-        same_light: s.adjustment.same_light,
+        same_light: s.adjustment.same_light.map(|a| SameLight { correlation: a.correlation, variance: a.variance }),
         shift_rms_mm: (!points.is_empty()).then(|| (shift / points.len() as f64).sqrt()),
         points,
     }

@@ -358,12 +358,21 @@ pub struct Target {
     /// Standard deviation of the printed discs' ovality (two parts, across and along the diagonals), mm, where it shows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ovality_mm: Option<f64>,
-    /// Of bubbles: correlation of what the contours of both cameras say of a disc, since both see the same smoke; from the images, 0 to 1.
+    /// Of bubbles: how what the contours of both cameras say goes together, since both see the same smoke; from the images.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub same_light: Option<f64>,
+    pub same_light: Option<SameLight>,
     /// Every point of the target, where the points were adjusted.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub points: Vec<TargetPoint>,
+}
+
+/// How errors of the contours of both cameras go together.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct SameLight {
+    /// Correlation of what both say of a disc, 0 to 1.
+    pub correlation: f64,
+    /// Variance of what they say, over that which either image has.
+    pub variance: f64,
 }
 
 /// One adjusted point of the target.

@@ -303,8 +303,9 @@ pub(super) fn target(record: &Record) -> Table {
     if let Some(ovality_mm) = t.ovality_mm {
         table.words("discs off round (ovality, rms)", format!("{} µm", plain(ovality_mm * 1000.0, 3)));
     }
-    if let Some(correlation) = t.same_light {
-        table.words("both cameras see the same light (correlation of their contours)", plain(correlation, 2));
+    if let Some(light) = t.same_light {
+        let words = format!("correlation {}, scatter {}", plain(light.correlation, 2), plain(light.variance.sqrt(), 2));
+        table.words("contours of both cameras, which see the same smoke", words);
     }
     if let Some(s) = &record.scale {
         table.words("scale from", format!("{} = {}", s.fact, with_unit(s.value_mm, s.sigma_mm, "mm")));

@@ -175,19 +175,17 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// Products of what a tie holds with the first `used` columns, from which it is taken where the common rows say it.
+    /// Products of what a tie holds with the first `used` columns, from which it is taken.
     #[inline(always)]
     pub(super) fn take_tie<L: Lanes>(&mut self, first: usize, tie: &Tie, used: usize) -> Vec<Vec<f64>> {
         let mut out = vec![];
-        for (basis, shrink) in tie.columns() {
+        for basis in tie.columns() {
             let (basis, _) = basis.as_chunks::<GROUP>();
             let mut products = vec![0.0; used];
             for (column, product) in products.iter_mut().enumerate() {
                 let [sums] = self.take_and_sum::<L, 1>((first, column), None, Some(basis));
                 *product = lanes::sum(&sums);
-                if shrink > 0.0 {
-                    self.take_and_sum::<L, 1>((first, column), Some((basis, [shrink * *product])), None);
-                }
+                self.take_and_sum::<L, 1>((first, column), Some((basis, [*product])), None);
             }
             out.push(products);
         }
