@@ -15,8 +15,8 @@
 //! ```
 //! On the right the same in independent numbers of variance one: what is left of either contour, and the common rows. U is formed once, from the feet of the
 //! first solution, and held: the cost stays one of least squares with exact derivatives. g and v are means over their likelihood with all unknowns
-//! integrated out ([`crate::solve::evidence`]), one after the other; beforehand all g are alike, and `ln v` is normal about zero: where images
-//! cannot tell g is about a half and v one.
+//! integrated out ([`crate::solve::evidence`]), one after the other; beforehand all g are alike, and `ln v` is normal about what discs in smoke show
+//! ([`EXPECTED`]): where images cannot tell g is about a half and v little more than one.
 //!
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
@@ -47,9 +47,10 @@ const LEAST: f64 = 1e-6;
 /// Correlations and variances that are weighed, and how often one after the other.
 const TRIED: usize = 20;
 const TIMES: usize = 2;
-/// Standard deviation of `ln v` beforehand: mean squared errors of discs in smoke are 0.8 to 1.6 of their variances (docs/accuracy.md). And the largest
-/// weighed.
-const UNSURE: f64 = 0.25;
+/// Mean and standard deviation of `ln v` beforehand: mean squared errors of discs in smoke are 0.8 to 1.6 of their variances (docs/accuracy.md). And the
+/// largest weighed.
+const EXPECTED: f64 = 0.1;
+const UNSURE: f64 = 0.2;
 const FURTHEST: f64 = 1.0;
 
 /// How what both cameras say of rims goes together.
@@ -305,7 +306,7 @@ fn alike(model: &Model, state: &State, pairs: f64) -> Option<Alike> {
         images.iter_mut().flat_map(|(_, n)| &mut n.tied).for_each(|t| t.alike = alike);
         let own = evidence(&bundle.summed(images.iter(), state)?, &scales)?;
         let Alike { correlation: g, variance: v } = alike;
-        Some(own + pairs * (2.0 * v.ln() + (1.0 - g * g).ln()) + (v.ln() / UNSURE).powi(2))
+        Some(own + pairs * (2.0 * v.ln() + (1.0 - g * g).ln()) + ((v.ln() - EXPECTED) / UNSURE).powi(2))
     };
     let mut out = Alike::UNKNOWN;
     for _ in 0..TIMES {

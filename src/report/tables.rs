@@ -304,7 +304,9 @@ pub(super) fn target(record: &Record) -> Table {
         table.words("discs off round (ovality, rms)", format!("{} µm", plain(ovality_mm * 1000.0, 3)));
     }
     if let Some(light) = t.same_light {
-        let words = format!("correlation {}, scatter {}", plain(light.correlation, 2), plain(light.variance.sqrt(), 2));
+        let [correlation, scatter] = [light.correlation, light.variance.sqrt()].map(|x| plain(x, 2));
+        let words =
+            format!("err alike by {correlation} (correlation), {scatter} times as far as each image by itself says");
         table.words("contours of both cameras, which see the same smoke", words);
     }
     if let Some(s) = &record.scale {
