@@ -24,6 +24,7 @@ mod residuals;
 mod schema;
 mod sheet_check;
 mod sigma;
+mod target;
 
 pub(crate) use diagnosis::SHEET_QUANTITIES;
 pub use diagnosis::{
@@ -35,9 +36,10 @@ pub use provenance::{ImageFile, Provenance};
 pub use residuals::{FeatureKind, Residual, ResidualTable};
 pub use schema::{
     ANGLES_CONVENTION, Camera, Covariance, Effective, FORMAT, Fit, Homography, Known, NearNull, Parameter, Pose,
-    Radial, Record, Rig, SHEET_ALONE, SameLight, Scale, Sheet, Target, TargetPoint, VERSION, View, ViewTarget, Window,
+    Radial, Record, Rig, SHEET_ALONE, Scale, Sheet, VERSION, View, Window,
 };
 pub use sheet_check::{
     CamerasRefined, CheckRound, DisparityMap, LightProfile, Misalignment, RefinedNumber, SheetCheck,
 };
 pub use sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, TargetSigma, WindowSigma};
+pub use target::{SameLight, Target, TargetPoint, ViewTarget};

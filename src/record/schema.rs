@@ -1,12 +1,12 @@
 //! The structs of `calibration.json`, in the order of its keys.
 
 use super::diagnosis::{Diagnosis, MappingUncertainty};
-use super::number::{label, maybe, maybe_array, maybe_list, maybe_map, maybe_rows};
+use super::number::{maybe, maybe_map, maybe_rows};
 use super::provenance::Provenance;
-use super::sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, TargetSigma, WindowSigma};
+use super::sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, WindowSigma};
+use super::target::{Target, ViewTarget};
 use crate::camera::{self, Intrinsics};
 use crate::rigid::Motion;
-use crate::target::DotId;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -330,64 +330,6 @@ pub struct Homography {
     pub transfer_rms_px: f64,
 }
 
-/// The target as it was adjusted.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Target {
-    /// `two-discs`, `bubbles`, `dot-grid` or `two-level-plate`.
-    pub kind: String,
-    /// Radii, mm; one for a grid, two for a pair; empty where only centres were used.
-    #[serde(with = "maybe_list")]
-    pub radii_mm: Vec<f64>,
-    /// Distance of the centres of a pair, pitch of a grid, mm; unknown where each view has its own.
-    #[serde(with = "maybe")]
-    pub spacing_mm: f64,
-    /// Standard deviations.
-    pub sigma: TargetSigma,
-    /// `none`, `shape` or `points`.
-    #[serde(default)]
-    pub adjust: String,
-    /// Distance of the two levels of a plate, mm.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub step_mm: Option<f64>,
-    /// What the target covers in its own plane: least x, least y, largest x, largest y, mm.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub extent_mm: Option<[f64; 4]>,
-    /// Root mean square shift of the points from the nominal target, mm, where the points were adjusted.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub shift_rms_mm: Option<f64>,
-    /// Standard deviation of the printed discs' ovality (two parts, across and along the diagonals), mm, where it shows.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub ovality_mm: Option<f64>,
-    /// Of bubbles: how what the contours of both cameras say goes together, since both see the same smoke; from the images.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub same_light: Option<SameLight>,
-    /// Every point of the target, where the points were adjusted.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub points: Vec<TargetPoint>,
-}
-
-/// How errors of the contours of both cameras go together.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct SameLight {
-    /// Correlation of what both say of a disc, 0 to 1.
-    pub correlation: f64,
-    /// Variance of what they say, over that which either image has.
-    pub variance: f64,
-}
-
-/// One adjusted point of the target.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct TargetPoint {
-    /// Lattice label: column, row, level.
-    #[serde(with = "label")]
-    pub label: DotId,
-    /// Position in the target frame, mm.
-    pub xyz_mm: [f64; 3],
-    /// Standard deviations, mm.
-    #[serde(with = "maybe_array")]
-    pub sigma_mm: [f64; 3],
-}
-
 /// The metric fact that sets the scale.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Scale {
@@ -447,19 +389,6 @@ pub struct View {
 
 fn yes() -> bool {
     true
-}
-
-/// Two bubbles of one view.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ViewTarget {
-    /// Radii, mm.
-    #[serde(with = "maybe_list")]
-    pub radii_mm: Vec<f64>,
-    /// Distance of the centres, mm.
-    #[serde(with = "maybe")]
-    pub spacing_mm: f64,
-    /// Standard deviations.
-    pub sigma: TargetSigma,
 }
 
 /// How a parameter is known.
