@@ -365,8 +365,11 @@ fn scale_of_camera(
         let unscale = image.sigma_scale * image.sigma_scale;
         for (seen, disc) in image.discs.iter().zip(&r.discs) {
             // Where cameras err alike both pay for what an ellipse may follow, which are all five numbers of the rim.
-            let (chi2, numbers) = disc.rim_chi2.map_or((disc.chi2, 3.0), |chi2| (chi2, 5.0));
-            let variance = seen.tie.as_ref().map_or(1.0, |tie| tie.alike.variance);
+            let (chi2, numbers, variance) = match (disc.rim_chi2, &seen.tie) {
+                (Some(chi2), Some(tie)) => (chi2, 5.0, tie.alike.variance),
+                // Ties that were formed since the residuals say nothing of them.
+                _ => (disc.chi2, 3.0, 1.0),
+            };
             disc_chi2 += chi2 * unscale / variance;
             disc_dof += numbers;
             edge_chi2 += (disc.edge_chi2 - chi2) * unscale;

@@ -16,7 +16,8 @@
 //! On the right the same in independent numbers of variance one: what is left of either contour, and the common rows. U is formed once, from the feet of the
 //! first solution, and held: the cost stays one of least squares with exact derivatives. g and v are means over their likelihood with all unknowns
 //! integrated out ([`crate::solve::evidence`]), one after the other; beforehand all g are alike, and `ln v` is normal about what discs in smoke show
-//! ([`EXPECTED`]): where images cannot tell g is about a half and v little more than one.
+//! ([`EXPECTED`]): where images cannot tell g is about a half and v little more than one. Bubbles take most of what both cameras have in common for their
+//! own pose and size, so that `v (1 - g)` is told well, and g and v apart less so.
 //!
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
@@ -27,6 +28,9 @@
 //!
 //! Asked of discs that drift, in views of which nobody knows a length: these are bubbles, others may be holes in a foil. Not valid where the cameras
 //! look at different moments. Tangent features count as independent.
+//!
+//! Source: Anderson, "An introduction to multivariate statistical analysis" (2003), section 2.5, for the conditional density; Patterson and Thompson (1971)
+//! for components of variance from what unknowns leave over.
 
 use super::adjust::Bundle;
 use super::assemble::SeenImage;
@@ -47,8 +51,8 @@ const LEAST: f64 = 1e-6;
 /// Correlations and variances that are weighed, and how often one after the other.
 const TRIED: usize = 20;
 const TIMES: usize = 2;
-/// Mean and standard deviation of `ln v` beforehand: mean squared errors of discs in smoke are 0.8 to 1.6 of their variances (docs/accuracy.md). And the
-/// largest weighed.
+/// Mean and standard deviation of `ln v` beforehand: mean squared errors of bubbles in random rigs are 1.1 to 1.6 of their variances
+/// (docs/measurements.md), in faint smoke less. And the largest weighed.
 const EXPECTED: f64 = 0.1;
 const UNSURE: f64 = 0.2;
 const FURTHEST: f64 = 1.0;

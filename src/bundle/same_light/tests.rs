@@ -316,10 +316,13 @@ fn light_that_both_cameras_see_is_found_and_told() {
     assert!(k1.iter().all(|ratio| *ratio < 0.85), "{k1:?}");
 }
 
-/// Images that say too little of what smoke may do are found out, as far as chance allows.
+/// Images that say too little of what smoke may do are found out. Differences between the cameras tell `v (1 - g)`; most of what they have in common the
+/// bubbles' own poses and sizes take, so that g and v are told less well apart.
 #[test]
 fn a_variance_that_is_too_small_is_found() {
     let Means { alike, square, .. } = means(60, 1.0 / 1.4);
-    assert!((1.1..1.4).contains(&alike.variance), "{alike:?}");
+    let wanted = 1.05 / (1.0 / 1.4 + 0.05) * (1.0 - SHARE / 1.05);
+    let found = alike.variance * (1.0 - alike.correlation);
+    assert!((found / wanted - 1.0).abs() < 0.1 && alike.variance > 1.1, "{alike:?}: {found} of {wanted}");
     assert!(square[0] < 1.15 && square[1] > 1.3, "{square:?}");
 }
