@@ -20,18 +20,22 @@
 
 mod circle;
 mod common;
+mod cut;
 mod feet;
 mod fit;
 mod foot;
 mod geometry;
+mod inverse;
 
 pub use circle::image_of_circle;
 pub use common::{CommonNoise, ContourNoise};
+pub(crate) use cut::Cut;
 pub(crate) use feet::Feet;
 pub(crate) use fit::fit_geometric_from;
 pub use fit::{EllipseFit, fit_direct, fit_geometric};
 pub(crate) use foot::{Frame, OnContour};
 pub(crate) use geometry::{covariance_from_regular, from_regular, parameters_by_regular, to_regular};
+pub(crate) use inverse::{inverse_of_lower, inverse_of_positive};
 
 use crate::frames::Pixel;
 use nalgebra::SVector;

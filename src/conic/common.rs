@@ -12,8 +12,8 @@
 //! it off an ellipse for light, so that a contour says nothing of that, m infinite. [`ContourNoise`] holds both. And printed discs are ovals (see
 //! [`crate::bundle`]).
 
-use super::Ellipse;
 use super::feet::{Feet, Normal};
+use super::{Ellipse, inverse_of_positive};
 use crate::lanes::GROUP;
 use nalgebra::{DMatrix, SMatrix};
 
@@ -127,8 +127,8 @@ impl ContourNoise {
     /// That of an ellipse with this covariance of its regular coordinates, px^2, from points with these normal equations.
     pub(crate) fn of(normal: &Normal, covariance: &SMatrix<f64, 5, 5>, followed: bool) -> Self {
         let more = normal.matrix.component_mul(covariance).sum() > 5.0 + LEAST;
-        let own = if more { normal.matrix.cholesky() } else { None };
-        Self { excess: own.map(|own| covariance - own.inverse()), followed }
+        let own = if more { inverse_of_positive(&normal.matrix) } else { None };
+        Self { excess: own.map(|own| covariance - own), followed }
     }
 
     /// What the points, px, of the contour `e` have in common.

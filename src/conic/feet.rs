@@ -1,6 +1,6 @@
 //! Many points near one ellipse: distances, their derivatives, and the fit through points that already lie close.
 
-use super::{Ellipse, Frame, from_regular, parameters_by_regular, to_regular};
+use super::{Ellipse, Frame, from_regular, inverse_of_positive, parameters_by_regular, to_regular};
 use crate::lanes::{self, GROUP, Kernel, Lanes};
 use nalgebra::{SMatrix, SVector};
 
@@ -144,8 +144,8 @@ impl Feet {
     /// By how much the covariance of `(u0, v0, a, b, phi)` grows as the sigmas of the points, whose feet on `e` were found last, grow from
     /// `before_px` to those of the equations: never by a negative variance, as `(J^T W J)^-1` falls with W and both are turned alike.
     pub(crate) fn growth(&self, e: &Ellipse, grown: &Normal, before_px: &[f64]) -> Option<SMatrix<f64, 5, 5>> {
-        let regular = |normal: &Normal| Some(normal.matrix.cholesky()?.inverse());
-        let (whole, before) = (regular(grown)?, regular(&self.normal(before_px))?);
+        let (whole, before) =
+            (inverse_of_positive(&grown.matrix)?, inverse_of_positive(&self.normal(before_px).matrix)?);
         let by = parameters_by_regular(&to_regular(e), &whole);
         Some(by * (whole - before) * by.transpose())
     }

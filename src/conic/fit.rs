@@ -15,11 +15,13 @@
 //!
 //! Not valid for fewer than 6 points (5 leave no redundancy for a covariance that means something) or points on a line.
 
-use crate::conic::{CommonNoise, Ellipse, Frame, covariance_from_regular, from_regular, to_regular};
+use crate::conic::{
+    CommonNoise, Ellipse, Frame, covariance_from_regular, from_regular, inverse_of_positive, to_regular,
+};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::frames::Pixel;
 use crate::lanes::{self, GROUP, Kernel, Lanes};
-use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 /// An ellipse fitted to points, with what the fit knows about itself.
 #[derive(Debug, Clone, PartialEq)]
@@ -150,14 +152,40 @@ fn halir_flusser(s1: &Matrix3<f64>, s2: &Matrix3<f64>, s3: &Matrix3<f64>) -> Opt
     let lower = reduced.cholesky()?.l();
     let lower_inverse = lower.try_inverse()?;
     let constraint = Matrix3::new(0.0, 0.0, 2.0, 0.0, -1.0, 0.0, 2.0, 0.0, 0.0);
-    let eigen = SymmetricEigen::new(lower_inverse * constraint * lower_inverse.transpose());
-    let best = eigen.eigenvalues.imax();
-    if eigen.eigenvalues[best] <= 0.0 {
-        return None;
-    }
-    let a1 = lower_inverse.transpose() * eigen.eigenvectors.column(best);
+    let a1 = lower_inverse.transpose() * positive_vector(&(lower_inverse * constraint * lower_inverse.transpose()))?;
     let a2 = t * a1;
     Some(SVector::from([a1[0], a1[1], a1[2], a2[0], a2[1], a2[2]]))
+}
+
+/// Newton steps for an eigenvalue at most.
+const MOST_ROOT_STEPS: usize = 60;
+
+/// Eigenvector, of no certain length, of the largest eigenvalue of a symmetric matrix with one positive eigenvalue; none where there is none.
+///
+/// ```text
+/// lambda: largest root of x^3 - t x^2 + m x - d,   t trace, m sum of the principal minors, d determinant
+/// ```
+///
+/// by Newton's steps from `t/3 + (2/3)^(1/2) |M - t/3|`, not below it: from there they fall, and never pass the root, as all three are real. The columns of the adjugate of
+/// `M - lambda` are multiples of the vector.
+fn positive_vector(m: &Matrix3<f64>) -> Option<Vector3<f64>> {
+    let (t, d) = (m.trace(), m.determinant());
+    let minors = 0.5 * (t * t - m.component_mul(m).sum());
+    let mut x = t / 3.0 + (m - Matrix3::identity() * (t / 3.0)).norm() * (2.0_f64 / 3.0).sqrt();
+    for _ in 0..MOST_ROOT_STEPS {
+        let (value, slope) = (((x - t) * x + minors) * x - d, (3.0 * x - 2.0 * t) * x + minors);
+        let next = x - value / slope;
+        // It falls until rounding ends it.
+        if !(next < x * (1.0 - 4.0 * f64::EPSILON)) {
+            break;
+        }
+        x = next;
+    }
+    if !(x > 0.0 && x.is_finite()) {
+        return None;
+    }
+    let [a, b, c] = [0, 1, 2].map(|k| m.column(k) - Vector3::ith(k, x));
+    [a.cross(&b), b.cross(&c), c.cross(&a)].into_iter().max_by(|p, q| p.norm_squared().total_cmp(&q.norm_squared()))
 }
 
 impl EllipseFit {
@@ -171,7 +199,7 @@ impl EllipseFit {
         let mut rows: Vec<[f64; 5]> = (0..u_px.len()).map(row).collect();
         common.apply(&mut rows);
         let normal: SMatrix<f64, 5, 5> = rows.iter().map(|row| SVector::from(*row)).map(|x| x * x.transpose()).sum();
-        self.covariance = covariance_from_regular(&to_regular(&self.ellipse), &normal.cholesky()?.inverse());
+        self.covariance = covariance_from_regular(&to_regular(&self.ellipse), &inverse_of_positive(&normal)?);
         Some(self)
     }
 }
@@ -224,7 +252,7 @@ pub(crate) fn fit_geometric_from(start: &Ellipse, u_px: &[f64], v_px: &[f64], si
             break;
         }
     }
-    let regular = normal.cholesky().ok_or_else(|| degenerate("the points do not fix an ellipse"))?.inverse();
+    let regular = inverse_of_positive(&normal).ok_or_else(|| degenerate("the points do not fix an ellipse"))?;
     let frame = Frame::new(&ellipse);
     let distance = |(u, v): (&f64, &f64)| {
         let p = Pixel::new(*u, *v);
@@ -287,6 +315,35 @@ fn degenerate(why: &str) -> Insufficient {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::stats::random::Random;
+
+    /// Against the vectors that matrices are made of, with one positive eigenvalue, as the constraint has, or none, from alike to twelve powers of ten apart.
+    #[test]
+    fn the_positive_vector_is_that_of_the_largest_eigenvalue() {
+        let mut random = Random(11);
+        let mut positive = 0;
+        for k in 0..400 {
+            let turn = Matrix3::from_fn(|_, _| random.gauss()).qr().q();
+            let values = Vector3::from_fn(|i, _| {
+                let size = 10.0_f64.powf(f64::from(k % 5) * 3.0 * (random.gauss().abs().min(1.0) - 0.5));
+                if i == k as usize % 3 { size } else { -size }
+            });
+            let values = if k % 11 == 0 { values.map(|x| -x.abs()) } else { values };
+            let m = turn * Matrix3::from_diagonal(&values) * turn.transpose();
+            let m = 0.5 * (m + m.transpose());
+            let best = values.imax();
+            let Some(found) = positive_vector(&m) else {
+                assert!(values[best] < 1e-12 * values.amax(), "{values}");
+                continue;
+            };
+            positive += 1;
+            let gap = (0..3).filter(|i| *i != best).map(|i| values[best] - values[i]).fold(f64::INFINITY, f64::min);
+            let off = found.normalize().cross(&turn.column(best)).norm();
+            // What rounding of the matrix does to its vectors.
+            assert!(off < 1e-13 * values.amax() / gap * (1.0 + values.amax() / gap), "{off} of {values}");
+        }
+        assert!(positive > 300, "{positive}");
+    }
 
     /// Against plain sums, with a last group that is not full; alike in all widths.
     #[test]

@@ -62,19 +62,6 @@ impl Frame {
         }
     }
 
-    /// Columns, relative to the centre, where the row `dv` cuts the ellipse with semi-axes `a`, `b`.
-    pub(crate) fn row_span(&self, dv: f64, a: f64, b: f64) -> Option<(f64, f64)> {
-        let (ia, ib) = (1.0 / (a * a), 1.0 / (b * b));
-        let m00 = self.cos * self.cos * ia + self.sin * self.sin * ib;
-        let m01 = self.cos * self.sin * (ia - ib);
-        let m11 = self.sin * self.sin * ia + self.cos * self.cos * ib;
-        let disc = m01 * m01 * dv * dv - m00 * (m11 * dv * dv - 1.0);
-        (disc >= 0.0).then(|| {
-            let root = disc.sqrt();
-            ((-m01 * dv - root) / m00, (-m01 * dv + root) / m00)
-        })
-    }
-
     /// Least distance from an ellipse that lies beside this one, px; not positive where they meet. To a few per cent of the smaller radius.
     pub(crate) fn least_gap_px(&self, other: &Ellipse) -> f64 {
         (0..64)

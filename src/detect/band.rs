@@ -1,6 +1,6 @@
 //! The pixels around one ellipse with their distances from it, eight at a time.
 
-use crate::conic::{Ellipse, Frame};
+use crate::conic::{Cut, Ellipse, Frame};
 use crate::detect::contour::{Contour, diamond};
 use crate::image::{GrayView, Samples};
 use crate::lanes::{self, Kernel};
@@ -61,16 +61,16 @@ impl Band {
         let (u_last, v_last) = (view.width() as f64 - 1.0, view.height() as f64 - 1.0);
         let (v_lo, v_hi) = ((frame.v0 - half_height).ceil().max(0.0), (frame.v0 + half_height).floor().min(v_last));
         let rows = if v_hi < v_lo { 0..0 } else { v_lo as usize..v_hi as usize + 1 };
+        let (whole, hole) = (Cut::new(&frame, ao, bo), Cut::new(&frame, ai, bi));
         for v in rows {
             let dv = v as f64 - frame.v0;
-            let Some((lo, hi)) = frame.row_span(dv, ao, bo) else { continue };
+            let Some((lo, hi)) = whole.span(dv) else { continue };
             let (lo, hi) = ((frame.u0 + lo).ceil().max(0.0), (frame.u0 + hi).floor().min(u_last));
             if hi < lo {
                 continue;
             }
             let (lo, hi) = (lo as usize, hi as usize);
-            let hole = if ai > 0.0 && bi > 0.0 { frame.row_span(dv, ai, bi) } else { None };
-            match hole {
+            match hole.span(dv) {
                 // Columns strictly inside the hole are left out.
                 Some((l, h)) => {
                     let left = (frame.u0 + l).floor().clamp(lo as f64 - 1.0, hi as f64);

@@ -17,7 +17,7 @@
 //! | step_j | `Lit::step` | grey | inside minus outside, of disc j |
 //! | P_j | `Seen::inside` | 1 | share of disc j in a pixel |
 
-use crate::conic::{Ellipse, Frame};
+use crate::conic::{Cut, Ellipse, Frame};
 use crate::detect::band::LANES;
 use crate::detect::contour::towards_px;
 use crate::detect::refine::{Start, reach_px};
@@ -96,10 +96,10 @@ impl Lit {
         rim.set(&frame, self.blur_px);
         rim.step = rim.angles().map(|_| self.step).collect();
         let skirt = SKIRT * self.blur_px;
-        let [a, b] = [frame.a + skirt, frame.b + skirt];
+        let cut = Cut::new(&frame, frame.a + skirt, frame.b + skirt);
         for (row, grey) in grey.chunks_mut(width).enumerate() {
             let v = (corner[1] + row) as f64 - frame.v0;
-            let Some((first, last)) = frame.row_span(v, a, b) else { continue };
+            let Some((first, last)) = cut.span(v) else { continue };
             let column = |du: f64| (frame.u0 + du - corner[0] as f64).clamp(0.0, width as f64) as usize;
             let (first, last) = (column(first.floor()), column(last.ceil()));
             for from in (first..last).step_by(LANES) {

@@ -3,6 +3,7 @@
 //! `A x = r` by Cholesky's factor `A = L L^T`; the last block of the factor is that of the Schur complement on the geometry, so the price of not
 //! knowing light and blur is at hand. Sums of products are eight running ones, as wide as the processor is.
 
+use crate::conic::inverse_of_lower;
 use crate::lanes::{self, Kernel, Lanes, dots};
 use nalgebra::{SMatrix, SVector};
 
@@ -77,8 +78,8 @@ impl Dense {
     pub(crate) fn geometry(&mut self, n: usize) -> bool {
         // Its last block is that of the Schur complement on the geometry alone.
         let lower = self.fixed_factor(n).fixed_view::<5, 5>(1, 1).into_owned();
-        let Some(root) = lower.try_inverse() else { return false };
-        self.covariance = root.transpose() * root;
+        let Some(root) = inverse_of_lower(&lower) else { return false };
+        self.covariance = root.tr_mul(&root);
         self.covariance.trace().is_finite()
     }
 }

@@ -16,32 +16,15 @@ pub(crate) trait Level {
     /// Bilinear grey levels at K places, border repeated. Plain loops, step by step, for vectors: samples that lie far apart are then waited for together.
     #[inline(always)]
     fn greys<const K: usize>(&self, u_px: &[f64; K], v_px: &[f64; K], out: &mut [f64; K]) {
-        let last = [self.width() as f64 - 1.001, self.height() as f64 - 1.001];
-        let (mut first, mut part) = ([[0_i32; K]; 2], [[0.0; K]; 2]);
-        for (axis, x) in [u_px, v_px].into_iter().enumerate() {
-            for k in 0..K {
-                let x = x[k].max(0.0).min(last[axis]);
-                // The whole number at or below, several at a time; of a whole number perhaps the one before, which comes to the same.
-                first[axis][k] = (x - 0.5 + ROUND).to_bits() as i32;
-                part[axis][k] = x - f64::from(first[axis][k]);
+        let places = Places::of([u_px, v_px], [self.width(), self.height()]);
+        let mut corners = [[0.0; K]; 4];
+        for k in 0..K {
+            let [u, v] = places.first(k);
+            for (corners, (u, v)) in corners.iter_mut().zip([(u, v), (u + 1, v), (u, v + 1), (u + 1, v + 1)]) {
+                corners[k] = f64::from(self.smooth(u, v));
             }
         }
-        let mut corner = [[0.0; K]; 4];
-        for k in 0..K {
-            let [[a, b], [c, d]] = self.square(first[0][k] as usize, first[1][k] as usize);
-            (corner[0][k], corner[1][k], corner[2][k], corner[3][k]) = (a, b, c, d);
-        }
-        for k in 0..K {
-            let (fu, fv) = (part[0][k], part[1][k]);
-            let (top, bottom) =
-                ((1.0 - fu) * corner[0][k] + fu * corner[1][k], (1.0 - fu) * corner[2][k] + fu * corner[3][k]);
-            out[k] = (1.0 - fv) * top + fv * bottom;
-        }
-    }
-    /// Smoothed grey levels at (u, v), (u + 1, v) and in the row below.
-    #[inline(always)]
-    fn square(&self, u: usize, v: usize) -> [[f64; 2]; 2] {
-        [v, v + 1].map(|v| [u, u + 1].map(|u| f64::from(self.smooth(u, v))))
+        places.blend(&corners, out);
     }
     /// The field at (u, v), (u + 1, v), (u + 1, v + 1), (u, v + 1).
     #[inline]
@@ -53,4 +36,45 @@ pub(crate) trait Level {
     /// Has what is known around a pixel brought near, where memory can be asked; the pixel may lie beyond the image.
     #[inline(always)]
     fn fetch(&self, _u: usize, _v: usize) {}
+}
+
+/// Places between pixels: the pixels before them in either direction, and how far behind those they lie, px.
+pub(crate) struct Places<const K: usize> {
+    first: [[i32; K]; 2],
+    part: [[f64; K]; 2],
+}
+
+impl<const K: usize> Places<K> {
+    /// Places in an image of this width and height, px; those beyond its border upon it.
+    #[inline(always)]
+    pub(crate) fn of(places_px: [&[f64; K]; 2], size: [usize; 2]) -> Self {
+        let mut out = Self { first: [[0; K]; 2], part: [[0.0; K]; 2] };
+        for axis in 0..2 {
+            let (x, last) = (places_px[axis], size[axis] as f64 - 1.001);
+            for k in 0..K {
+                let x = x[k].max(0.0).min(last);
+                // The whole number at or below, several at a time; of a whole number perhaps the one before, which comes to the same.
+                out.first[axis][k] = (x - 0.5 + ROUND).to_bits() as i32;
+                out.part[axis][k] = x - f64::from(out.first[axis][k]);
+            }
+        }
+        out
+    }
+
+    /// Column and row of the pixel before one of the places.
+    #[inline(always)]
+    pub(crate) fn first(&self, k: usize) -> [usize; 2] {
+        [self.first[0][k] as usize, self.first[1][k] as usize]
+    }
+
+    /// What lies there, from what the pixels around hold: above left and right, below left and right.
+    #[inline(always)]
+    pub(crate) fn blend(&self, corners: &[[f64; K]; 4], out: &mut [f64; K]) {
+        for k in 0..K {
+            let (fu, fv) = (self.part[0][k], self.part[1][k]);
+            let (top, bottom) =
+                ((1.0 - fu) * corners[0][k] + fu * corners[1][k], (1.0 - fu) * corners[2][k] + fu * corners[3][k]);
+            out[k] = (1.0 - fv) * top + fv * bottom;
+        }
+    }
 }

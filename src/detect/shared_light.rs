@@ -19,11 +19,13 @@
 //!
 //! Where the light is even, or not a polynomial, nothing is expected.
 
-use crate::conic::{Ellipse, Frame};
+use crate::conic::{Cut, Ellipse, Frame};
 use crate::detect::candidate::Candidate;
+use crate::detect::level::ROUND;
 use crate::frames::Pixel;
 use crate::image::{GrayView, Samples};
 use nalgebra::{SMatrix, SVector};
+use std::f64::consts::{FRAC_PI_2, PI};
 use std::ops::Range;
 
 /// Fewer discs tell nothing.
@@ -120,23 +122,21 @@ impl Polynomial {
             scale_px: 0.5 * width.max(height),
         };
         let mut kept: Vec<(Pixel, f64)> = levels.to_vec();
-        let mut summed: Option<(usize, usize, Sums)> = None;
+        let mut sums = fitted.normal_equations(&kept);
         for _ in 0..ROUNDS {
-            if kept.len() < LEAST_DISCS {
-                return None;
-            }
             fitted.count = counts(kept.len()).last()?;
-            // Nothing left out, nothing to sum up anew.
-            let sums = match summed {
-                Some((count, of, sums)) if (count, of) == (fitted.count, kept.len()) => sums,
-                _ => fitted.normal_equations(&kept),
-            };
-            summed = Some((fitted.count, kept.len(), sums));
             fitted.solve(&sums)?;
-            let mut off: Vec<f64> = kept.iter().map(|x| fitted.off(x).abs()).collect();
-            let middle = off.len() / 2;
-            let limit = CLIP * 1.4826 * *off.select_nth_unstable_by(middle, f64::total_cmp).1;
-            kept.retain(|x| fitted.off(x).abs() <= limit);
+            let off: Vec<f64> = kept.iter().map(|x| fitted.off(x).abs()).collect();
+            let (mut sorted, middle) = (off.clone(), off.len() / 2);
+            let limit = CLIP * 1.4826 * *sorted.select_nth_unstable_by(middle, f64::total_cmp).1;
+            let before = kept.len();
+            let mut off = off.into_iter();
+            kept.retain(|_| off.next().is_some_and(|off| off <= limit));
+            // Nothing left out: another round would be the same.
+            if kept.len() == before {
+                break;
+            }
+            sums = fitted.normal_equations(&kept);
         }
         if kept.len() < LEAST_DISCS {
             return None;
@@ -144,19 +144,19 @@ impl Polynomial {
         let n = kept.len() as f64;
         let mean = kept.iter().map(|x| x.1).sum::<f64>() / n;
         let about_mean = kept.iter().map(|x| (x.1 - mean).powi(2)).sum::<f64>() / (n - 1.0);
-        let fitted = fitted.of_likeliest_degree(&kept)?;
+        let fitted = fitted.of_likeliest_degree(&kept, &sums)?;
         let about_fit = fitted.sum_of_squares(&kept) / (n - fitted.count as f64);
         (about_mean > TOLD * about_fit).then_some(fitted)
     }
 
     /// Of the degree that is likeliest, of those that so many discs tell, by Akaike's criterion for few data: what a degree does not need only adds noise to the gradient.
-    fn of_likeliest_degree(&self, levels: &[(Pixel, f64)]) -> Option<Self> {
-        let (n, sums) = (levels.len() as f64, self.normal_equations(levels));
+    fn of_likeliest_degree(&self, levels: &[(Pixel, f64)], sums: &Sums) -> Option<Self> {
+        let n = levels.len() as f64;
         let mut likeliest: Option<(f64, Self)> = None;
         for count in counts(levels.len()) {
             let (mut lower, p) = (self.clone(), count as f64 + 1.0);
             (lower.count, lower.bends) = (count, counts(levels.len()).nth(1).is_some());
-            lower.solve(&sums)?;
+            lower.solve(sums)?;
             let unlikely = n * lower.sum_of_squares(levels).ln() + 2.0 * p * n / (n - p - 1.0);
             if likeliest.as_ref().is_none_or(|(least, _)| unlikely < *least) {
                 likeliest = Some((unlikely, lower));
@@ -168,9 +168,9 @@ impl Polynomial {
     /// The first coefficients, as many as there are; those of the others stay zero.
     fn solve(&mut self, (matrix, right): &Sums) -> Option<()> {
         // Discs in a row, say, fix no polynomial; what they leave open is no gradient.
-        let ridge = 1e-9 * matrix.trace();
         let mine = |i: usize| i < self.count;
         let part = SMatrix::<f64, N, N>::from_fn(|i, j| if mine(i) && mine(j) { matrix[(i, j)] } else { 0.0 });
+        let ridge = 1e-9 * part.trace();
         let side = SVector::<f64, N>::from_fn(|i, _| if mine(i) { right[i] } else { 0.0 });
         self.coefficients = (part + SMatrix::identity() * ridge).cholesky()?.solve(&side);
         Some(())
@@ -206,9 +206,7 @@ impl Polynomial {
 
     fn monomials(&self, p: Pixel) -> [f64; N] {
         let [x, y] = self.place(p);
-        let mut row = [1.0, x, y, x * x, x * y, y * y, x * x * x, x * x * y, x * y * y, y * y * y];
-        row[self.count..].fill(0.0);
-        row
+        [1.0, x, y, x * x, x * y, y * y, x * x * x, x * x * y, x * y * y, y * y * y]
     }
 
     /// Along u and v, grey/px.
@@ -247,6 +245,9 @@ fn beyond_px(c: &Candidate) -> f64 {
 
 /// Mean over the pixels within an ellipse that lies in the image, of a large one over some rows, and their own middle. None of fewer than [`FEWEST_PIXELS`].
 fn mean_within(view: &GrayView, e: &Ellipse) -> Option<(Pixel, f64)> {
+    if PI * e.semi_major_px * e.semi_minor_px < FEWEST_PIXELS {
+        return None;
+    }
     let (frame, Pixel { u_px: u0, v_px: v0, .. }) = (Frame::new(e), e.center_px);
     let half = (e.semi_major_px * frame.sin).hypot(e.semi_minor_px * frame.cos);
     let (first, last) = ((v0 - half).ceil(), (v0 + half).floor());
@@ -254,9 +255,10 @@ fn mean_within(view: &GrayView, e: &Ellipse) -> Option<(Pixel, f64)> {
         return None;
     }
     let step = ((last - first) as usize / MOST_ROWS).max(1);
+    let cut = Cut::new(&frame, e.semi_major_px, e.semi_minor_px);
     let (mut count, mut sums) = (0.0, [0.0; 3]);
     for v in (first as usize..=last.max(first) as usize).step_by(step) {
-        let Some((left, right)) = frame.row_span(v as f64 - v0, e.semi_major_px, e.semi_minor_px) else { continue };
+        let Some((left, right)) = cut.span(v as f64 - v0) else { continue };
         let (left, right) = ((u0 + left).ceil(), (u0 + right).floor());
         if left < 0.0 || right >= view.width() as f64 {
             return None;
@@ -285,28 +287,41 @@ fn sum_of_row(view: &GrayView, v: usize, columns: Range<usize>) -> f64 {
     }
 }
 
-/// Grey level at the nearest pixel; none outside the image.
-fn grey(view: &GrayView, p: Pixel) -> Option<f64> {
-    let (u, v) = (p.u_px.round(), p.v_px.round());
-    let within = u >= 0.0 && v >= 0.0 && u < view.width() as f64 && v < view.height() as f64;
-    within.then(|| f64::from(view.get(u as usize, v as usize)))
+/// Mean at places on an ellipse that lies in the image, the nearest pixel to each and about as many places as pixels: four a quarter of the eccentric angle
+/// apart, so that a slope leaves the level of the centre.
+fn mean_on(view: &GrayView, e: &Ellipse) -> Option<f64> {
+    let frame = Frame::new(e);
+    let half_width = (frame.a * frame.cos).hypot(frame.b * frame.sin);
+    let half_height = (frame.a * frame.sin).hypot(frame.b * frame.cos);
+    let within = |at: f64, half: f64, size: usize| at - half > -0.5 && at + half < size as f64 - 0.5;
+    if !(within(frame.u0, half_width, view.width()) && within(frame.v0, half_height, view.height())) {
+        return None;
+    }
+    Some(match view.samples() {
+        Samples::U8(s) => mean_of(s, view, &frame, e.perimeter_px()),
+        Samples::U16(s) => mean_of(s, view, &frame, e.perimeter_px()),
+        Samples::F32(s) => mean_of(s, view, &frame, e.perimeter_px()),
+    })
 }
 
-/// Mean at places on an ellipse that lies in the image, one in a pixel: opposite ones, so that a slope leaves the level of the centre.
-fn mean_on(view: &GrayView, e: &Ellipse) -> Option<f64> {
-    let places = (e.perimeter_px() as usize).clamp(FEWEST_PLACES, MOST_PLACES).div_ceil(2);
-    let (sin, cos) = e.angle_rad.sin_cos();
-    let (turn_sin, turn_cos) = (std::f64::consts::PI / places as f64).sin_cos();
+fn mean_of<S: Copy + Into<f64>>(samples: &[S], view: &GrayView, frame: &Frame, perimeter_px: f64) -> f64 {
+    let quarter = (perimeter_px as usize).clamp(FEWEST_PLACES, MOST_PLACES).div_ceil(4);
+    let (turn_sin, turn_cos) = (FRAC_PI_2 / quarter as f64).sin_cos();
+    let last = [view.width() - 1, view.height() - 1];
+    let grey = |du: f64, dv: f64| -> f64 {
+        let [u, v] = [frame.u0 + du, frame.v0 + dv].map(|x| (x + ROUND).to_bits() as i32 as usize);
+        samples[v.min(last[1]) * view.stride() + u.min(last[0])].into()
+    };
     let ([mut x, mut y], mut sum) = ([1.0, 0.0], 0.0);
-    for _ in 0..places {
-        let (p, q) = (x * e.semi_major_px, y * e.semi_minor_px);
-        let (du, dv) = (cos * p - sin * q, sin * p + cos * q);
-        for sign in [1.0, -1.0] {
-            sum += grey(view, Pixel::new(e.center_px.u_px + sign * du, e.center_px.v_px + sign * dv))?;
+    for _ in 0..quarter {
+        // Along the axes of the ellipse at this angle, and a quarter on.
+        let [(p, q), (r, s)] = [(x * frame.a, y * frame.b), (-y * frame.a, x * frame.b)];
+        for (p, q) in [(p, q), (r, s), (-p, -q), (-r, -s)] {
+            sum += grey(frame.cos * p - frame.sin * q, frame.sin * p + frame.cos * q);
         }
         (x, y) = (turn_cos * x - turn_sin * y, turn_sin * x + turn_cos * y);
     }
-    Some(sum / (2 * places) as f64)
+    sum / (4 * quarter) as f64
 }
 
 #[cfg(test)]
@@ -357,7 +372,7 @@ mod tests {
         let some: Vec<_> = all.into_iter().enumerate().filter(|(k, _)| k % 10 != 4).map(|x| x.1).collect();
         assert!(counts(20).eq(COUNTS) && counts(14).eq([3, 6]) && counts(9).eq([3]));
         let fitted = Polynomial::fit(SIZE_PX, &some[..14]).expect("a plane");
-        let of_all = Polynomial { count: N, ..fitted.clone() }.of_likeliest_degree(&some[..14]).expect("a plane");
+        let of_all = fitted.of_likeliest_degree(&some[..14], &fitted.normal_equations(&some[..14])).expect("a plane");
         assert_eq!((fitted.count, of_all.count, of_all.bends), (3, 3, true));
         assert!(!Polynomial::fit(SIZE_PX, &some[..9]).expect("a plane").bends);
     }

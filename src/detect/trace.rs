@@ -3,7 +3,7 @@
 //! Marching squares: a crossing lies on a lattice edge between a positive and a non-positive pixel, placed by linear
 //! interpolation; from cell to cell the line is followed until it closes or leaves the image.
 
-use crate::conic::{Ellipse, Frame};
+use crate::conic::{Cut, Ellipse, Frame};
 use crate::detect::level::Level;
 
 /// How far from a contour another view of it runs at most, px of the coarser level: blur and the curvature of the contour move it.
@@ -48,13 +48,13 @@ impl<'a, L: Level> Tracer<'a, L> {
             return;
         }
         let frame = Frame::new(e);
-        let [outer, inner] = [BESIDE_PX, -BESIDE_PX].map(|d| (frame.a + d, frame.b + d));
-        let half = (outer.0 * frame.sin).hypot(outer.1 * frame.cos);
+        let [outer, inner] = [BESIDE_PX, -BESIDE_PX].map(|d| Cut::new(&frame, frame.a + d, frame.b + d));
+        let half = ((frame.a + BESIDE_PX) * frame.sin).hypot((frame.b + BESIDE_PX) * frame.cos);
         let (first, end) = ((e.center_px.v_px - half).max(0.0), e.center_px.v_px + half + 1.0);
         for v in first as usize..(end as usize).min(self.level.height()) {
             let dv = v as f64 - e.center_px.v_px;
-            let Some((left, right)) = frame.row_span(dv, outer.0, outer.1) else { continue };
-            match frame.row_span(dv, inner.0, inner.1) {
+            let Some((left, right)) = outer.span(dv) else { continue };
+            match inner.span(dv) {
                 Some((from, to)) => {
                     self.visit(v, frame.u0 + left, frame.u0 + from);
                     self.visit(v, frame.u0 + to, frame.u0 + right);

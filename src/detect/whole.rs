@@ -20,7 +20,7 @@
 mod binomial;
 mod stretches;
 
-use crate::detect::level::Level;
+use crate::detect::level::{Level, Places};
 use crate::image::{GrayView, Samples};
 use crate::lanes;
 use crate::threads;
@@ -113,15 +113,24 @@ impl Level for Whole {
         f32::from(self.smooth[v * self.width + u]) / self.per_grey
     }
     #[inline(always)]
-    fn square(&self, u: usize, v: usize) -> [[f64; 2]; 2] {
-        let unit = 1.0 / f64::from(self.per_grey);
-        // Of a pair of rows one slice, and of that two pairs.
-        let both = &self.smooth[v * self.width + u..][..self.width + 2];
-        let (top, bottom) = (&both[..2], &both[self.width..]);
-        [
-            [f64::from(top[0]) * unit, f64::from(top[1]) * unit],
-            [f64::from(bottom[0]) * unit, f64::from(bottom[1]) * unit],
-        ]
+    fn greys<const K: usize>(&self, u_px: &[f64; K], v_px: &[f64; K], out: &mut [f64; K]) {
+        let places = Places::of([u_px, v_px], [self.width, self.height]);
+        // Neighbours of a row as one number: what is fetched one by one is half as much, and all are turned to floats together.
+        let pair = |of: &[u16]| u32::from(of[0]) | u32::from(of[1]) << 16;
+        let mut pairs = [[0_u32; K]; 2];
+        for k in 0..K {
+            let [u, v] = places.first(k);
+            let both = &self.smooth[v * self.width + u..][..self.width + 2];
+            (pairs[0][k], pairs[1][k]) = (pair(&both[..2]), pair(&both[self.width..]));
+        }
+        let (mut corners, unit) = ([[0.0; K]; 4], 1.0 / f64::from(self.per_grey));
+        for row in 0..2 {
+            for k in 0..K {
+                let [left, right] = [pairs[row][k] & 0xffff, pairs[row][k] >> 16].map(|x| f64::from(x as i32) * unit);
+                (corners[2 * row][k], corners[2 * row + 1][k]) = (left, right);
+            }
+        }
+        places.blend(&corners, out);
     }
     #[inline(always)]
     fn field(&self, u: usize, v: usize) -> f32 {

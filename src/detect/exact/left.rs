@@ -50,6 +50,11 @@ impl Share {
     pub(crate) fn shift_px(&self) -> f64 {
         -self.score / self.information
     }
+
+    /// Square of the same over its variance.
+    pub(crate) fn deviation2(&self) -> f64 {
+        self.score * self.score / self.information
+    }
 }
 
 /// Sums over pixels that see at least nine tenths of the disc; residuals over the noise.

@@ -26,7 +26,7 @@
 
 use super::waves::{Each, Heights, Waves};
 use super::{Exact, State, polynomial_step};
-use crate::conic::{Frame, OnContour};
+use crate::conic::{Frame, OnContour, inverse_of_lower};
 use crate::detect::band::LANES;
 use crate::detect::dense::FIXED;
 use crate::detect::exact::products::CHUNK;
@@ -60,8 +60,8 @@ impl Exact {
     pub(super) fn second_order(&mut self, state: &State) -> Option<Fixed> {
         let (n, frame) = (Self::lights(state) + FIXED, Frame::new(&state.ellipse));
         let factor = self.dense.fixed_factor(n);
-        let root = factor.try_inverse()?;
-        let covariance = root.transpose() * root;
+        let root = inverse_of_lower(&factor)?;
+        let covariance = root.tr_mul(&root);
         self.prepare(state, &frame);
         let (mut followed, mut bent) = (Fixed::zeros(), Fixed::zeros());
         for i in (0..self.count).step_by(LANES) {

@@ -2,7 +2,7 @@
 
 use super::columns::{EIGHT, Near};
 use super::whole::{Sample, Whole, number};
-use crate::conic::Frame;
+use crate::conic::{Cut, Frame};
 use crate::detect::correlation::Allowance;
 use crate::detect::level::ROUND;
 use crate::image::{GrayView, Samples};
@@ -155,39 +155,19 @@ pub(super) struct Collect<'a> {
     pub(super) out: &'a mut Pixels,
 }
 
-/// Where rows cut an ellipse around the centre: `shear dv -+ (reach^2 - (fall dv)^2)^(1/2)`.
-#[derive(Debug, Clone, Copy, Default)]
-struct Cut {
-    shear: f64,
-    reach2: f64,
-    fall2: f64,
-}
-
-impl Cut {
-    fn new(frame: &Frame, a: f64, b: f64) -> Self {
-        if !(a > 0.0 && b > 0.0) {
-            return Self { shear: 0.0, reach2: -1.0, fall2: 0.0 };
-        }
-        let (ia, ib) = (1.0 / (a * a), 1.0 / (b * b));
-        let m00 = frame.cos * frame.cos * ia + frame.sin * frame.sin * ib;
-        let m01 = frame.cos * frame.sin * (ia - ib);
-        Self { shear: -m01 / m00, reach2: 1.0 / m00, fall2: ia * ib / (m00 * m00) }
-    }
-
-    /// First columns, and those behind the last, of some rows `dv` below the centre. A plain loop, for vectors.
-    #[inline(always)]
-    fn spans(&self, u0: f64, dv: &[f64; ROWS], out: &mut [[i32; ROWS]; 2]) {
-        let [first, end] = out;
-        for k in 0..ROWS {
-            let square = self.reach2 - self.fall2 * dv[k] * dv[k];
-            let (middle, half) = (u0 + self.shear * dv[k], square.max(0.0).sqrt());
-            // Within the image, and no NaN where it counts: several are converted at once.
-            let whole = |x: f64| (x + ROUND).to_bits() as i32;
-            let (low, high) = (whole((middle - half).ceil()), whole((middle + half).floor()) + 1);
-            let none = !(square >= 0.0);
-            first[k] = if none { 0 } else { low };
-            end[k] = if none { 0 } else { high };
-        }
+/// First columns, and those behind the last, of some rows `dv` below the centre. A plain loop, for vectors.
+#[inline(always)]
+fn spans(cut: &Cut, u0: f64, dv: &[f64; ROWS], out: &mut [[i32; ROWS]; 2]) {
+    let [first, end] = out;
+    for k in 0..ROWS {
+        let square = cut.reach2 - cut.fall2 * dv[k] * dv[k];
+        let (middle, half) = (u0 + cut.shear * dv[k], square.max(0.0).sqrt());
+        // Within the image, and no NaN where it counts: several are converted at once.
+        let whole = |x: f64| (x + ROUND).to_bits() as i32;
+        let (low, high) = (whole((middle - half).ceil()), whole((middle + half).floor()) + 1);
+        let none = !(square >= 0.0);
+        first[k] = if none { 0 } else { low };
+        end[k] = if none { 0 } else { high };
     }
 }
 
@@ -273,7 +253,7 @@ fn spans_of_rows<const N: usize>(frame: &Frame, cuts: &[Cut; N], first: usize, t
     }
     let mut spans = [[[0; ROWS]; 2]; N];
     for k in 0..N {
-        cuts[k].spans(frame.u0, &dv, &mut spans[k]);
+        self::spans(&cuts[k], frame.u0, &dv, &mut spans[k]);
     }
     spans
 }

@@ -116,17 +116,17 @@ fn agree(shares: &[Share], sorted: &mut Vec<f64>) -> bool {
         sorted.extend(shares.iter().map(f));
         median(sorted)
     };
-    // Over its own sigma: a sector that the pixels happen to cut badly says less, and is further off.
-    let off = |x: &Share| x.shift_px().abs() * x.information.sqrt();
-    let (mut least, mut most, mut furthest, mut even) = (f64::INFINITY, 0.0_f64, 0.0_f64, true);
+    let (mut least, mut most, mut furthest2, mut even) = (f64::INFINITY, 0.0_f64, 0.0_f64, true);
     for x in shares {
-        (least, most, furthest) = (least.min(x.information), most.max(x.information), furthest.max(off(x)));
-        let pixels = x.pixels.max(1.0);
-        even &= x.squares / pixels < 2.0 + 5.0 * (2.0 / pixels).sqrt();
+        // Over its own sigma: a sector that the pixels happen to cut badly says less, and is further off.
+        (least, most, furthest2) = (least.min(x.information), most.max(x.information), furthest2.max(x.deviation2()));
+        let twice = 2.0 * x.pixels.max(1.0);
+        even &= x.squares < twice + 5.0 * twice.sqrt();
     }
+    let furthest = furthest2.sqrt();
     // What is typical lies below the most, and the limit is no less than that of noise alone: mostly neither needs to be known.
     even && (least > LEAST_TOLD * most || least > LEAST_TOLD * typical(&|x| x.information))
-        && (furthest < FURTHEST || furthest < FURTHEST * (1.4826 * typical(&off)).max(1.0))
+        && (furthest < FURTHEST || furthest < FURTHEST * (1.4826 * typical(&|x| x.deviation2().sqrt())).max(1.0))
 }
 
 /// Edge points of the sectors that count.
