@@ -187,8 +187,8 @@ impl Lights {
     /// All that is felt by a disc at a place, itself no neighbour; none where nothing is, or none of it has moved.
     fn felt_by(&self, e: &Ellipse) -> Option<Vec<Lit>> {
         let near = self.by_row.near(e.center_px, e.semi_major_px + self.by_row.largest_px + FAR * self.blur_px);
-        let felt: Vec<_> = near.map(|k| self.lit[k]).filter(|(_, lit)| lit.is_felt(e, self.sigma)).collect();
-        felt.iter().any(|(moved, _)| *moved).then(|| felt.into_iter().map(|(_, lit)| lit).collect())
+        let felt: Vec<_> = near.map(|k| &self.lit[k]).filter(|(_, lit)| lit.is_felt(e, self.sigma)).collect();
+        felt.iter().any(|(moved, _)| *moved).then(|| felt.into_iter().map(|(_, lit)| *lit).collect())
     }
 }
 
@@ -196,7 +196,7 @@ impl Lights {
 fn close_ones(starts: &[Start], refined: &[Refined], moved: &[bool], sigma: f64) -> Vec<(usize, Vec<Lit>)> {
     let found = refined.iter().zip(moved).filter_map(|(disc, moved)| Some((*moved, disc.as_ref().ok()?)));
     let lights = Lights::of(found, sigma);
-    let felt_by = |start: &Start, disc: &Refined| match disc {
+    let felt_by = |&(start, disc): &(&Start, &Refined)| match disc {
         Ok(disc) => lights.felt_by(&disc.ellipse),
         // The light of others may be what made it look hidden or bent. What is no disc is hardly like them.
         Err(RejectionReason::Incomplete { .. } | RejectionReason::NotElliptical { .. }) => {
@@ -205,8 +205,9 @@ fn close_ones(starts: &[Start], refined: &[Refined], moved: &[bool], sigma: f64)
         }
         Err(_) => None,
     };
-    let all = starts.iter().zip(refined).enumerate();
-    all.filter_map(|(i, (start, disc))| Some((i, felt_by(start, disc)?))).collect()
+    let all: Vec<_> = starts.iter().zip(refined).collect();
+    let felt = threads::side_by_side(&all, felt_by).into_iter().enumerate();
+    felt.filter_map(|(i, felt)| Some((i, felt?))).collect()
 }
 
 /// One disc in the image around it without the light of those beside it.

@@ -78,16 +78,18 @@ pub fn find_discs_with(view: &GrayView, options: &DetectOptions, memory: &Detect
     drop_texture(&mut seen, f64::from(noise), options);
     drop_repeats(&mut seen);
     let mut detection = Detection::default();
-    let refined = refine_all(view, &seen.candidates, [noise, range], options);
-    let found = drop_twins(&refined);
-    detection.discs.reserve(refined.len());
-    for ((candidate, refined), keep) in refined.into_iter().zip(found) {
-        match refined {
-            Ok(disc) if keep => detection.discs.push(disc),
-            Ok(_) => {}
-            Err(reason) => detection.rejections.push(rejection(candidate, reason)),
+    let (candidates, refined) = refine_all(view, &seen.candidates, [noise, range], options);
+    let keep = drop_twins(&refined);
+    let mut turned_down = |c: &Candidate, reason| detection.rejections.push(rejection(c, told(reason, view, c)));
+    // Discs are large: where they lie they are collected.
+    let found = refined.into_iter().enumerate().filter_map(|(i, refined)| match refined {
+        Ok(disc) => keep[i].then_some(disc),
+        Err(reason) => {
+            turned_down(candidates[i], reason);
+            None
         }
-    }
+    });
+    detection.discs = found.collect();
     for (candidate, reason) in seen.rejected.iter().filter(|(c, _)| wanted(c.bright, options.polarity)) {
         detection.rejections.push(rejection(candidate, *reason));
     }
@@ -95,14 +97,14 @@ pub fn find_discs_with(view: &GrayView, options: &DetectOptions, memory: &Detect
     Ok(detection)
 }
 
-/// Refines the candidates of the polarity wanted, in their order. The threads are those of the pool that the caller runs in; without
+/// The candidates of the polarity wanted, in their order, and what they are refined to. The threads are those of the pool that the caller runs in; without
 /// one there is one thread. Each disc depends on the image alone, so the result does not depend on their number.
 fn refine_all<'a>(
     view: &GrayView,
     candidates: &'a [Candidate],
     [noise_grey, range]: [f32; 2],
     options: &DetectOptions,
-) -> Vec<(&'a Candidate, std::result::Result<Disc, RejectionReason>)> {
+) -> (Vec<&'a Candidate>, Vec<std::result::Result<Disc, RejectionReason>>) {
     let (around, sigma) = (surroundings(candidates), f64::from(noise_grey));
     let wanted: Vec<_> = candidates.iter().zip(&around).filter(|(c, _)| wanted(c.bright, options.polarity)).collect();
     let all: Vec<&Candidate> = wanted.iter().map(|w| w.0).collect();
@@ -137,8 +139,7 @@ fn refine_all<'a>(
     });
     let mut starts: Vec<Start> = each.collect();
     let refined = fit_all(view, &mut starts, [noise_grey, range], options);
-    let named = |(c, disc): (&'a Candidate, std::result::Result<Disc, _>)| (c, disc.map_err(|x| told(x, view, c)));
-    all.into_iter().zip(refined).map(named).collect()
+    (all, refined)
 }
 
 /// Fits all discs: alone, then those that are close without each other's light, with the noise that all of them tell together.
@@ -388,9 +389,9 @@ fn one_and_the_same(a: &Disc, b: &Disc) -> bool {
 }
 
 /// Which results are no second view of a disc that came before.
-fn drop_twins(refined: &[(&Candidate, std::result::Result<Disc, RejectionReason>)]) -> Vec<bool> {
+fn drop_twins(refined: &[std::result::Result<Disc, RejectionReason>]) -> Vec<bool> {
     let discs: Vec<(usize, &Disc)> =
-        refined.iter().enumerate().filter_map(|(i, (_, r))| r.as_ref().ok().map(|d| (i, d))).collect();
+        refined.iter().enumerate().filter_map(|(i, r)| r.as_ref().ok().map(|d| (i, d))).collect();
     let by_row = ByRow::new(discs.iter().map(|(_, d)| &d.ellipse));
     let mut keep = vec![true; refined.len()];
     for (k, (i, d)) in discs.iter().enumerate() {

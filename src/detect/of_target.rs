@@ -113,6 +113,9 @@ fn keep_telling_rejections(detection: &mut Detection) {
 
 /// Marks of the discs' polarity and of about their size.
 fn keep_marks(detection: &mut Detection, marks: &[(Candidate, MarkKind)]) {
+    if marks.is_empty() {
+        return;
+    }
     let Some(typical) = typical_radius_px(&detection.discs) else { return };
     let bright = detection.discs[0].polarity == Polarity::Bright;
     for (c, kind) in marks.iter().filter(|(c, _)| c.bright == bright) {

@@ -24,6 +24,7 @@ use crate::detect::candidate::Candidate;
 use crate::detect::level::ROUND;
 use crate::frames::Pixel;
 use crate::image::{GrayView, Samples};
+use crate::threads;
 use nalgebra::{SMatrix, SVector};
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::ops::Range;
@@ -82,11 +83,12 @@ impl SharedLight {
         if alike.len() < LEAST_DISCS {
             return Self::default();
         }
-        let fit = |level: &dyn Fn(&Candidate) -> Option<(Pixel, f64)>| {
-            let told = alike.iter().filter_map(|c| level(c));
+        let fit = |level: fn(&GrayView, &Candidate) -> Option<(Pixel, f64)>| {
+            let told = alike.iter().filter_map(|c| level(view, c));
             Polynomial::fit([view.width() as f64, view.height() as f64], &told.collect::<Vec<_>>())
         };
-        Self { bright, sides: [fit(&|c| inside(view, c)), fit(&|c| ground(view, c))] }
+        let (inside, ground) = threads::both(|| fit(inside), || fit(ground));
+        Self { bright, sides: [inside, ground] }
     }
 
     /// Gradients inside and outside that a disc may expect, grey/px along u and v.
