@@ -367,6 +367,35 @@ mod tests {
         assert!((gu - 0.3).abs() < 0.01 && (gv + 0.2).abs() < 0.05, "{gu} {gv}");
     }
 
+    /// Light that rises evenly has the level of the centre all along an ellipse, and within it; alike in all depths. What leaves the image tells none.
+    #[test]
+    fn means_are_levels_of_the_centre() {
+        let (width, height) = (70, 60);
+        let bytes: Vec<u8> = (0..width * height).map(|i| (20 + 2 * (i % width) + i / width) as u8).collect();
+        let wide: Vec<u16> = bytes.iter().map(|x| u16::from(*x)).collect();
+        let floats: Vec<f32> = bytes.iter().map(|x| f32::from(*x)).collect();
+        for (u, v, a, b, angle_rad) in
+            [(33.3, 28.6, 17.0, 9.0, 0.6), (30.0, 31.4, 3.0, 2.2, -1.1), (40.7, 20.2, 12.0, 12.0, 0.0)]
+        {
+            let e = Ellipse::new(Pixel::new(u, v), a, b, angle_rad).expect("an ellipse");
+            let of = |samples: Samples| {
+                let view = GrayView::new(samples, width, height, width).expect("an image");
+                (mean_on(&view, &e).expect("within the image"), mean_within(&view, &e).expect("pixels enough"))
+            };
+            let all = [of(Samples::U8(&bytes)), of(Samples::U16(&wide)), of(Samples::F32(&floats))];
+            assert!(all.iter().all(|x| *x == all[0]));
+            let (on, (place, within)) = all[0];
+            let light = |p: Pixel| 20.0 + 2.0 * p.u_px + p.v_px;
+            // Places are those of the nearest pixels: by chance they are off by 0.4 px, a mean over n of them by that over the root of n.
+            let by_chance = 0.4 * 5.0_f64.sqrt() / e.perimeter_px().max(12.0).sqrt();
+            assert!((on - light(e.center_px)).abs() < 3.0 * by_chance, "{on} {}", light(e.center_px));
+            assert!((within - light(place)).abs() < 1e-9, "{within} {}", light(place));
+            let beyond = Ellipse { center_px: Pixel::new(a - 2.0, v), angle_rad: 0.0, ..e };
+            let view = GrayView::new(Samples::U8(&bytes), width, height, width).expect("an image");
+            assert!(mean_on(&view, &beyond).is_none() && mean_within(&view, &beyond).is_none());
+        }
+    }
+
     /// The third degree asks for 20 levels; of 14 it is not told, even where the rounds began with it.
     #[test]
     fn what_is_left_out_tells_no_degree() {
