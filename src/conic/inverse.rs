@@ -1,5 +1,5 @@
-//! Inverses of small symmetric matrices, thousands of them for an image: plain loops of a length that is known, where a library's for any length take
-//! several times as long.
+//! Inverses of small symmetric positive definite matrices, thousands of them for an image, and of their factors: plain loops of a known length. `M = L L^T`
+//! by Cholesky, `M^-1 = L^-T L^-1`, `L^-1` column by column by forward substitution (Golub and Van Loan, "Matrix computations", sections 3.1 and 4.2).
 
 use nalgebra::SMatrix;
 

@@ -245,7 +245,7 @@ fn beyond_px(c: &Candidate) -> f64 {
     3.0 * c.blur_px + 1.5
 }
 
-/// Mean over the pixels within an ellipse that lies in the image, of a large one over some rows, and their own middle. None of fewer than [`FEWEST_PIXELS`].
+/// Mean over the pixels within an ellipse that lies in the image, of a large one over some rows, and their own middle. None of fewer than [`FEWEST_PIXELS`], by its area or by their number.
 fn mean_within(view: &GrayView, e: &Ellipse) -> Option<(Pixel, f64)> {
     if PI * e.semi_major_px * e.semi_minor_px < FEWEST_PIXELS {
         return None;
@@ -306,6 +306,7 @@ fn mean_on(view: &GrayView, e: &Ellipse) -> Option<f64> {
     })
 }
 
+/// Mean of the pixels nearest to places on the ellipse of a frame, which lies in the image, grey.
 fn mean_of<S: Copy + Into<f64>>(samples: &[S], view: &GrayView, frame: &Frame, perimeter_px: f64) -> f64 {
     let quarter = (perimeter_px as usize).clamp(FEWEST_PLACES, MOST_PLACES).div_ceil(4);
     let (turn_sin, turn_cos) = (FRAC_PI_2 / quarter as f64).sin_cos();
@@ -403,7 +404,8 @@ mod tests {
         let some: Vec<_> = all.into_iter().enumerate().filter(|(k, _)| k % 10 != 4).map(|x| x.1).collect();
         assert!(counts(20).eq(COUNTS) && counts(14).eq([3, 6]) && counts(9).eq([3]));
         let fitted = Polynomial::fit(SIZE_PX, &some[..14]).expect("a plane");
-        let of_all = fitted.of_likeliest_degree(&some[..14], &fitted.normal_equations(&some[..14])).expect("a plane");
+        let begun = Polynomial { count: N, ..fitted.clone() };
+        let of_all = begun.of_likeliest_degree(&some[..14], &begun.normal_equations(&some[..14])).expect("a plane");
         assert_eq!((fitted.count, of_all.count, of_all.bends), (3, 3, true));
         assert!(!Polynomial::fit(SIZE_PX, &some[..9]).expect("a plane").bends);
     }
