@@ -31,6 +31,7 @@ use crate::detect::contour::Contour;
 use crate::detect::edge_model::Solution;
 use crate::detect::sectors::{Away, Sectors};
 use nalgebra::{SMatrix, SVector};
+use std::f64::consts::{PI, TAU};
 
 /// Length of contour from node to node, px.
 const NODE_PX: f64 = 6.0;
@@ -39,8 +40,8 @@ const MOST_NODES: usize = 400;
 /// Standard deviation of a radial slope that the image shows, grey steps per semi-axis.
 const RADIAL: f64 = 0.15;
 /// A slope held too tightly drags the edge along with it, one held too loosely costs little: the prior is this much wider than measured, from
-/// light that goes up and down but a few times around the contour.
-const LOOSE: f64 = 2.0;
+/// light that goes up and down but a few times around the contour, and whose long waves are alike over more of it than its slopes show.
+const LOOSE: f64 = 2.5;
 /// How much it must fall for slopes across the contour that no surface has: chance does that once in 20 000 discs.
 const LEANS: f64 = 20.0;
 /// Standard deviations by which light must vary to be called smoke.
@@ -84,6 +85,8 @@ pub(crate) struct NodePrior {
     /// Of the light as a whole. Levels on the contour tell a surface, and all about its slopes only where light is one.
     pub(crate) gradient: f64,
     pub(crate) bend: f64,
+    /// How many times wider slopes and bends are held.
+    loose: [f64; 2],
     /// Surface about which the light varies, grey.
     about: SVector<f64, 6>,
     /// The poorest polynomial, and whether the light follows none.
@@ -128,12 +131,25 @@ impl NodePrior {
         (10.0_f64 / 9.0).sqrt() * self.bend * self.per_length(nodes)
     }
 
+    /// By how much stretches that are averaged and compared make first and second derivatives of waves look smaller than they are.
+    ///
+    /// Waves that run in all directions, with `x = (k h)^2`, `k` their wave number and `h` the length of a stretch, about as deep as long: means over stretches leave
+    /// `exp(-x / 12)` of their variance, differences of neighbours `exp(-x / 16)` of that of first derivatives, those of three `exp(-5 x / 36)` of that of second
+    /// ones (`sinc^2 z = exp(-z^2 / 3)`, directions with `cos^2` and `cos^4` as weights). So of the ratio of the derivatives, `(3/4)^(1/2) k`, is seen
+    /// `exp(-11 x / 288)`.
+    fn averaged_away(&self, nodes: usize) -> [f64; 2] {
+        let seen = 4.0 / 3.0 * (TAU * self.per_length(nodes) / nodes as f64).powi(2);
+        // Waves no shorter than two stretches.
+        let x = (0..8).fold(seen, |x, _| (seen * (11.0 / 144.0 * x).exp()).min(PI * PI));
+        [(7.0 / 96.0 * x).exp(), (x / 9.0).exp()]
+    }
+
     /// At node `i` of `nodes`.
     pub(crate) fn at(&self, contour: &Contour, i: usize, nodes: usize) -> AtNode {
         let k = i * contour.len() / nodes;
         let (along, across) = (contour.turn[k] * contour.perimeter_px / nodes as f64, contour.steepness(k));
-        let slope = chained(LOOSE * self.gradient * across, along * self.per_length(nodes));
-        let bend = chained(LOOSE * self.bend * across * across, along * self.per_length(nodes));
+        let slope = chained(self.loose[0] * self.gradient * across, along * self.per_length(nodes));
+        let bend = chained(self.loose[1] * self.bend * across * across, along * self.per_length(nodes));
         AtNode { own: [0.0, slope[0], bend[0]], tie: [(self.about_gradient * along).powi(-2), slope[1], bend[1]] }
     }
 }
@@ -371,7 +387,15 @@ fn within_sectors(contour: &Contour, sectors: &Sectors, side: usize, about: &SVe
 fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: usize) -> Verdict {
     let floor = 1e-4 * step;
     let (mut poorest, about) = (Side::plain(0, step), SVector::zeros());
-    let still = NodePrior { about_gradient: floor, gradient: floor, bend: floor, about, side: poorest, smoke: false };
+    let still = NodePrior {
+        about_gradient: floor,
+        gradient: floor,
+        bend: floor,
+        loose: [LOOSE; 2],
+        about,
+        side: poorest,
+        smoke: false,
+    };
     let fits = Fits::new(contour, sectors, side);
     let seen: f64 = (0..contour.len()).filter(|k| sectors.keep[*k]).map(|k| sectors.away[side][k].n).sum();
     let Some(degrees) = fits.degrees().filter(|_| seen >= 12.0) else {
@@ -395,7 +419,12 @@ fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: us
     let [gradient, bend] = derivatives(&raw);
     let about_gradient = derivatives(&about)[0];
     let surface = degrees[2].1.fixed_rows::<{ Side::MOST }>(0).into_owned();
-    Verdict { prior: NodePrior { about_gradient, gradient, bend, about: surface, side: poorest, smoke }, off }
+    let mut prior =
+        NodePrior { about_gradient, gradient, bend, loose: [LOOSE; 2], about: surface, side: poorest, smoke };
+    if smoke {
+        prior.loose = prior.averaged_away(nodes).map(|x| LOOSE * x);
+    }
+    Verdict { prior, off }
 }
 
 /// Whether a stretch has pixels enough for a mean.
@@ -501,4 +530,49 @@ pub(crate) fn noise(
         let clip = (8.0 * median).max((0.05 * step).powi(2));
         Some(kept().map(|x| x.0.min(clip * x.1)).sum::<f64>() / freedom)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Root mean squares of first and second differences of means over squares with sides `h`, along x, of waves of unit height in all directions, over `h` and
+    /// `h^2`: means and differences summed up point by point.
+    fn seen(k: f64, h: f64) -> [f64; 2] {
+        const POINTS: usize = 12;
+        const WAVES: i32 = 4000;
+        let mut sums = [0.0; 2];
+        for i in 0..WAVES {
+            let (s, c) = (PI * f64::from(i) / f64::from(WAVES)).sin_cos();
+            // In multiples of the golden section phases are as even as can be.
+            let phase = TAU * 0.618_034 * f64::from(i);
+            let mean = |stretch: usize| {
+                let at = |j: usize| h * ((j as f64 + 0.5) / POINTS as f64);
+                let of =
+                    |j: usize| (k * (c * (at(j % POINTS) + h * stretch as f64) + s * at(j / POINTS)) + phase).cos();
+                (0..POINTS * POINTS).map(of).sum::<f64>() / (POINTS * POINTS) as f64
+            };
+            let [a, b, d] = [0, 1, 2].map(mean);
+            sums[0] += ((b - a) / h).powi(2);
+            sums[1] += ((d - 2.0 * b + a) / (h * h)).powi(2);
+        }
+        sums.map(|sum| (sum / f64::from(WAVES)).sqrt())
+    }
+
+    /// Derivatives of waves of unit height are `k / 2` and `(3/16)^(1/2) k^2`; of the shortest, three stretches long, two fifths of the second are averaged away.
+    #[test]
+    fn what_stretches_average_away_of_waves_is_known() {
+        let (nodes, about) = (60, SVector::zeros());
+        let h = TAU / nodes as f64;
+        for (length, tolerance) in [(12.0, 0.001), (6.0, 0.002), (4.0, 0.01), (3.0, 0.03)] {
+            let k = TAU / (length * h);
+            let [gradient, bend] = seen(k, h);
+            let side = Side::plain(0, 1.0);
+            let prior = NodePrior { about_gradient: 1.0, gradient, bend, loose: [1.0; 2], about, side, smoke: true };
+            let [first, second] = prior.averaged_away(nodes);
+            let off = [first * gradient / (0.5 * k) - 1.0, second * bend / ((3.0_f64 / 16.0).sqrt() * k * k) - 1.0];
+            println!("waves of {length} stretches: {first:.3} {second:.3}, off by {off:.4?}");
+            assert!(off.iter().all(|x| x.abs() < tolerance), "{length} stretches: off by {off:?}");
+        }
+    }
 }
