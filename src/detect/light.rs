@@ -40,8 +40,10 @@ const MOST_NODES: usize = 400;
 /// Standard deviation of a radial slope that the image shows, grey steps per semi-axis.
 const RADIAL: f64 = 0.15;
 /// A slope held too tightly drags the edge along with it, one held too loosely costs little: the prior is this much wider than measured, from
-/// light that goes up and down but a few times around the contour, and whose long waves are alike over more of it than its slopes show.
-const LOOSE: f64 = 2.5;
+/// light that goes up and down but a few times around the contour. Of a print not more: the halo of its edge is no light that rises, but would pass for it.
+const LOOSE: f64 = 2.0;
+/// The same where it is known that there is smoke, whose long waves are alike over more of the contour than its slopes show.
+const LOOSE_IN_SMOKE: f64 = 2.5;
 /// How much it must fall for slopes across the contour that no surface has: chance does that once in 20 000 discs.
 const LEANS: f64 = 20.0;
 /// Standard deviations by which light must vary to be called smoke.
@@ -142,6 +144,12 @@ impl NodePrior {
         // Waves no shorter than two stretches.
         let x = (0..8).fold(seen, |x, _| (seen * (11.0 / 144.0 * x).exp()).min(PI * PI));
         [(7.0 / 96.0 * x).exp(), (x / 9.0).exp()]
+    }
+
+    /// The same where it is known that there is smoke.
+    fn in_smoke(self, nodes: usize) -> Self {
+        let hidden = if self.smoke { self.averaged_away(nodes) } else { [1.0; 2] };
+        Self { loose: hidden.map(|x| LOOSE_IN_SMOKE * x), ..self }
     }
 
     /// At node `i` of `nodes`.
@@ -290,16 +298,17 @@ struct Verdict {
     off: Vec<f64>,
 }
 
-/// The poorest model of the light that the pixels away from the edge do not contradict; nodes where there is `smoke`. Stretches that something
-/// hides, where all the others follow polynomials, are set aside.
-pub(crate) fn choose(contour: &Contour, sectors: &mut Sectors, step: f64, smoke: bool) -> Light {
+/// The poorest model of the light that the pixels away from the edge do not contradict; nodes where there is `smoke`, looser ones where that was `known`
+/// before. Stretches that something hides, where all the others follow polynomials, are set aside.
+pub(crate) fn choose(contour: &Contour, sectors: &mut Sectors, step: f64, [smoke, known]: [bool; 2]) -> Light {
     let nodes = ((contour.perimeter_px / NODE_PX) as usize).clamp(6, MOST_NODES);
     let verdicts = judge_both(contour, sectors, step, nodes);
     if !smoke && !smoky(&verdicts) {
         return Light::Surface(verdicts.map(|v| v.prior.side));
     }
     let without = if smoke { None } else { set_aside(contour, sectors, step, nodes, &verdicts) };
-    without.map_or_else(|| Light::Nodes(nodes, verdicts.map(|v| v.prior)), Light::Surface)
+    let prior = |v: Verdict| if known { v.prior.in_smoke(nodes) } else { v.prior };
+    without.map_or_else(|| Light::Nodes(nodes, verdicts.map(prior)), Light::Surface)
 }
 
 fn judge_both(contour: &Contour, sectors: &Sectors, step: f64, nodes: usize) -> [Verdict; 2] {

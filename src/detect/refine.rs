@@ -282,7 +282,7 @@ fn fit_light(
     model.step = screen(s);
     s.found.step.clear();
     s.found.step.resize(s.contour.len(), model.step);
-    model.light = light::choose(&s.contour, &mut s.sectors, model.step, smoke);
+    model.light = light::choose(&s.contour, &mut s.sectors, model.step, [smoke, start.full_of_smoke]);
     solve(model, s)?;
     let mut before = 1.0;
     for _ in 0..3 {
@@ -297,7 +297,7 @@ fn fit_light(
             break;
         }
         before = coverage;
-        model.light = light::choose(&s.contour, &mut s.sectors, model.step, smoke);
+        model.light = light::choose(&s.contour, &mut s.sectors, model.step, [smoke, start.full_of_smoke]);
     }
     estimate_noise(start, model, s);
     model.bends = model.light.bends();
