@@ -428,12 +428,8 @@ fn judge(contour: &Contour, sectors: &Sectors, side: usize, step: f64, nodes: us
     let [gradient, bend] = derivatives(&raw);
     let about_gradient = derivatives(&about)[0];
     let surface = degrees[2].1.fixed_rows::<{ Side::MOST }>(0).into_owned();
-    let mut prior =
-        NodePrior { about_gradient, gradient, bend, loose: [LOOSE; 2], about: surface, side: poorest, smoke };
-    if smoke {
-        prior.loose = prior.averaged_away(nodes).map(|x| LOOSE * x);
-    }
-    Verdict { prior, off }
+    let loose = [LOOSE; 2];
+    Verdict { prior: NodePrior { about_gradient, gradient, bend, loose, about: surface, side: poorest, smoke }, off }
 }
 
 /// Whether a stretch has pixels enough for a mean.
