@@ -87,7 +87,7 @@ pub(crate) struct NodePrior {
     /// Of the light as a whole. Levels on the contour tell a surface, and all about its slopes only where light is one.
     pub(crate) gradient: f64,
     pub(crate) bend: f64,
-    /// How many times wider slopes and bends are held.
+    /// How many times wider than that slopes and bends are held.
     loose: [f64; 2],
     /// Surface about which the light varies, grey.
     about: SVector<f64, 6>,
