@@ -21,6 +21,7 @@
 //! |---|---|---|---|
 //! | c_0 .. c_5 | order of `Side::basis` | grey | coefficients of a surface |
 //! | - | `gradient`, `bend` | grey | standard deviation of the first and second derivatives of the light in units of the semi-axes |
+//! | - | `loose` | 1 | how many times wider slopes and bends are held than these two say |
 //!
 //! Smoke has no preferred direction in the plane of the disc; in the image it is foreshortened with the disc, which the units of the
 //! semi-axes take out.
@@ -133,12 +134,12 @@ impl NodePrior {
         (10.0_f64 / 9.0).sqrt() * self.bend * self.per_length(nodes)
     }
 
-    /// By how much stretches that are averaged and compared make first and second derivatives of waves look smaller than they are.
+    /// How many times the standard deviations of the light's first and second derivatives are those that means of stretches and their differences show.
     ///
-    /// Waves that run in all directions, with `x = (k h)^2`, `k` their wave number and `h` the length of a stretch, about as deep as long: means over stretches leave
+    /// Of waves that run in all directions, with `x = (k h)^2`, `k` their wave number and `h` the length of a stretch, about as deep as long, both in semi-axes, means over stretches leave
     /// `exp(-x / 12)` of their variance, differences of neighbours `exp(-x / 16)` of that of first derivatives, those of three `exp(-5 x / 36)` of that of second
     /// ones (`sinc^2 z = exp(-z^2 / 3)`, directions with `cos^2` and `cos^4` as weights). So of the ratio of the derivatives, `(3/4)^(1/2) k`, is seen
-    /// `exp(-11 x / 288)`.
+    /// `exp(-11 x / 288)`, from which `x` follows.
     fn averaged_away(&self, nodes: usize) -> [f64; 2] {
         let seen = 4.0 / 3.0 * (TAU * self.per_length(nodes) / nodes as f64).powi(2);
         // Waves no shorter than two stretches.
@@ -146,7 +147,7 @@ impl NodePrior {
         [(7.0 / 96.0 * x).exp(), (x / 9.0).exp()]
     }
 
-    /// The same where it is known that there is smoke.
+    /// This prior as loose as smoke that is known asks: what averaging takes is made up for where the light varies at all.
     fn in_smoke(self, nodes: usize) -> Self {
         let hidden = if self.smoke { self.averaged_away(nodes) } else { [1.0; 2] };
         Self { loose: hidden.map(|x| LOOSE_IN_SMOKE * x), ..self }
