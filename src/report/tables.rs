@@ -305,9 +305,10 @@ pub(super) fn target(record: &Record) -> Table {
     }
     if let Some(light) = t.same_light {
         let [correlation, scatter] = [light.correlation, light.variance.sqrt()].map(|x| plain(x, 2));
-        let words =
-            format!("err alike by {correlation} (correlation), {scatter} times as far as each image by itself says");
-        table.words("contours of both cameras, which see the same smoke", words);
+        let words = format!(
+            "alike by {correlation} (correlation) in both cameras, which see the same smoke; {scatter} times as far as each image by itself says"
+        );
+        table.words("errors of contours", words);
     }
     if let Some(s) = &record.scale {
         table.words("scale from", format!("{} = {}", s.fact, with_unit(s.value_mm, s.sigma_mm, "mm")));
