@@ -11,6 +11,7 @@ use bubbles_in::{bubbles_in, bubbles_text};
 use detect_table::{Condition, Light, off};
 use disc_errors::{errors_of_discs, errors_of_discs_found};
 use program::spivcal;
+use rayon::prelude::*;
 use render::accuracy::{Case, bound, cases};
 use render::{Random, Spot, draw};
 use spivcal::detect::{DetectOptions, Disc, find_discs};
@@ -205,11 +206,14 @@ fn weak_smoke_behind_a_blur_is_reckoned_with() {
         (&known, Light::Even, 1.0, [0.4, 1.0]),
     ] {
         let c = Condition { semi_minor_px: 4.0, ratio: 1.2, blur_px: 1.7, light, bits: 16, noise: 0.015, bright: true };
-        let mut all = vec![];
-        for seed in 80..85 {
-            let each = |spot: &Spot, disc: Option<&Disc>| all.extend(disc.map(|disc| off(spot, disc).1));
-            c.show_together([4, 3], heights, options, seed, each);
-        }
+        let of_seed = |seed: u64| {
+            let mut all = vec![];
+            c.show_together([4, 3], heights, options, seed, |spot, disc| {
+                all.extend(disc.map(|disc| off(spot, disc).1))
+            });
+            all
+        };
+        let all: Vec<f64> = (80..85).into_par_iter().flat_map_iter(of_seed).collect();
         let mean = all.iter().sum::<f64>() / all.len() as f64;
         let known = options.full_of_smoke;
         println!("{heights} of the smoke, known {known}: {} found, mean z^2 {mean:.2}", all.len());
