@@ -14,7 +14,7 @@ use program::spivcal;
 use rayon::prelude::*;
 use render::accuracy::{Case, bound, cases};
 use render::{Random, Spot, draw};
-use spivcal::detect::{DetectOptions, Disc, find_discs};
+use spivcal::detect::{DetectOptions, find_discs};
 use spivcal::image::{GrayView, Samples};
 use spivcal::simulate::Scene;
 
