@@ -95,6 +95,21 @@ fn the_page_is_well_formed_complete_and_loads_nothing() {
     assert!(!html.contains("NaN") && !html.contains("inf "));
 }
 
+/// A page whose tables are wider than the window must not scroll as a whole: its sentences would leave the screen.
+#[test]
+fn every_table_scrolls_by_itself_and_words_break() {
+    let html = Page::new(0..scene::VIEWS).html(&scene::record());
+    let document = parse(&html);
+    let tables: Vec<_> = document.descendants().filter(|n| n.has_tag_name("table")).collect();
+    assert!(tables.len() > 6, "{}", tables.len());
+    for table in &tables {
+        let parent = table.parent().and_then(|p| p.attribute("class"));
+        assert_eq!(parent, Some("wide"), "{}", &html[table.range()][..200]);
+        let heads = table.children().any(|n| n.has_tag_name("thead"));
+        assert!(heads || table.attribute("class") == Some("facts"), "{}", &html[table.range()][..200]);
+    }
+}
+
 #[test]
 fn every_picture_has_ids_of_its_own() {
     let page = Page::new(0..2);

@@ -98,7 +98,7 @@ fn row(out: &mut String, name: &str, value: &str) {
 }
 
 fn sheet_table(out: &mut String, c: &SheetCheck) {
-    out.push_str("<div class=\"wide\"><table><tbody>");
+    out.push_str("<div class=\"wide\"><table class=\"facts\"><tbody>");
     let at = format!("offset along z at x = {}, y = {} mm", plain(c.reference_mm[0], 4), plain(c.reference_mm[1], 4));
     row(out, &at, &with_unit(c.offset_mm, c.offset_sigma_mm, "mm"));
     row(out, "tilt about x", &with_unit(c.tilt_deg[0], c.tilt_sigma_deg[0], "°"));

@@ -241,7 +241,9 @@ fn write_table(out: &mut String, table: &Table) {
     if table.rows.is_empty() {
         return;
     }
-    out.push_str("<div class=\"wide\"><table>");
+    // Without heads a table is a list of names and words; those break where the page is narrow, columns of numbers scroll.
+    let class = if table.heads.is_empty() { " class=\"facts\"" } else { "" };
+    let _ = write!(out, "<div class=\"wide\"><table{class}>");
     if !table.heads.is_empty() {
         out.push_str("<thead><tr><th></th>");
         for head in &table.heads {
@@ -478,7 +480,7 @@ fn correlation_section(out: &mut String, r: &Record) {
         return;
     }
     out.push_str(
-        "<table><thead><tr><th>parameter</th><th>parameter</th><th class=\"n\">correlation</th></tr></thead><tbody>",
+        "<div class=\"wide\"><table><thead><tr><th>parameter</th><th>parameter</th><th class=\"n\">correlation</th></tr></thead><tbody>",
     );
     for p in &pairs {
         let _ = writeln!(
@@ -489,7 +491,7 @@ fn correlation_section(out: &mut String, r: &Record) {
             typographic(&format!("{:.4}", p.coefficient))
         );
     }
-    out.push_str("</tbody></table>\n");
+    out.push_str("</tbody></table></div>\n");
     if pairs.len() == LONGEST_LIST {
         out.push_str("<p class=\"note\">The strongest pairs, without poses of views, which all move with the cameras; the whole covariance is in calibration.json.</p>\n");
     } else {
