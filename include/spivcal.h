@@ -214,7 +214,7 @@
 
 /**
  * 1: bright discs are known to be full of smoke (bubbles cut by the sheet, up to 24 in an image), so that sigmas hold for weak smoke behind a blur
- * and for fast smoke in large discs; 0: each disc is asked (default).
+ * and for fast or slow smoke in large discs; 0: each disc is asked (default).
  */
 #define SPIVCAL_DETECT_FULL_OF_SMOKE 7
 

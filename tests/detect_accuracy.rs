@@ -351,14 +351,11 @@ fn bright_smoke_draws_no_contour_outwards() {
     assert!(mean(2).abs() < 0.004 && mean(3).abs() < 0.004, "axes are off by {} and {} px", mean(2), mean(3));
 }
 
-/// Bubbles of 20 to 66 px behind a blur, in smoke with waves of 8 to 80 px: light at nodes was held too tightly, and the mean z^2 of 72 such discs was 1.6 1.4 1.6 1.7.
-/// Where smoke is known slopes are held more loosely, and errors are smaller, too.
-#[test]
-fn known_smoke_that_changes_fast_is_held_loosely() {
-    let scene = random_bubbles(500, 6, [2.4, 4.5], 1.68, (0.37, 1.3));
+/// Errors and mean z^2 of discs whose smoke nobody tells of, and of the same where it is known.
+fn smoke_untold_and_known(scene: &Scene) -> [(f64, f64); 2] {
     let known = DetectOptions { full_of_smoke: true, ..DetectOptions::default() };
-    let [before, now] = [DetectOptions::default(), known].map(|options| {
-        let errors = errors_of_discs_found(&scene, 0, &options);
+    [DetectOptions::default(), known].map(|options| {
+        let errors = errors_of_discs_found(scene, 0, &options);
         let mean =
             |of: &dyn Fn(&(f64, f64)) -> f64| errors.iter().flatten().map(of).sum::<f64>() / (4 * errors.len()) as f64;
         let [rms, z2] = [mean(&|(error, _)| error * error).sqrt(), mean(&|(error, sigma)| (error / sigma).powi(2))];
@@ -369,14 +366,31 @@ fn known_smoke_that_changes_fast_is_held_loosely() {
             1e3 * rms
         );
         (rms, z2)
-    });
-    assert!(now.0 < 0.95 * before.0, "errors of {:.4} px, {:.4} px where smoke is not known", now.0, before.0);
+    })
+}
+
+fn known_smoke_is_held_loosely(scene: &Scene, least_gain: f64) {
+    let [before, now] = smoke_untold_and_known(scene);
+    assert!(now.0 < least_gain * before.0, "errors of {:.4} px, {:.4} px where smoke is not known", now.0, before.0);
     assert!(
         now.1 < before.1 && (0.4..1.4).contains(&now.1),
         "mean z^2 {:.2}, {:.2} where smoke is not known",
         now.1,
         before.1
     );
+}
+
+/// Bubbles of 20 to 66 px behind a blur, in smoke with waves of 8 to 80 px: light at nodes was held too tightly, and the mean z^2 of 72 such discs was 1.6 1.4 1.6 1.7.
+/// Where smoke is known slopes are held more loosely, and errors are smaller, too.
+#[test]
+fn known_smoke_that_changes_fast_is_held_loosely() {
+    known_smoke_is_held_loosely(&random_bubbles(500, 6, [2.4, 4.5], 1.68, (0.37, 1.3)), 0.95);
+}
+
+/// The same in smoke with waves of 2 to 30 semi-axes: noise hides from a polynomial what it leaves, and contours moved by more than their sigmas.
+#[test]
+fn known_smoke_that_changes_slowly_is_no_polynomial() {
+    known_smoke_is_held_loosely(&random_bubbles(600, 6, [2.4, 4.5], 1.68, (0.3, 20.0)), 0.8);
 }
 
 /// Bubbles of 3 to 10 px in smoke with waves longer than they are wide, and in weak smoke of which a disc shows little more than a slope: such light was taken

@@ -96,7 +96,7 @@ pub(super) struct Detect {
     /// Whether the discs are brighter or darker than what is around them
     #[arg(long, value_enum, default_value_t = PolarityWord::Auto)]
     pub(super) polarity: PolarityWord,
-    /// Bright discs are known to be full of smoke (bubbles cut by the sheet, up to 24 in an image): sigmas hold for weak smoke behind a blur and for fast smoke in large discs, too
+    /// Bright discs are known to be full of smoke (bubbles cut by the sheet, up to 24 in an image): sigmas hold for weak smoke behind a blur and for fast or slow smoke in large discs, too
     #[arg(long)]
     pub(super) smoke: bool,
 }

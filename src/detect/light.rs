@@ -300,16 +300,19 @@ struct Verdict {
 }
 
 /// The poorest model of the light that the pixels away from the edge do not contradict; nodes where there is `smoke`, looser ones where that was `known`
-/// before. Stretches that something hides, where all the others follow polynomials, are set aside.
+/// before: slow smoke of which noise shows a polynomial has more than that, too little to be seen and enough to move a contour by more than its sigmas.
+/// Stretches that something hides, where all the others follow polynomials, are set aside.
 pub(crate) fn choose(contour: &Contour, sectors: &mut Sectors, step: f64, [smoke, known]: [bool; 2]) -> Light {
     let nodes = ((contour.perimeter_px / NODE_PX) as usize).clamp(6, MOST_NODES);
-    let verdicts = judge_both(contour, sectors, step, nodes);
-    if !smoke && !smoky(&verdicts) {
+    let mut verdicts = judge_both(contour, sectors, step, nodes);
+    if !smoke && smoky(&verdicts) {
+        verdicts = set_aside(contour, sectors, step, nodes, &verdicts).unwrap_or(verdicts);
+    }
+    if !smoke && !known && !smoky(&verdicts) {
         return Light::Surface(verdicts.map(|v| v.prior.side));
     }
-    let without = if smoke { None } else { set_aside(contour, sectors, step, nodes, &verdicts) };
     let prior = |v: Verdict| if known { v.prior.in_smoke(nodes) } else { v.prior };
-    without.map_or_else(|| Light::Nodes(nodes, verdicts.map(prior)), Light::Surface)
+    Light::Nodes(nodes, verdicts.map(prior))
 }
 
 fn judge_both(contour: &Contour, sectors: &Sectors, step: f64, nodes: usize) -> [Verdict; 2] {
@@ -328,7 +331,7 @@ fn set_aside(
     step: f64,
     nodes: usize,
     first: &[Verdict; 2],
-) -> Option<[Side; 2]> {
+) -> Option<[Verdict; 2]> {
     let (count, before) = (contour.len(), sectors.keep.clone());
     let off = |of: &[Verdict; 2]| -> Vec<f64> {
         let at = |i: usize| of.iter().filter_map(|v| v.off.get(i)).fold(0.0_f64, |most, r| most.max(r.abs()));
@@ -352,7 +355,7 @@ fn set_aside(
         let verdicts = judge_both(contour, sectors, step, nodes);
         if !smoky(&verdicts) {
             sectors.hide(&hidden);
-            return Some(verdicts.map(|v| v.prior.side));
+            return Some(verdicts);
         }
         off_now = off(&verdicts);
     }

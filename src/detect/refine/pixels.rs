@@ -42,14 +42,14 @@ const LONGEST_PX: f64 = 900.0;
 const STRETCHES: usize = 8;
 
 /// The short way: a disc with nothing hidden and nothing beside it; none where it may be otherwise. What it is content with may be weak smoke, which shows no
-/// more than a slope: small discs that may be full of it go the longer way.
+/// more than a slope: small discs that may be full of it, and all that are known to be, go the longer way.
 pub(super) fn clean_disc(
     view: &GrayView,
     start: &Start,
     options: &DetectOptions,
     s: &mut Scratch,
 ) -> Option<Result<Disc, RejectionReason>> {
-    if start.smoke && !is_large(&start.ellipse) {
+    if start.full_of_smoke || start.smoke && !is_large(&start.ellipse) {
         return None;
     }
     let frame = Frame::new(&start.ellipse);
