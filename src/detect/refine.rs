@@ -12,7 +12,8 @@
 //!    a lens bends smoothly off the ellipse is not rough: low harmonics along the contour are set aside first.
 //!
 //! Steps 1 and 2 are repeated from the ellipse found until it stands still; two or three rounds suffice. Blur and light are common to
-//! all sectors; what their uncertainty adds to the geometry is spread evenly over the sigmas of the edge points, and stands in the covariance of the ellipse as it is.
+//! all sectors: what their uncertainty adds to the geometry stands in the covariance of the ellipse, and what edge points have in common by it in
+//! [`ContourNoise`], whose sigmas are those of each for itself.
 
 mod pixels;
 
