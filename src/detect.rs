@@ -47,7 +47,7 @@ pub struct DetectOptions {
     /// Whether bright discs are known to be full of smoke, as bubbles cut by a laser sheet are. Behind a blur a small disc in weak smoke looks as in even
     /// light, and may lie two to five sigmas from where that would put it: only who knows of the smoke can tell. Even light is then one chance in
     /// eleven, and discs that have it pay: sigmas are a tenth larger for 4 to 11 px behind 1.5 px, those of a centre twice for 4 px behind 1.7 px.
-    /// On contours above 130 px no polynomial is asked whether it suffices: of slow smoke noise hides what it leaves, which moves contours by up to twice their
+    /// On contours above 130 px no polynomial is asked whether it suffices: of slow smoke noise hides what it leaves, which moves contours by two of their
     /// sigmas, and even light pays a fifth. Smoke that changes fast has its slopes held more loosely, whose sigmas were a tenth to a third too small
     /// otherwise. Of no effect in images of more than 24 candidates, wisps of smoke apart, whose discs are fitted without fields.
     pub full_of_smoke: bool,

@@ -13,7 +13,7 @@
 //!
 //! Steps 1 and 2 are repeated from the ellipse found until it stands still; two or three rounds suffice. Blur and light are common to
 //! all sectors: what their uncertainty adds to the geometry stands in the covariance of the ellipse, and what edge points have in common by it in
-//! [`ContourNoise`], whose sigmas are those of each for itself.
+//! [`ContourNoise`]; their sigmas are those of each for itself.
 
 mod pixels;
 
