@@ -369,9 +369,10 @@ fn smoke_untold_and_known(scene: &Scene) -> [(f64, f64); 2] {
     })
 }
 
-fn known_smoke_is_held_loosely(scene: &Scene, least_gain: f64) {
+/// Of the errors of those whose smoke nobody tells of at most so much is left where it is known, and sigmas are true.
+fn telling_of_smoke_helps(scene: &Scene, most_left: f64) {
     let [before, now] = smoke_untold_and_known(scene);
-    assert!(now.0 < least_gain * before.0, "errors of {:.4} px, {:.4} px where smoke is not known", now.0, before.0);
+    assert!(now.0 < most_left * before.0, "errors of {:.4} px, {:.4} px where smoke is not known", now.0, before.0);
     assert!(
         now.1 < before.1 && (0.4..1.4).contains(&now.1),
         "mean z^2 {:.2}, {:.2} where smoke is not known",
@@ -384,13 +385,13 @@ fn known_smoke_is_held_loosely(scene: &Scene, least_gain: f64) {
 /// Where smoke is known slopes are held more loosely, and errors are smaller, too.
 #[test]
 fn known_smoke_that_changes_fast_is_held_loosely() {
-    known_smoke_is_held_loosely(&random_bubbles(500, 6, [2.4, 4.5], 1.68, (0.37, 1.3)), 0.95);
+    telling_of_smoke_helps(&random_bubbles(500, 6, [2.4, 4.5], 1.68, (0.37, 1.3)), 0.95);
 }
 
 /// The same in smoke with waves of 2 to 30 semi-axes: noise hides from a polynomial what it leaves, and contours moved by more than their sigmas.
 #[test]
 fn known_smoke_that_changes_slowly_is_no_polynomial() {
-    known_smoke_is_held_loosely(&random_bubbles(600, 6, [2.4, 4.5], 1.68, (0.3, 20.0)), 0.8);
+    telling_of_smoke_helps(&random_bubbles(600, 6, [2.4, 4.5], 1.68, (0.3, 20.0)), 0.8);
 }
 
 /// Bubbles of 3 to 10 px in smoke with waves longer than they are wide, and in weak smoke of which a disc shows little more than a slope: such light was taken
