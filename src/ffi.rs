@@ -2,11 +2,11 @@
 //!
 //! | rule | where it is kept |
 //! |---|---|
-//! | a caller passes numbers: a handle is looked up, never dereferenced | [`table`] |
-//! | every call goes through one door: lookup, poisoning, panics, error text | [`door`] |
-//! | no slice is ever formed from a caller's pointer; bytes are copied, whatever their alignment | [`memory`] |
-//! | long work has threads of its own, which have ended before their object is gone | [`job`] |
-//! | nothing is printed, not even by a panic | [`context`] |
+//! | a caller passes numbers: a handle is looked up, never dereferenced | `ffi/table.rs` |
+//! | every call goes through one door: lookup, poisoning, panics, error text | `ffi/door.rs` |
+//! | no slice is ever formed from a caller's pointer; bytes are copied, whatever their alignment | `ffi/memory.rs` |
+//! | long work has threads of its own, which have ended before their object is gone | `ffi/job.rs` |
+//! | nothing is printed, not even by a panic | `ffi/context.rs` |
 //!
 //! The comments of the exported functions are the documentation of the header: they are written for C.
 #![allow(unsafe_code)]

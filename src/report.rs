@@ -5,7 +5,7 @@
 //!
 //! | function | gives |
 //! |---|---|
-//! | [`text`] | the calibration in plain words, for a terminal |
+//! | [`text()`] | the calibration in plain words, for a terminal |
 //! | [`write_html`] | one HTML file without scripts or anything to load, also well-formed XML |
 //! | [`check_html`] | the check of the sheet on particle images as one HTML file |
 //! | [`vectors_svg`] | three components: arrows over colours for w, one SVG file |

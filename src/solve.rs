@@ -31,7 +31,7 @@
 //! refused where `|a| > 0.75 |v|` (Transtrum and Sethna, "Improvements to the Levenberg-Marquardt algorithm for nonlinear
 //! least-squares minimization", 2012).
 //!
-//! Close to the minimum the gradients of the last steps tell what Gauss-Newton leaves out ([`secant`]).
+//! Close to the minimum the gradients of the last steps tell what Gauss-Newton leaves out (`solve/secant.rs`).
 //!
 //! This room knows numbers, never cameras. Not for problems whose blocks meet each other directly.
 

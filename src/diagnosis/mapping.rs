@@ -1,8 +1,8 @@
 //! What errors of the calibration do to measurements, over the part of the sheet that both cameras see.
 //!
-//! Displacements, disparity and gain come from [`SheetUncertainty`]. The place in the sheet that a pixel is mapped to is stated beside a
-//! common shift and turn of the sheet frame, which a user chooses anyway (the frame's origin is where the first lens axis meets the
-//! sheet, and an uncertain axis point moves it along the sheet without moving anything else):
+//! Displacements, disparity and gain come from [`SheetUncertainty`](crate::sheet::SheetUncertainty). The place in the sheet that a
+//! pixel is mapped to is stated beside a common shift and turn of the sheet frame, which a user chooses anyway (the frame's origin is
+//! where the first lens axis meets the sheet, and an uncertain axis point moves it along the sheet without moving anything else):
 //! ```text
 //! e_i = misplacement of point i in a camera,  e' = e - (shift, turn) fitted to all points of both cameras,  C' = P D C D^T P^T
 //! ```

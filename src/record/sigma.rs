@@ -4,7 +4,7 @@ use super::number::{maybe, maybe_array, maybe_list};
 use super::schema::Effective;
 use serde::{Deserialize, Serialize};
 
-/// Standard deviations of a [`Camera`]; 0 where fixed, unknown where not determined.
+/// Standard deviations of a [`super::Camera`]; 0 where fixed, unknown where not determined.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CameraSigma {
     /// Of `f_px`.
@@ -83,7 +83,7 @@ impl Default for PoseSigma {
     }
 }
 
-/// Standard deviations of a [`Rig`].
+/// Standard deviations of a [`super::Rig`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RigSigma {
     /// Of `baseline_mm`.
@@ -94,7 +94,7 @@ pub struct RigSigma {
     pub axes_angle_deg: f64,
 }
 
-/// Standard deviations of a [`Sheet`], those of the cameras included.
+/// Standard deviations of a [`super::Sheet`], those of the cameras included.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SheetSigma {
     /// Of `distance_mm`.
@@ -151,7 +151,7 @@ pub struct WindowSigma {
     pub n_water: f64,
 }
 
-/// Standard deviations of a [`Target`].
+/// Standard deviations of a [`super::Target`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TargetSigma {
     /// Of `radii_mm`.

@@ -14,7 +14,7 @@ pub(super) fn number(x: usize) -> f64 {
     f64::from(x as i32)
 }
 
-/// Sums over rows of samples until they go into [`Sums`]; of integer samples they are whole numbers, so that none is rounded.
+/// Sums over rows of samples until they go into [`Sums`](super::pixels::Sums); of integer samples they are whole numbers, so that none is rounded.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Whole {
     /// A place for each of eight neighbours.
