@@ -29,6 +29,7 @@ mod surface;
 mod trace;
 mod whole;
 
+pub(crate) use around::MOST_SMOKY;
 pub use find::{find_discs, find_discs_with};
 pub(crate) use plane::noise;
 pub use rejection::{Rejection, RejectionReason, counted, counted_words, missing_words};

@@ -221,7 +221,8 @@ fn weak_smoke_behind_a_blur_is_reckoned_with() {
     }
 }
 
-/// A bright disc in even light behind a blur: who says that it is full of smoke gets the sigmas of a disc that may be, from the program as well.
+/// A bright disc in even light behind a blur: who says that it is full of smoke gets the sigmas of a disc that may be, from the program as well. It asks
+/// those who do not say.
 #[test]
 fn the_program_may_be_told_of_smoke() {
     let spot = Spot { u: 30.3, v: 29.8, a: 4.8, b: 4.0, phi: 0.4 };
@@ -233,7 +234,9 @@ fn the_program_may_be_told_of_smoke() {
     image.save(at("disc.png")).unwrap();
     let sigma_px = |smoke: &[&str]| {
         let done = spivcal(&[&["detect", &at("disc.png"), "-o", &at("out")], smoke].concat());
-        assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+        let said = String::from_utf8_lossy(&done.stderr);
+        assert_eq!(done.status.code(), Some(0), "{said}");
+        assert_eq!(said.contains("1 bright disc(s): if they are bubbles"), smoke.is_empty(), "{said}");
         let text = std::fs::read_to_string(at("out/disc_discs.csv")).unwrap();
         let column = text.lines().next().unwrap().split(',').position(|name| name == "sigma_u_px").unwrap();
         text.lines().nth(1).unwrap().split(',').nth(column).unwrap().parse::<f64>().unwrap()

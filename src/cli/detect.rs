@@ -2,16 +2,19 @@
 
 use super::Done;
 use super::arguments::Detect;
-use super::files::{Output, fault, tell_further_pages};
+use super::files::{Output, fault, note, tell_further_pages};
 use super::progress::Bar;
 use super::threads;
-use crate::detect::{DetectMemory, DetectOptions, Detection, counted, counted_words, find_discs_with, missing_words};
+use crate::detect::{
+    DetectMemory, DetectOptions, Detection, MOST_SMOKY, counted, counted_words, find_discs_with, missing_words,
+};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::image::GrayImage;
 use crate::pipeline::load_image;
 use crate::report::{
     DETECTION_FORMAT, contours_csv, detection_json, detection_shapes, discs_csv, features_csv, overlay_png,
 };
+use crate::target::Polarity;
 use rayon::prelude::*;
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -22,6 +25,8 @@ use std::path::{Path, PathBuf};
 /// What was found in one image, and the files that say it.
 struct Found {
     discs: usize,
+    /// Those that may be bubbles.
+    bubbles: usize,
     rejected: BTreeMap<&'static str, usize>,
     /// The same in words; empty where none was turned down.
     words: String,
@@ -52,6 +57,7 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
     if found.iter().all(|f| f.words.is_empty()) {
         none.clone()?;
     }
+    let bubbles = found.iter().map(|f| f.bubbles).sum();
     let mut out = Output::default();
     let mut text = String::new();
     let mut images = Vec::new();
@@ -66,6 +72,9 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
     }
     out.commit_beside(&command.output, &command.images.iter().map(AsRef::as_ref).collect::<Vec<&Path>>())?;
     tell_further_pages(&command.images);
+    if !full_of_smoke {
+        tell_of_smoke(bubbles);
+    }
     none?;
     let json = json!({ "output": command.output.display().to_string(), "images": images });
     Ok(Done { text, json, flags })
@@ -117,7 +126,19 @@ fn describe(path: &Path, stem: &str, image: &GrayImage, detection: &Detection) -
     let rejected = counted(&detection.rejections);
     let rejections = &detection.rejections;
     let (words, missing) = (counted_words(rejections), missing_words(rejections));
-    Ok(Found { discs: detection.discs.len(), rejected, words, missing, files })
+    let discs = detection.discs.len();
+    let bright = detection.discs.iter().filter(|d| d.polarity == Polarity::Bright).count();
+    let bubbles = if discs > MOST_SMOKY { 0 } else { bright };
+    Ok(Found { discs, bubbles, rejected, words, missing, files })
+}
+
+/// Says what to do were the bright discs bubbles: weak or slow smoke looks like even light, so that no image tells them from prints.
+fn tell_of_smoke(bubbles: usize) {
+    if bubbles > 0 {
+        note(format_args!(
+            "{bubbles} bright disc(s): if they are bubbles full of smoke, detect them with --smoke; weak or slow smoke looks like even light, and moves a contour by more than the sigmas that hold for that"
+        ));
+    }
 }
 
 /// What to look at in an image without discs.

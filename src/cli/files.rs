@@ -4,6 +4,7 @@ use crate::error::{Error, Invalid, Result};
 use crate::image::GrayImage;
 use crate::pipeline::{has_further_pages, load_image};
 use crate::rig_file::{RigDescription, image_path};
+use std::fmt::Display;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -43,8 +44,11 @@ impl NamedImages<'_> {
 /// Says which images have pages that were not read; no flag, for the first is what single images are.
 pub(super) fn tell_further_pages<'a>(images: impl IntoIterator<Item = &'a PathBuf>) {
     for path in images.into_iter().filter(|p| has_further_pages(p)) {
-        // Nobody may be there to read it.
-        let _ =
-            writeln!(std::io::stderr(), "note: {}: it has several pages, of which the first is used", path.display());
+        note(format_args!("{}: it has several pages, of which the first is used", path.display()));
     }
+}
+
+/// A remark that is no flag, for whoever is there to read it.
+pub(super) fn note(words: impl Display) {
+    let _ = writeln!(std::io::stderr(), "note: {words}");
 }
