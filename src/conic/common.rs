@@ -121,6 +121,8 @@ pub struct ContourNoise {
     excess: Option<SMatrix<f64, 5, 5>>,
     /// Whether the light was followed along the contour and took what bends it off an ellipse.
     followed: bool,
+    /// Chi-square of the edge points with the sigmas that noise alone gives them.
+    chi2: f64,
 }
 
 impl ContourNoise {
@@ -128,7 +130,12 @@ impl ContourNoise {
     pub(crate) fn of(normal: &Normal, covariance: &SMatrix<f64, 5, 5>, followed: bool) -> Self {
         let more = normal.matrix.component_mul(covariance).sum() > 5.0 + LEAST;
         let own = if more { inverse_of_positive(&normal.matrix) } else { None };
-        Self { excess: own.map(|own| covariance - own), followed }
+        Self { excess: own.map(|own| covariance - own), followed, chi2: normal.chi2 }
+    }
+
+    /// Chi-square of the edge points by noise alone.
+    pub(crate) fn chi2(&self) -> f64 {
+        self.chi2
     }
 
     /// What the points, px, of the contour `e` have in common.

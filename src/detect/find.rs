@@ -14,6 +14,7 @@ use crate::detect::of_target::{keep_target, within};
 use crate::detect::plane::{self, Floats, Source, check_finite};
 use crate::detect::refine::{Scratch, Start, noise_told, quantisation, refine, smoke_told};
 use crate::detect::rejection::told;
+use crate::detect::rough::roughen_all;
 use crate::detect::rows::ByRow;
 use crate::detect::shared_light::SharedLight;
 use crate::detect::shot_noise::ShotNoise;
@@ -138,7 +139,8 @@ fn refine_all<'a>(
         }
     });
     let mut starts: Vec<Start> = each.collect();
-    let refined = fit_all(view, &mut starts, [noise_grey, range], options);
+    let mut refined = fit_all(view, &mut starts, [noise_grey, range], options);
+    roughen_all(&mut refined, options);
     (all, refined)
 }
 

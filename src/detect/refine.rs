@@ -7,9 +7,8 @@
 //! 4. In each sector the shift of the edge along the normal, light and blur held: with residual `r`, weight `w` and response
 //!    `h = d(model)/d(shift)`, `shift = sum w r h / sum w h^2`, `sigma = (sum w h^2)^(-1/2)` (its Fisher information), times
 //!    the root of what noise that neighbouring pixels share makes of it ([`crate::detect::correlation`]).
-//! 5. The disc's ellipse is the geometric fit through these edge points, its covariance that of step 2 with blur and light integrated out; where points
-//!    scatter more than the grey noise says (rough prints, speckle), one variance is added to all until chi2 is the number of degrees of freedom. A contour that
-//!    a lens bends smoothly off the ellipse is not rough: low harmonics along the contour are set aside first.
+//! 5. The disc's ellipse is the geometric fit through these edge points, its covariance that of step 2 with blur and light integrated out. Where points
+//!    scatter more than the grey noise says (rough prints, speckle), all discs of an image tell by how much ([`crate::detect::rough`]).
 //!
 //! Steps 1 and 2 are repeated from the ellipse found until it stands still; two or three rounds suffice. Blur and light are common to
 //! all sectors: what their uncertainty adds to the geometry stands in the covariance of the ellipse, and what edge points have in common by it in
@@ -26,7 +25,6 @@ use crate::detect::edge_model::{EdgeModel, Solution};
 use crate::detect::exact::{Exact, State};
 use crate::detect::light::{self, Light, Side};
 use crate::detect::quick::{Quick, contour_of};
-use crate::detect::rough::{roughen, roughness_px2};
 use crate::detect::sectors::{Lens, Sectors};
 use crate::detect::shot_noise::{ShotNoise, Told};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
@@ -37,8 +35,6 @@ use pixels::{Exactly, clean_disc, fit_exactly};
 
 /// Rounds before a disc is given up.
 const MOST_ROUNDS: usize = 10;
-/// Standard deviation of place and axes beyond which a rough contour is none, in semi-minor axes.
-const MOST_ROUGH: f64 = 0.25;
 /// A change of the geometry below this ends the rounds, px: what is left of it is of third order in the ratio to the blur.
 const STILL_PX: f64 = 0.02;
 /// How many times the way that a disc may move, and its semi-minor axis as a blur, tell that it is lost.
@@ -495,6 +491,11 @@ fn share_noise(e: &Ellipse, edge: &mut EdgePoints, noise: &NoiseCorrelation, blu
     if information > 0.0 { widened / information } else { 1.0 }
 }
 
+/// Whether the standard deviations of place and axes are below a limit.
+pub(crate) fn is_known(covariance: &SMatrix<f64, 5, 5>, limit_px: f64) -> bool {
+    (0..4).all(|i| covariance[(i, i)] > 0.0 && covariance[(i, i)] < limit_px * limit_px)
+}
+
 /// Checks the shape and makes a disc of what was found.
 fn accept(
     found: &Found,
@@ -510,35 +511,20 @@ fn accept(
     let noise_px2 = edge.sigma_px.iter().map(|s| s * s).sum::<f64>() / count;
     feet.find(e, &edge.u_px, &edge.v_px);
     let squares: f64 = feet.distance.iter().map(|d| d * d).sum();
-    let (mut ellipse, rms_px) = (*e, (squares / count).sqrt());
+    let (ellipse, rms_px) = (*e, (squares / count).sqrt());
     let shape_px = options.max_edge_rms_px + options.max_edge_rms_ratio * ellipse.semi_minor_px;
     // Noise that explains any scatter says nothing of a shape either: place and size must be known within the same limit.
-    let unknown = not_elliptical(f64::INFINITY, shape_px);
-    let known = |covariance: &SMatrix<f64, 5, 5>, limit_px: f64| {
-        let within = (0..4).all(|i| covariance[(i, i)] > 0.0 && covariance[(i, i)] < limit_px * limit_px);
-        within.then_some(()).ok_or(unknown)
-    };
-    let at = to_regular(e);
-    let own = covariance_from_regular(&at, &found.covariance);
-    known(&own, shape_px)?;
+    let own = covariance_from_regular(&to_regular(e), &found.covariance);
+    if !is_known(&own, shape_px) {
+        return Err(not_elliptical(f64::INFINITY, shape_px));
+    }
     let limit_px = shape_px.hypot(noise_px2.sqrt());
     if rms_px > limit_px {
         return Err(not_elliptical(rms_px, limit_px));
     }
     let common = share_noise(&ellipse, &mut edge, start.noise, found.blur_px);
-    let (regular, mut covariance) = (found.covariance * common, own * common);
-    let normal = feet.normal(&edge.sigma_px);
-    let contour = ContourNoise::of(&normal, &regular, found.followed);
-    if normal.chi2 > count - 5.0 {
-        // Rough prints and speckle scatter all edge points alike, sharp or blurred: their variance adds to that of the noise.
-        let roughness = roughness_px2(&ellipse, &edge.sigma_px, feet);
-        if roughness > 0.0 {
-            let added;
-            (ellipse, added) = roughen(&ellipse, &mut edge, roughness, feet).ok_or(unknown)?;
-            known(&(own + added), shape_px.max(MOST_ROUGH * ellipse.semi_minor_px))?;
-            covariance += added;
-        }
-    }
+    let (regular, covariance) = (found.covariance * common, own * common);
+    let contour = ContourNoise::of(&feet.normal(&edge.sigma_px), &regular, found.followed);
     Ok(Disc {
         ellipse,
         covariance,

@@ -1,9 +1,13 @@
 //! How much rougher a contour is than the noise of its grey values explains.
 
+mod of_image;
+
 use crate::conic::{Ellipse, Feet, fit_geometric_from};
-use crate::detect::EdgePoints;
+use crate::detect::{Disc, EdgePoints};
 use crate::lanes::{self, GROUP, Kernel, Lanes};
 use nalgebra::{SMatrix, SVector};
+use of_image::Said;
+pub(crate) use of_image::roughen_all;
 
 /// Harmonics along the contour that a smooth lens may explain: 3 to this.
 const SMOOTH: usize = 5;
@@ -142,10 +146,18 @@ fn without_smooth_bends(ellipse: &Ellipse, feet: &Feet) -> (Vec<f64>, f64) {
     (left, (n - N) as f64)
 }
 
-/// Variance that, added to those of the edge points, px, whose feet were found last, makes their chi-square the number of degrees of
-/// freedom, px^2.
-pub(crate) fn roughness_px2(ellipse: &Ellipse, sigma_px: &[f64], feet: &Feet) -> f64 {
+/// What the contour of a disc says of its roughness: the variance that, added to those of its edge points, makes their chi-square the number of degrees
+/// of freedom, and where noise alone is more than enough by how much.
+fn said(disc: &Disc, feet: &mut Feet) -> Said {
+    let EdgePoints { u_px, v_px, sigma_px } = &disc.edge;
+    feet.find(&disc.ellipse, u_px, v_px);
+    said_by(&disc.ellipse, sigma_px, feet)
+}
+
+/// The same of edge points, px, whose feet were found last.
+fn said_by(ellipse: &Ellipse, sigma_px: &[f64], feet: &Feet) -> Said {
     let (distance, freedom) = without_smooth_bends(ellipse, feet);
+    let noise_px2 = sigma_px.len() as f64 / sigma_px.iter().map(|s| 1.0 / (s * s)).sum::<f64>();
     // chi2 and its slope; it falls and bends upwards, so that Newton steps from zero never pass the root.
     let chi2 = |x: f64| {
         let (mut sum, mut slope) = (0.0, 0.0);
@@ -157,6 +169,10 @@ pub(crate) fn roughness_px2(ellipse: &Ellipse, sigma_px: &[f64], feet: &Feet) ->
         }
         (sum, slope)
     };
+    let of_noise = chi2(0.0).0;
+    if of_noise <= freedom {
+        return Said { excess_px2: (of_noise / freedom - 1.0) * noise_px2, noise_px2, freedom };
+    }
     let mut x = 0.0;
     for _ in 0..60 {
         let (sum, slope) = chi2(x);
@@ -169,13 +185,13 @@ pub(crate) fn roughness_px2(ellipse: &Ellipse, sigma_px: &[f64], feet: &Feet) ->
             break;
         }
     }
-    x
+    Said { excess_px2: x, noise_px2, freedom }
 }
 
 /// Adds a variance, px^2, to those of the edge points, whose feet on `e` were found last: the ellipse through them with these sigmas, and what
 /// the variance adds to the covariance of `(u0, v0, a, b, phi)`. Both covariances are about the ellipse that is returned, so that what
 /// is added is positive semidefinite, as `(J^T W J)^-1` is for a smaller W; none where the points fix no ellipse.
-pub(crate) fn roughen(
+fn roughen(
     e: &Ellipse,
     edge: &mut EdgePoints,
     variance_px2: f64,
@@ -243,11 +259,13 @@ mod tests {
         for (size, rough) in [(0.03, true), (0.004, false)] {
             let sigma: Vec<f64> = (0..60).map(|k| 0.01 * f64::from(1 + k % 4)).collect();
             let feet = off(&e, &|k| size * f64::from((k * 29) % 13 - 6) / 6.0);
-            let x = roughness_px2(&e, &sigma, &feet);
+            let x = said_by(&e, &sigma, &feet).excess_px2;
             let (left, freedom) = without_smooth_bends(&e, &feet);
-            let chi2: f64 = left.iter().zip(&sigma).map(|(d, s)| d * d / (s * s + x)).sum();
+            let chi2: f64 = left.iter().zip(&sigma).map(|(d, s)| d * d / (s * s + x.max(0.0))).sum();
             assert_eq!(x > 0.0, rough);
-            assert!(if rough { (chi2 / freedom - 1.0).abs() < 1e-9 } else { chi2 < freedom }, "{chi2} {freedom}");
+            let noise = 60.0 / sigma.iter().map(|s| s.powi(-2)).sum::<f64>();
+            let wanted = if rough { freedom } else { freedom * (1.0 + x / noise) };
+            assert!((chi2 / wanted - 1.0).abs() < 1e-9, "{chi2} {wanted}");
         }
     }
 
