@@ -45,9 +45,11 @@ const CORE: f64 = 0.3;
 /// Fewest pixels of a mean, and rows of it at most (twice as many, at the least).
 const FEWEST_PIXELS: f64 = 12.0;
 const MOST_ROWS: usize = 48;
-/// Places of a mean on an ellipse, at least and at most.
+/// Places of a mean on an ellipse, at least and at most, and those of all discs together that are enough: light of ten coefficients is then known to a
+/// fiftieth of the noise of a pixel.
 const FEWEST_PLACES: usize = 12;
 const MOST_PLACES: usize = 128;
+const ENOUGH_PLACES: usize = 24_000;
 /// Coefficients up to the first, second and third degree.
 const COUNTS: [usize; 3] = [3, 6, N];
 const N: usize = 10;
@@ -83,8 +85,9 @@ impl SharedLight {
         if alike.len() < LEAST_DISCS {
             return Self::default();
         }
-        let fit = |level: fn(&GrayView, &Candidate) -> Option<(Pixel, f64)>| {
-            let told = alike.iter().filter_map(|c| level(view, c));
+        let most = (ENOUGH_PLACES / alike.len()).clamp(FEWEST_PLACES, MOST_PLACES);
+        let fit = |level: fn(&GrayView, &Candidate, usize) -> Option<(Pixel, f64)>| {
+            let told = alike.iter().filter_map(|c| level(view, c, most));
             Polynomial::fit([view.width() as f64, view.height() as f64], &told.collect::<Vec<_>>())
         };
         let (inside, ground) = threads::both(|| fit(inside), || fit(ground));
@@ -221,23 +224,23 @@ impl Polynomial {
     }
 }
 
-/// Mean level inside, and where, as far as blur does not reach.
-fn inside(view: &GrayView, c: &Candidate) -> Option<(Pixel, f64)> {
+/// Mean level inside, and where, as far as blur does not reach; of so many places at most where it is one on an ellipse.
+fn inside(view: &GrayView, c: &Candidate, most: usize) -> Option<(Pixel, f64)> {
     let e = &c.ellipse;
     let part = |axes: [f64; 2]| Ellipse { semi_major_px: axes[0], semi_minor_px: axes[1], ..*e };
     let axes = [e.semi_major_px, e.semi_minor_px];
     mean_within(view, &part(axes.map(|x| (x - beyond_px(c)).max(CORE * x)))).or_else(|| {
         // So few pixels that the nearest ones have to do.
-        Some((e.center_px, mean_on(view, &part(axes.map(|x| CORE * x)))?))
+        Some((e.center_px, mean_on(view, &part(axes.map(|x| CORE * x)), most)?))
     })
 }
 
-/// Mean level beside the edge, beyond its blur, and where.
-fn ground(view: &GrayView, c: &Candidate) -> Option<(Pixel, f64)> {
+/// Mean level of so many places at most beside the edge, beyond its blur, and where.
+fn ground(view: &GrayView, c: &Candidate, most: usize) -> Option<(Pixel, f64)> {
     let mut around = c.ellipse;
     around.semi_major_px += beyond_px(c);
     around.semi_minor_px += beyond_px(c);
-    Some((around.center_px, mean_on(view, &around)?))
+    Some((around.center_px, mean_on(view, &around, most)?))
 }
 
 /// How far from the edge blur no longer matters, px.
@@ -289,9 +292,9 @@ fn sum_of_row(view: &GrayView, v: usize, columns: Range<usize>) -> f64 {
     }
 }
 
-/// Mean at places on an ellipse that lies in the image, the nearest pixel to each and about as many places as pixels: four a quarter of the eccentric angle
-/// apart, so that a slope leaves the level of the centre.
-fn mean_on(view: &GrayView, e: &Ellipse) -> Option<f64> {
+/// Mean at places on an ellipse that lies in the image, the nearest pixel to each and about as many places as pixels, but so many at most: four a quarter of
+/// the eccentric angle apart, so that a slope leaves the level of the centre.
+fn mean_on(view: &GrayView, e: &Ellipse, most: usize) -> Option<f64> {
     let frame = Frame::new(e);
     let half_width = (frame.a * frame.cos).hypot(frame.b * frame.sin);
     let half_height = (frame.a * frame.sin).hypot(frame.b * frame.cos);
@@ -299,16 +302,16 @@ fn mean_on(view: &GrayView, e: &Ellipse) -> Option<f64> {
     if !(within(frame.u0, half_width, view.width()) && within(frame.v0, half_height, view.height())) {
         return None;
     }
+    let quarter = (e.perimeter_px() as usize).clamp(FEWEST_PLACES, most).div_ceil(4);
     Some(match view.samples() {
-        Samples::U8(s) => mean_of(s, view, &frame, e.perimeter_px()),
-        Samples::U16(s) => mean_of(s, view, &frame, e.perimeter_px()),
-        Samples::F32(s) => mean_of(s, view, &frame, e.perimeter_px()),
+        Samples::U8(s) => mean_of(s, view, &frame, quarter),
+        Samples::U16(s) => mean_of(s, view, &frame, quarter),
+        Samples::F32(s) => mean_of(s, view, &frame, quarter),
     })
 }
 
-/// Mean of the pixels nearest to places on the ellipse of a frame, which lies in the image, grey.
-fn mean_of<S: Copy + Into<f64>>(samples: &[S], view: &GrayView, frame: &Frame, perimeter_px: f64) -> f64 {
-    let quarter = (perimeter_px as usize).clamp(FEWEST_PLACES, MOST_PLACES).div_ceil(4);
+/// Mean of the pixels nearest to places on the ellipse of a frame, which lies in the image, so many a quarter, grey.
+fn mean_of<S: Copy + Into<f64>>(samples: &[S], view: &GrayView, frame: &Frame, quarter: usize) -> f64 {
     let (turn_sin, turn_cos) = (FRAC_PI_2 / quarter as f64).sin_cos();
     let last = [view.width() - 1, view.height() - 1];
     let grey = |du: f64, dv: f64| -> f64 {
@@ -381,7 +384,10 @@ mod tests {
             let e = Ellipse::new(Pixel::new(u, v), a, b, angle_rad).expect("an ellipse");
             let of = |samples: Samples| {
                 let view = GrayView::new(samples, width, height, width).expect("an image");
-                (mean_on(&view, &e).expect("within the image"), mean_within(&view, &e).expect("pixels enough"))
+                (
+                    mean_on(&view, &e, MOST_PLACES).expect("within the image"),
+                    mean_within(&view, &e).expect("pixels enough"),
+                )
             };
             let all = [of(Samples::U8(&bytes)), of(Samples::U16(&wide)), of(Samples::F32(&floats))];
             assert!(all.iter().all(|x| *x == all[0]));
@@ -393,7 +399,7 @@ mod tests {
             assert!((within - light(place)).abs() < 1e-9, "{within} {}", light(place));
             let beyond = Ellipse { center_px: Pixel::new(a - 2.0, v), angle_rad: 0.0, ..e };
             let view = GrayView::new(Samples::U8(&bytes), width, height, width).expect("an image");
-            assert!(mean_on(&view, &beyond).is_none() && mean_within(&view, &beyond).is_none());
+            assert!(mean_on(&view, &beyond, MOST_PLACES).is_none() && mean_within(&view, &beyond).is_none());
         }
     }
 
