@@ -30,6 +30,12 @@ pub fn chi_square_above(chi2: f64, degrees: f64) -> f64 {
     upper_gamma(degrees / 2.0, chi2 / 2.0)
 }
 
+/// The middle one of some numbers, of two the larger, which end in another order; none of nothing.
+pub(crate) fn median(numbers: &mut [f64]) -> Option<f64> {
+    let middle = numbers.len() / 2;
+    (!numbers.is_empty()).then(|| *numbers.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
 /// Probability that a normal number lies further than `sigmas` standard deviations from its mean, on either side.
 pub fn normal_beyond(sigmas: f64) -> f64 {
     upper_gamma(0.5, 0.5 * sigmas * sigmas)

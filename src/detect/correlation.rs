@@ -22,6 +22,7 @@ mod pieces;
 
 use crate::detect::candidate::Candidate;
 use crate::image::{GrayView, Samples};
+use crate::stats::median;
 use pieces::{Far, Tile, tiles};
 
 /// Largest lag, px, along u and v.
@@ -156,8 +157,7 @@ fn correlation(told: &[(&Tile, Far)], lag: (i32, i32)) -> Option<f64> {
     let each = told.iter().filter_map(|(t, far)| Some((t.pixels(), t.gamma(lag)? - far.slow * square, far.variance)));
     if told.len() >= SEVERAL {
         let mut ratios: Vec<f64> = each.map(|(_, gamma, far)| gamma / far).collect();
-        let middle = ratios.len() / 2;
-        return (!ratios.is_empty()).then(|| 1.0 - *ratios.select_nth_unstable_by(middle, f64::total_cmp).1);
+        return median(&mut ratios).map(|ratio| 1.0 - ratio);
     }
     let (gamma, far) = each.fold((0.0, 0.0), |s, (n, gamma, far)| (s.0 + n * gamma, s.1 + n * far));
     (far > 0.0).then(|| 1.0 - gamma / far)
@@ -166,11 +166,7 @@ fn correlation(told: &[(&Tile, Far)], lag: (i32, i32)) -> Option<f64> {
 /// Leaves out the pieces that vary far more or less than most: dirt, other edges, clipped grounds.
 fn drop_odd(told: &mut Vec<(&Tile, Far)>) {
     let mut all: Vec<f64> = told.iter().map(|t| t.1.variance).collect();
-    if all.is_empty() {
-        return;
-    }
-    let middle = all.len() / 2;
-    let typical = *all.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let Some(typical) = median(&mut all) else { return };
     told.retain(|t| t.1.variance < ODD * typical && ODD * t.1.variance > typical);
 }
 

@@ -31,6 +31,7 @@
 use crate::detect::contour::Contour;
 use crate::detect::edge_model::Solution;
 use crate::detect::sectors::{Away, Sectors};
+use crate::stats::median;
 use nalgebra::{SMatrix, SVector};
 use std::f64::consts::{PI, TAU};
 
@@ -533,8 +534,7 @@ pub(crate) fn noise(
         }
         sorted.clear();
         sorted.extend(kept().map(|x| x.0 / x.1));
-        let middle = sorted.len() / 2;
-        let median = *sorted.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let median = median(sorted)?;
         // A few glints must not make the rest look noisy, a few odd values on a clipped ground must still count.
         let clip = (8.0 * median).max((0.05 * step).powi(2));
         Some(kept().map(|x| x.0.min(clip * x.1)).sum::<f64>() / freedom)

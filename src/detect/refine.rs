@@ -29,6 +29,7 @@ use crate::detect::sectors::{Lens, Sectors};
 use crate::detect::shot_noise::{ShotNoise, Told};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::{GrayView, Samples};
+use crate::stats::median;
 use crate::target::Polarity;
 use nalgebra::SMatrix;
 use pixels::{Exactly, clean_disc, fit_exactly};
@@ -255,10 +256,7 @@ fn screen(s: &mut Scratch) -> f64 {
     let count = s.sectors.len();
     s.sorted.clear();
     s.sorted.extend((0..count).filter_map(|k| s.sectors.own_step(k)));
-    if s.sorted.is_empty() {
-        return 0.0;
-    }
-    let typical = median(&mut s.sorted);
+    let Some(typical) = median(&mut s.sorted) else { return 0.0 };
     let alike = |k: usize| s.sectors.own_step(k).is_some_and(|x| (0.35..2.8).contains(&(x / typical)));
     // Where hardly any sector shows the step the start is bad, and a selection would only fix its error.
     if (0..count).filter(|k| alike(*k)).count() * 2 >= count {
@@ -384,11 +382,6 @@ fn estimate_noise(start: &Start, model: &mut EdgeModel, s: &mut Scratch) {
     model.variance = found.map(|x| x.max(least));
 }
 
-fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
-}
-
 /// Score of a further shift of a sector's edge, 1/px, and its weighted sum of squared residuals.
 fn residual(s: &Scratch, k: usize) -> (f64, f64) {
     let (normal, right) = s.sectors.local(k, s.found.step[k]);
@@ -407,7 +400,7 @@ fn drop_sectors(s: &mut Scratch) -> f64 {
     let mut of_kept = |f: &dyn Fn(usize) -> f64| {
         s.sorted.clear();
         s.sorted.extend((0..count).filter(|k| information[*k] > 0.0).map(f));
-        if s.sorted.is_empty() { 0.0 } else { median(&mut s.sorted) }
+        median(&mut s.sorted).unwrap_or(0.0)
     };
     let typical = of_kept(&|k| information[k]);
     let shift = 1.4826 * of_kept(&|k| each(k).0.abs());

@@ -29,6 +29,7 @@ use super::scatter::scatter;
 use crate::dewarp::{Kernel, Sampler};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::image::{GrayView, Samples};
+use crate::stats::median;
 use rayon::prelude::*;
 
 /// Rounds of deformation and correlation.
@@ -275,11 +276,6 @@ fn correlated(
         Some([0, 1].map(|a| mean[a] + peak.shift_px[a]))
     };
     (0..lattice.len()).into_par_iter().map(one).collect()
-}
-
-fn median(values: &mut [f64]) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 /// The normalised median test: vectors unlike their neighbours.

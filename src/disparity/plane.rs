@@ -6,6 +6,7 @@ use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::record::{self, Record};
 use crate::rigid::Motion;
 use crate::sheet::SheetEstimate;
+use crate::stats;
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
 
 /// Tukey's constant: 95 % efficiency for normal scatter.
@@ -66,8 +67,7 @@ pub(super) struct PlaneFit {
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+    stats::median(&mut values).unwrap_or(f64::NAN)
 }
 
 pub(super) fn tukey(t: f64) -> f64 {

@@ -2,6 +2,7 @@
 
 use super::number::{maybe, maybe_array};
 use super::schema::Fit;
+use crate::stats::median;
 use serde::{Deserialize, Serialize};
 
 /// Disparities of the windows of a field, structure of arrays.
@@ -31,9 +32,7 @@ impl DisparityMap {
     /// Median length of the disparities of the windows that were used, px; `NaN` where there are none.
     pub fn median_px(&self) -> f64 {
         let lengths = (0..self.x_mm.len()).filter(|i| self.used[*i]).map(|i| self.dx_px[i].hypot(self.dy_px[i]));
-        let mut lengths: Vec<f64> = lengths.collect();
-        lengths.sort_by(f64::total_cmp);
-        lengths.get(lengths.len() / 2).copied().unwrap_or(f64::NAN)
+        median(&mut lengths.collect::<Vec<_>>()).unwrap_or(f64::NAN)
     }
     /// Mean disparity (x, y) of the windows that were used, px.
     pub fn mean_px(&self) -> [f64; 2] {

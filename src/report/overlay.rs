@@ -9,6 +9,7 @@ use crate::detect::Disc;
 use crate::error::{Error, Result};
 use crate::image::GrayView;
 use crate::record::FeatureKind;
+use crate::stats::median;
 use image::ImageEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 
@@ -179,8 +180,7 @@ impl OverlayShapes {
 
 /// Distance of neighbours beyond which something between them was left out, px.
 fn wide_px(mut gaps: Vec<f64>) -> f64 {
-    let middle = gaps.len() / 2;
-    (UNSEEN * *gaps.select_nth_unstable_by(middle, f64::total_cmp).1).max(UNSEEN_PX)
+    median(&mut gaps).map_or(UNSEEN_PX, |gap| (UNSEEN * gap).max(UNSEEN_PX))
 }
 
 /// Stretches of an ellipse between the parts of its rim that were seen, which follow each other with the eccentric angle.

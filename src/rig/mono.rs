@@ -14,6 +14,7 @@ use crate::rigid::Motion;
 use crate::seed::{
     CircularPoint, homography, lattice_circular_point, lattice_pose, pair_circular_point, pair_pose, pinholes,
 };
+use crate::stats;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// Edge points per disc and discs per image that a start looks at: enough to choose, few enough to be quick.
@@ -315,9 +316,7 @@ fn mono_start(problem: &RigProblem, c: usize, seeds: &[SeededImage], pinhole: &E
 }
 
 fn median(numbers: impl Iterator<Item = f64>) -> f64 {
-    let mut all: Vec<f64> = numbers.collect();
-    all.sort_by(f64::total_cmp);
-    all.get(all.len() / 2).copied().unwrap_or(f64::NAN)
+    stats::median(&mut numbers.collect::<Vec<_>>()).unwrap_or(f64::NAN)
 }
 
 /// Brings the views, seen with a spacing of 1, to the scale of known radii where these set it.

@@ -9,6 +9,7 @@ use crate::conic::Frame;
 use crate::detect::candidate::Candidate;
 use crate::frames::Pixel;
 use crate::image::GrayView;
+use crate::stats::median;
 use nalgebra::{Matrix3, Vector3};
 
 /// Lags at which noise has nothing in common: about 4 and about 6 px.
@@ -245,8 +246,7 @@ fn take_skirts_off(tiles: &mut [Tile]) {
     let skirts: Vec<[Option<f64>; BINS]> = tiles.iter().map(Tile::skirt).collect();
     let typical: [f64; BINS] = std::array::from_fn(|bin| {
         let mut all: Vec<f64> = skirts.iter().filter_map(|s| s[bin]).collect();
-        let middle = all.len() / 2;
-        if all.is_empty() { 0.0 } else { *all.select_nth_unstable_by(middle, f64::total_cmp).1 }
+        median(&mut all).unwrap_or(0.0)
     });
     for t in tiles {
         for i in (0..t.grey.len()).filter(|i| t.counts[*i] > 0.0) {

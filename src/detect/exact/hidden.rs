@@ -39,6 +39,7 @@ use crate::detect::band::LANES;
 use crate::detect::contour::Contour;
 use crate::detect::refine::Start;
 use crate::image::GrayView;
+use crate::stats::median;
 
 /// Residual of an odd pixel, in units of the usual one.
 const ODD: f64 = 4.5;
@@ -148,11 +149,7 @@ fn pixel(frame: &Frame, x: f64, y: f64) -> (i64, i64) {
 }
 
 fn usual(mut sizes: Vec<f64>) -> f64 {
-    if sizes.is_empty() {
-        return 1.0;
-    }
-    let middle = sizes.len() / 2;
-    (1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1).max(1.0)
+    median(&mut sizes).map_or(1.0, |size| (1.4826 * size).max(1.0))
 }
 
 impl Exact {

@@ -6,6 +6,7 @@ use crate::conic::Frame;
 use crate::detect::band::LANES;
 use crate::detect::dense::FIXED;
 use crate::detect::refine::Start;
+use crate::stats::median;
 
 /// Pairs of neighbours below which smoke may pass for noise: chance alone makes three standard deviations of their likeness a quarter.
 const FEW: f64 = 144.0;
@@ -139,10 +140,8 @@ impl Exact {
     /// Of the sectors that counted, those that say the same as the rest.
     pub(super) fn agreeing(&self, kept: &[bool]) -> Vec<bool> {
         let median = |f: &dyn Fn(&Share) -> f64| {
-            let mut all: Vec<f64> =
-                self.shares.iter().zip(kept).filter(|(x, k)| **k && x.information > 0.0).map(|(x, _)| f(x)).collect();
-            let middle = all.len() / 2;
-            if all.is_empty() { 0.0 } else { *all.select_nth_unstable_by(middle, f64::total_cmp).1 }
+            let kept = self.shares.iter().zip(kept).filter(|(x, k)| **k && x.information > 0.0);
+            median(&mut kept.map(|(x, _)| f(x)).collect::<Vec<_>>()).unwrap_or(0.0)
         };
         let scatter = (1.4826 * median(&|x| x.shift_px().abs() * x.information.sqrt())).max(1.0);
         let misfit = median(&|x| x.squares / x.pixels.max(1.0)).max(1.0);

@@ -1,6 +1,7 @@
 //! Positions and shapes of candidate dots, and who is near whom.
 
 use crate::detect::Detection;
+use crate::stats;
 use nalgebra::{Matrix2, Vector2};
 
 /// Candidate dots, structure of arrays; entry k is disc k of the detection.
@@ -61,11 +62,7 @@ impl Dots {
 
 /// Median; 0 for nothing.
 pub(super) fn median(mut values: Vec<f64>) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
+    stats::median(&mut values).unwrap_or(0.0)
 }
 
 fn inverse_square_root(m: &Matrix2<f64>) -> Option<Matrix2<f64>> {

@@ -1,6 +1,6 @@
 //! The fit of one disc to single pixels: the short way of clean discs, the way of all others, and that of smoke.
 
-use super::{Found, Scratch, Start, accept, border_px, check_size, median};
+use super::{Found, Scratch, Start, accept, border_px, check_size};
 use crate::conic::{Ellipse, Frame, from_regular, to_regular};
 use crate::detect::contour::{Contour, NEIGHBOUR};
 use crate::detect::edge_model::{EdgeModel, LEAST_BLUR_PX};
@@ -9,6 +9,7 @@ use crate::detect::light::{Light, Side};
 use crate::detect::quick::Clean;
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::GrayView;
+use crate::stats::median;
 use nalgebra::{SMatrix, SVector};
 
 /// Least information of an edge point, of the largest.
@@ -114,7 +115,7 @@ fn agree(shares: &[Share], sorted: &mut Vec<f64>) -> bool {
     let mut typical = |f: &dyn Fn(&Share) -> f64| {
         sorted.clear();
         sorted.extend(shares.iter().map(f));
-        median(sorted)
+        median(sorted).unwrap_or(0.0)
     };
     let (mut least, mut most, mut furthest2, mut even) = (f64::INFINITY, 0.0_f64, 0.0_f64, true);
     for x in shares {
@@ -449,7 +450,7 @@ mod tests {
 
     /// The criterion written out, with both medians.
     fn plainly(shares: &[Share]) -> bool {
-        let typical = |f: &dyn Fn(&Share) -> f64| median(&mut shares.iter().map(f).collect::<Vec<_>>());
+        let typical = |f: &dyn Fn(&Share) -> f64| median(&mut shares.iter().map(f).collect::<Vec<_>>()).unwrap_or(0.0);
         let off = |x: &Share| x.shift_px().abs() * x.information.sqrt();
         let (information, limit) = (typical(&|x| x.information), 4.5 * (1.4826 * typical(&off)).max(1.0));
         shares.iter().all(|x| {

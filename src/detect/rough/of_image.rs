@@ -16,8 +16,9 @@
 //! r_i = max(0, m' + (e_i - m') t^2 / (t^2 + s_i^2)),    m' = max(0, m - var (m) / m)
 //! ```
 //!
-//! Where all contours together show no more than noise, those alone are asked that show more by themselves. Then, and of a single disc, r is
-//! `max(0, e - s^2 / e)`.
+//! Where all contours together show hardly more than noise (5 % of its variance), that is the noise of all, and those alone are asked that show much more by
+//! themselves. Of these, of contours that lie far off and of a
+//! single disc r is `max(0, e - s^2 / e)`, s^2 that of noise alone.
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
@@ -31,11 +32,13 @@ use super::{roughen, said};
 use crate::conic::Feet;
 use crate::detect::refine::is_known;
 use crate::detect::{DetectOptions, Disc, RejectionReason};
+use crate::stats::median;
 use crate::threads::{self, OwnMemory};
 
-/// Roughness of all contours that is let pass, of the variance by noise: 1.5 % of a sigma. And that of one that is not worth a fit.
-const EVEN: f64 = 0.03;
-const NOTHING: f64 = 0.02;
+/// Roughness that no contour is asked about, of the variance by noise.
+const EVEN: f64 = 0.05;
+/// Contours that tell whether more of them need to be asked.
+const MANY: usize = 128;
 /// Standard deviations by which a contour alone shows more than noise, and by which it lies off those of the others.
 const SURELY: f64 = 4.0;
 const FAR: f64 = 4.0;
@@ -75,22 +78,37 @@ type Refined = Result<Disc, RejectionReason>;
 
 /// Makes the discs of an image as rough as their contours say; turns down those that are no longer known well enough.
 pub(crate) fn roughen_all(refined: &mut [Refined], options: &DetectOptions) {
-    let found = refined.iter().enumerate().filter_map(|(i, disc)| Some((i, disc.as_ref().ok()?)));
-    let shown: Vec<(usize, f64, f64)> = found.map(|(i, disc)| (i, disc.contour.chi2(), freedom(disc))).collect();
-    let (chi2, all) = shown.iter().fold((0.0, 0.0), |sum, x| (sum.0 + x.1, sum.1 + x.2));
-    let beyond = |(chi2, freedom): (f64, f64), least: f64| chi2 > freedom * (1.0 + least);
-    let together = beyond((chi2, all), EVEN.max((2.0 / all).sqrt()));
-    let asked = shown.iter().filter(|x| together || beyond((x.1, x.2), SURELY * (2.0 / x.2).sqrt())).map(|x| x.0);
-    let asked: Vec<(usize, &Disc)> = asked.filter_map(|i| Some((i, refined[i].as_ref().ok()?))).collect();
+    let discs: Vec<(usize, &Disc)> =
+        refined.iter().enumerate().filter_map(|(i, disc)| Some((i, disc.as_ref().ok()?))).collect();
     let memory = OwnMemory::<Feet>::new();
-    let told = threads::side_by_side(&asked, |(_, disc)| memory.with(|feet| said(disc, feet)));
-    let rough = if together { pooled(&told) } else { told.iter().map(Said::alone).collect() };
-    let worth = asked.iter().zip(rough).zip(&told).filter(|((_, rough), said)| *rough > NOTHING * said.noise_px2);
-    let worth: Vec<(usize, &Disc, f64)> = worth.map(|(((i, disc), rough), _)| (*i, *disc, rough)).collect();
+    let ask = |of: &[(usize, &Disc)]| threads::side_by_side(of, |(_, disc)| memory.with(|feet| said(disc, feet)));
+    let even = even(&discs, ask);
+    let asked = discs.iter().filter(|disc| even.is_none() || shows_more(&[**disc], SURELY));
+    let asked: Vec<(usize, &Disc)> = asked.copied().collect();
+    let told = ask(&asked);
+    let pool = if even.is_none() { Pool::of(&told) } else { None };
+    let rough = |said: &Said| pool.as_ref().map_or_else(|| said.alone(), |pool| pool.rough(said));
+    let worth = asked.iter().zip(&told).map(|((i, disc), said)| (*i, *disc, rough(said), said));
+    let worth = worth.filter(|(.., rough, said)| *rough > EVEN * said.noise_px2);
+    let worth: Vec<(usize, &Disc, f64)> = worth.map(|(i, disc, rough, _)| (i, disc, rough)).collect();
     let again = |(_, disc, rough): &(usize, &Disc, f64)| memory.with(|feet| roughened(disc, *rough, options, feet));
     let new = threads::side_by_side(&worth, again);
     let places: Vec<usize> = worth.iter().map(|x| x.0).collect();
+    refined.iter_mut().flatten().for_each(|disc| widen(disc, 1.0 + even.unwrap_or(0.0)));
     places.into_iter().zip(new).for_each(|(i, disc)| refined[i] = disc);
+}
+
+/// By what part all contours scatter more than noise explains, where that is so little that none need be asked how rough it is.
+fn even(discs: &[(usize, &Disc)], ask: impl Fn(&[(usize, &Disc)]) -> Vec<Said>) -> Option<f64> {
+    if !shows_more(discs, 1.0) {
+        return Some(shown(discs).map_or(0.0, |(more, chance)| shrunk(more, chance)));
+    }
+    // What looks rough may be bent smoothly: of many contours some are asked first.
+    let some: Vec<_> = discs.iter().step_by(discs.len().div_ceil(MANY).max(1)).copied().collect();
+    if some.len() == discs.len() {
+        return None;
+    }
+    Pool::of(&ask(&some)).map(|pool| pool.common_px2 / pool.noise_px2).filter(|more| *more <= EVEN)
 }
 
 /// Degrees of freedom of a contour.
@@ -98,46 +116,86 @@ fn freedom(disc: &Disc) -> f64 {
     (disc.edge.sigma_px.len() as f64 - 5.0).max(1.0)
 }
 
-/// How rough each of some contours is, px^2.
-fn pooled(all: &[Said]) -> Vec<f64> {
-    let mut sorted: Vec<f64> = all.iter().map(|x| x.excess_px2).collect();
-    let middle = median(&mut sorted);
-    sorted.iter_mut().for_each(|x| *x = (*x - middle).abs());
-    let spread = 1.4826 * median(&mut sorted);
-    let ordinary = |x: &Said| (x.excess_px2 - middle).abs() <= FAR * spread.max(x.variance(middle).sqrt());
-    let of: Vec<&Said> = all.iter().filter(|x| ordinary(x)).collect();
-    let (mut mean, mut apart2) = (middle, 0.0);
-    for _ in 0..ROUNDS {
-        let (plain, squares) = weighed(&of, |x| x.variance(mean));
-        let about = of.iter().map(|x| (x.excess_px2 - plain).powi(2) / x.variance(mean)).sum::<f64>();
-        let sum = of.iter().map(|x| 1.0 / x.variance(mean)).sum::<f64>();
-        let by_one = sum - squares / sum;
-        apart2 = if of.len() > 1 { ((about - of.len() as f64 + 1.0) / by_one).max(0.0) } else { 0.0 };
-        mean = weighed(&of, |x| x.variance(mean) + apart2).0;
-    }
-    let chance = 1.0 / of.iter().map(|x| 1.0 / (x.variance(0.0) + apart2)).sum::<f64>();
-    let common = shrunk(mean, chance);
-    let each = |x: &Said| match ordinary(x) {
-        true => (common + (x.excess_px2 - common) * apart2 / (apart2 + x.variance(common))).max(0.0),
-        false => x.alone(),
-    };
-    all.iter().map(each).collect()
+/// By what part some contours scatter more than noise explains, smooth bends counted, and the variance of that by chance; none of nothing.
+fn shown(discs: &[(usize, &Disc)]) -> Option<(f64, f64)> {
+    let add = |sum: (f64, f64), disc: &Disc| (sum.0 + disc.contour.chi2(), sum.1 + freedom(disc));
+    let (chi2, freedom) = discs.iter().fold((0.0, 0.0), |sum, (_, disc)| add(sum, disc));
+    (freedom > 0.0).then(|| (chi2 / freedom - 1.0, 2.0 / freedom))
 }
 
-/// Mean of the excesses weighed by one over a variance each, and the sum of the squares of the weights.
-fn weighed(of: &[&Said], variance: impl Fn(&Said) -> f64) -> (f64, f64) {
+/// Whether that is beyond chance by so many standard deviations, and more than is let pass.
+fn shows_more(discs: &[(usize, &Disc)], sigmas: f64) -> bool {
+    shown(discs).is_some_and(|(more, chance)| more > EVEN.max(sigmas * chance.sqrt()))
+}
+
+/// Multiplies the variances of a disc and its edge points.
+fn widen(disc: &mut Disc, by: f64) {
+    if by > 1.0 {
+        disc.covariance *= by;
+        disc.edge.sigma_px.iter_mut().for_each(|sigma| *sigma *= by.sqrt());
+    }
+}
+
+/// What contours say together.
+struct Pool {
+    /// m' and t^2, px^2 and px^4.
+    common_px2: f64,
+    apart_px4: f64,
+    /// What lies further than this from there is no one's but its own, px^2.
+    middle_px2: f64,
+    spread_px2: f64,
+    /// Mean variance by noise, px^2.
+    noise_px2: f64,
+}
+
+impl Pool {
+    /// Of at least one contour.
+    fn of(all: &[Said]) -> Option<Self> {
+        let mut sorted: Vec<f64> = all.iter().map(|x| x.excess_px2).collect();
+        let middle_px2 = median(&mut sorted)?;
+        sorted.iter_mut().for_each(|x| *x = (*x - middle_px2).abs());
+        let spread_px2 = 1.4826 * median(&mut sorted)?;
+        let noise_px2 = all.iter().map(|x| x.noise_px2).sum::<f64>() / all.len() as f64;
+        let mut pool = Self { common_px2: middle_px2, apart_px4: 0.0, middle_px2, spread_px2, noise_px2 };
+        let of: Vec<&Said> = all.iter().filter(|x| pool.holds(x)).collect();
+        let count = of.len() as f64;
+        for _ in 0..ROUNDS {
+            let chance = |x: &Said| x.variance(pool.common_px2);
+            let (mean, [sum, squares]) = weighed(&of, chance);
+            let about = of.iter().map(|x| (x.excess_px2 - mean).powi(2) / chance(x)).sum::<f64>();
+            let by_one = sum - squares / sum;
+            let apart_px4 = if of.len() > 1 { ((about - count + 1.0) / by_one).max(0.0) } else { 0.0 };
+            let common_px2 = weighed(&of, |x| chance(x) + apart_px4).0;
+            (pool.apart_px4, pool.common_px2) = (apart_px4, common_px2);
+        }
+        let weights = weighed(&of, |x| x.variance(0.0) + pool.apart_px4).1[0];
+        pool.common_px2 = shrunk(pool.common_px2, 1.0 / weights);
+        Some(pool)
+    }
+
+    /// Whether a contour is one of those that say something of each other.
+    fn holds(&self, x: &Said) -> bool {
+        (x.excess_px2 - self.middle_px2).abs() <= FAR * self.spread_px2.max(x.variance(self.middle_px2).sqrt())
+    }
+
+    /// How rough a contour is, px^2.
+    fn rough(&self, x: &Said) -> f64 {
+        if !self.holds(x) {
+            return x.alone();
+        }
+        let share = self.apart_px4 / (self.apart_px4 + x.variance(self.common_px2));
+        (self.common_px2 + (x.excess_px2 - self.common_px2) * share).max(0.0)
+    }
+}
+
+/// Mean of the excesses weighed by one over a variance each, and the sums of the weights and of their squares.
+fn weighed(of: &[&Said], variance: impl Fn(&Said) -> f64) -> (f64, [f64; 2]) {
     let (mut sum, mut weights, mut squares) = (0.0, 0.0, 0.0);
     for x in of {
         let w = 1.0 / variance(x);
         (sum, weights, squares) = (sum + w * x.excess_px2, weights + w, squares + w * w);
     }
-    (sum / weights, squares)
-}
-
-/// Of at least one number.
-fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    (sum / weights, [weights, squares])
 }
 
 /// A disc with a variance more for each of its edge points, px^2.
@@ -156,6 +214,7 @@ fn roughened(disc: &Disc, rough_px2: f64, options: &DetectOptions, feet: &mut Fe
 }
 
 #[cfg(test)]
+#[allow(clippy::expect_used)]
 mod tests {
     use super::*;
     use crate::stats::random::Random;
@@ -169,6 +228,11 @@ mod tests {
         let chi2: f64 = (0..FREEDOM).map(|_| (1.0 + rough) * random.gauss().powi(2)).sum();
         let freedom = FREEDOM as f64;
         Said { excess_px2: (chi2 / freedom - 1.0) * NOISE, noise_px2: NOISE, freedom }
+    }
+
+    fn pooled(all: &[Said]) -> Vec<f64> {
+        let pool = Pool::of(all).expect("contours");
+        all.iter().map(|x| pool.rough(x)).collect()
     }
 
     fn mean(all: impl ExactSizeIterator<Item = f64>) -> f64 {
