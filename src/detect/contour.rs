@@ -4,6 +4,7 @@
 //! the diamond `|c| + |s| = 1`, which grows from 0 to 4 with the eccentric angle.
 
 use crate::conic::{Ellipse, Frame};
+use crate::detect::level::ROUND;
 use crate::lanes::{self, GROUP, Kernel};
 use std::f64::consts::TAU;
 
@@ -48,6 +49,8 @@ pub(crate) struct Contour {
     cells: Vec<Cell>,
     unit: Vec<(f64, f64)>,
     arc: Vec<f64>,
+    /// The step of the table in which the contour is so many half sectors long.
+    step: Vec<u16>,
     /// Length of the contour, px.
     pub(crate) perimeter_px: f64,
 }
@@ -181,26 +184,49 @@ impl Contour {
     }
 }
 
-/// Sine and cosine of the eccentric angle up to which the contour is `wanted` long. `step` is 1 at first and then kept from call to call, with lengths that
-/// grow.
+/// Of so many equal parts of a contour the step of the table in which each ends, from that of length zero on. Without a search, whose ends no processor
+/// foretells: each step knows the first part that ends behind where it begins.
 #[inline(always)]
-fn unit_at(
-    (arc, unit): (&[f64; ARC_STEPS + 1], &[(f64, f64); ARC_STEPS]),
-    wanted: f64,
-    step: &mut usize,
-) -> (f64, f64) {
-    while *step < ARC_STEPS && arc[*step] <= wanted {
-        *step += 1;
+fn find_steps(arc: &[f64; ARC_STEPS + 1], parts: usize, step: &mut Vec<u16>) {
+    step.clear();
+    step.resize(parts + 1, 0);
+    let per_px = parts as f64 / arc[ARC_STEPS];
+    let mut part = [0; ARC_STEPS];
+    for i in 0..ARC_STEPS {
+        part[i] = ((arc[i] * per_px).ceil() + ROUND).to_bits() as u32;
     }
-    let before = (*step - 1).min(ARC_STEPS - 1);
-    let f = (wanted - arc[before]) / (arc[before + 1] - arc[before]);
-    // From the middle of the step: the angle is below 0.013, and what the series leave out below 1e-16.
-    let d = (f - 0.5) * (TAU / ARC_STEPS as f64);
-    let d2 = d * d;
-    let sin = d * (1.0 - d2 * (1.0 / 6.0) * (1.0 - d2 * (1.0 / 20.0)));
-    let cos = 1.0 - 0.5 * d2 * (1.0 - d2 * (1.0 / 12.0) * (1.0 - d2 * (1.0 / 30.0)));
-    let (s, c) = unit[before];
-    (s * cos + c * sin, c * cos - s * sin)
+    for (i, part) in part.iter().enumerate() {
+        step[(*part as usize).min(parts)] = i as u16;
+    }
+    let mut last = 0;
+    for step in step {
+        last = last.max(*step);
+        *step = last;
+    }
+}
+
+/// Sines and cosines of the eccentric angles up to which the contour is so long, which lie in these steps.
+#[inline(always)]
+fn units_at(
+    (arc, unit): (&[f64; ARC_STEPS + 1], &[(f64, f64); ARC_STEPS]),
+    wanted: &[f64; GROUP],
+    step: &[u16; GROUP],
+) -> [[f64; GROUP]; 2] {
+    let (mut begin, mut end, mut s, mut c) = ([0.0; GROUP], [0.0; GROUP], [0.0; GROUP], [0.0; GROUP]);
+    for i in 0..GROUP {
+        let at = usize::from(step[i]).min(ARC_STEPS - 1);
+        (begin[i], end[i], (s[i], c[i])) = (arc[at], arc[at + 1], unit[at]);
+    }
+    for i in 0..GROUP {
+        let f = (wanted[i] - begin[i]) / (end[i] - begin[i]);
+        // From the middle of the step: the angle is below 0.013, and what the series leave out below 1e-16.
+        let d = (f - 0.5) * (TAU / ARC_STEPS as f64);
+        let d2 = d * d;
+        let sin = d * (1.0 - d2 * (1.0 / 6.0) * (1.0 - d2 * (1.0 / 20.0)));
+        let cos = 1.0 - 0.5 * d2 * (1.0 - d2 * (1.0 / 12.0) * (1.0 - d2 * (1.0 / 30.0)));
+        (s[i], c[i]) = (s[i] * cos + c[i] * sin, c[i] * cos - s[i] * sin);
+    }
+    [s, c]
 }
 
 /// Cuts an ellipse into sectors, as wide as the processor is.
@@ -217,19 +243,36 @@ impl Kernel for Cut<'_> {
         contour.lengths(e);
         let count = ((contour.perimeter_px / SECTOR_PX).round() as usize).max(8);
         contour.resize(count);
-        let Contour { cos, sin, u, v, normal_u, normal_v, end, turn, climb, row, arc, unit, .. } = contour;
+        let Contour { cos, sin, u, v, normal_u, normal_v, end, turn, climb, row, arc, unit, step, .. } = contour;
         // Said so that no place needs to be checked.
         let [cos, sin, u, v, normal_u, normal_v, end, turn] =
             [cos, sin, u, v, normal_u, normal_v, end, turn].map(|list| &mut list[..count]);
         let (climb, row) = (&mut climb[..count], &mut row[..count]);
         if let (Some(arc), Some(unit)) = (arc.first_chunk(), unit.first_chunk()) {
-            let mut step = 1;
-            for k in 0..count {
-                let share = |x: f64| x / count as f64 * arc[ARC_STEPS];
-                (sin[k], cos[k]) = unit_at((arc, unit), share(k as f64 + 0.5), &mut step);
-                let (s, c) = unit_at((arc, unit), share(k as f64 + 1.0), &mut step);
-                end[k] = if k + 1 == count { 4.0 } else { diamond(c, s) };
+            find_steps(arc, 2 * count, step);
+            let half = arc[ARC_STEPS] / (2 * count) as f64;
+            for from in (0..count).step_by(GROUP) {
+                let n = GROUP.min(count - from);
+                // Middles, then ends; what only fills the last group is the last once more.
+                let mut found = [[[0.0; GROUP]; 2]; 2];
+                for (of_end, found) in found.iter_mut().enumerate() {
+                    let (mut wanted, mut steps) = ([0.0; GROUP], [0; GROUP]);
+                    for i in 0..GROUP {
+                        let part = 2 * (from + i.min(n - 1)) + 1 + of_end;
+                        (wanted[i], steps[i]) = (part as f64 * half, step[part]);
+                    }
+                    *found = units_at((arc, unit), &wanted, &steps);
+                }
+                let [[s, c], [end_s, end_c]] = found;
+                let mut ends = [0.0; GROUP];
+                for i in 0..GROUP {
+                    ends[i] = diamond(end_c[i], end_s[i]);
+                }
+                for (list, own) in [(&mut *sin, &s), (&mut *cos, &c), (&mut *end, &ends)] {
+                    list[from..from + n].copy_from_slice(&own[..n]);
+                }
             }
+            end[count - 1] = 4.0;
         }
         let frame = Frame::new(e);
         for k in 0..count {
@@ -315,6 +358,27 @@ mod tests {
         for k in 0..count {
             assert!((contour.cos[k].hypot(contour.sin[k]) - 1.0).abs() < 1e-14);
             assert_eq!(contour.sector(diamond(contour.cos[k], contour.sin[k])), k);
+        }
+    }
+
+    /// The steps in which parts of a contour end against a search, on contours of few and many sectors.
+    #[test]
+    fn steps_are_those_of_a_search() {
+        for (a, b) in [(3.0, 2.9), (13.0, 11.0), (40.0, 2.0), (300.0, 6.0), (2000.0, 1900.0)] {
+            let e = Ellipse { center_px: Pixel::new(7.0, 9.0), semi_major_px: a, semi_minor_px: b, angle_rad: 0.3 };
+            let mut contour = Contour::default();
+            contour.cut(&e, &[]);
+            let parts = 2 * contour.len();
+            assert_eq!(contour.step.len(), parts + 1);
+            for part in 1..parts {
+                let length = part as f64 * contour.arc[ARC_STEPS] / parts as f64;
+                let step = usize::from(contour.step[part]);
+                let within = 1e-9 * length;
+                assert!(
+                    contour.arc[step] <= length + within && length <= contour.arc[step + 1] + within,
+                    "{a} x {b} px, part {part} of {parts}"
+                );
+            }
         }
     }
 

@@ -9,6 +9,7 @@ use crate::detect::light::{Light, Side};
 use crate::detect::quick::Clean;
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::GrayView;
+use crate::lanes::{self, Kernel, Lanes};
 use crate::stats::median;
 use nalgebra::{SMatrix, SVector};
 
@@ -98,7 +99,7 @@ pub(super) fn clean_disc(
     }
     let change = s.quick.change();
     let ellipse = from_regular(&(to_regular(&state.ellipse) + change))?;
-    let mut edge = edges(&s.fine, &s.quick.shares, None, &change);
+    let mut edge = lanes::run(Edges { contour: &s.fine, shares: &s.quick.shares, kept: None, change: &change });
     let blur_px = (state.blur_px + s.quick.change_of_blur()).max(LEAST_BLUR_PX);
     // Sigmas are those of the blur before; what an edge tells goes with one over its blur.
     let wider = blur_px / state.blur_px;
@@ -130,28 +131,45 @@ fn agree(shares: &[Share], sorted: &mut Vec<f64>) -> bool {
         && (furthest < FURTHEST || furthest < FURTHEST * (1.4826 * typical(&|x| x.deviation2().sqrt())).max(1.0))
 }
 
-/// Edge points of the sectors that count.
-fn edges(contour: &Contour, shares: &[Share], kept: Option<&[bool]>, change: &SVector<f64, 5>) -> EdgePoints {
-    let mut edge = EdgePoints::default();
-    for list in [&mut edge.u_px, &mut edge.v_px, &mut edge.sigma_px] {
-        list.reserve_exact(shares.len());
+/// Edge points of the sectors that count, as wide as the processor is.
+struct Edges<'a> {
+    contour: &'a Contour,
+    shares: &'a [Share],
+    kept: Option<&'a [bool]>,
+    /// Change of the ellipse since the contour was cut, px.
+    change: &'a SVector<f64, 5>,
+}
+
+impl Kernel for Edges<'_> {
+    type Output = EdgePoints;
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> EdgePoints {
+        let Self { contour, shares, kept, change } = self;
+        let count = shares.len();
+        let (kept, row) = (kept.map(|kept| &kept[..count]), &contour.row[..count]);
+        let [u, v, normal_u, normal_v] =
+            [&contour.u, &contour.v, &contour.normal_u, &contour.normal_v].map(|list| &list[..count]);
+        let mut edge = EdgePoints { u_px: vec![0.0; count], v_px: vec![0.0; count], sigma_px: vec![0.0; count] };
+        let [u_px, v_px, sigma_px] =
+            [&mut edge.u_px, &mut edge.v_px, &mut edge.sigma_px].map(|list| &mut list[..count]);
+        for k in 0..count {
+            let moved: f64 = (0..5).map(|i| row[k][i] * change[i]).sum();
+            let shift = shares[k].shift_px() - moved;
+            (u_px[k], v_px[k]) = (u[k] + shift * normal_u[k], v[k] + shift * normal_v[k]);
+            sigma_px[k] = 1.0 / shares[k].information.sqrt();
+        }
+        let counts = |k: usize| kept.is_none_or(|l| l[k]) && shares[k].information > 0.0;
+        let most = (0..count).filter(|k| counts(*k)).fold(0.0_f64, |most, k| most.max(shares[k].information));
+        // Of a sector that is all but hidden the pixels count, but they give no place.
+        let tells = |k: usize| counts(k) && shares[k].information > LEAST_SHARE * most;
+        if !(0..count).all(tells) {
+            for list in [&mut edge.u_px, &mut edge.v_px, &mut edge.sigma_px] {
+                let mut k = 0..;
+                list.retain(|_| k.next().is_some_and(tells));
+            }
+        }
+        edge
     }
-    let count = shares.len();
-    let (kept, row) = (kept.map(|kept| &kept[..count]), &contour.row[..count]);
-    let [u, v, normal_u, normal_v] =
-        [&contour.u, &contour.v, &contour.normal_u, &contour.normal_v].map(|list| &list[..count]);
-    let counts = |k: usize| kept.is_none_or(|l| l[k]) && shares[k].information > 0.0;
-    let most = (0..count)
-        .filter(|k| counts(*k))
-        .fold(0.0, |most, k| if shares[k].information > most { shares[k].information } else { most });
-    // Of a sector that is all but hidden the pixels count, but they give no place.
-    for (k, share) in shares.iter().enumerate().filter(|(k, x)| counts(*k) && x.information > LEAST_SHARE * most) {
-        let shift = share.shift_px() - (0..5).map(|i| row[k][i] * change[i]).sum::<f64>();
-        edge.u_px.push(u[k] + shift * normal_u[k]);
-        edge.v_px.push(v[k] + shift * normal_v[k]);
-        edge.sigma_px.push(1.0 / share.information.sqrt());
-    }
-    edge
 }
 
 /// What the fit to single pixels came to.
@@ -252,7 +270,7 @@ fn finished(state: &State, kept: &[bool], edge_alone: bool, s: &mut Scratch) -> 
         s.exact.count_misfit_as_noise();
         covariance = s.exact.covariance() + of_other_profile(&ellipse, blur_px);
     }
-    let edge = edges(&s.fine, &s.exact.shares, Some(kept), &change);
+    let edge = lanes::run(Edges { contour: &s.fine, shares: &s.exact.shares, kept: Some(kept), change: &change });
     Some(Exactly::Fitted(Box::new(Found { ellipse, blur_px, covariance, followed: state.field.is_some() }), edge))
 }
 
