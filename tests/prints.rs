@@ -69,7 +69,7 @@ fn told(rough_px: f64, seeds: std::ops::Range<u64>) -> (f64, f64, f64) {
     (z2, mean, spread)
 }
 
-/// Taken for roughness, what chance makes of a contour of forty points made sigmas of every second dot too large: mean z^2 0.90, edge points uneven by 10 %.
+/// Taken for roughness, what chance makes of a contour of forty points made sigmas of every second dot too large.
 #[test]
 fn clean_dots_have_the_sigmas_of_noise_alone() {
     let (z2, mean, spread) = told(0.0, 1..4);

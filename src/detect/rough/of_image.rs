@@ -1,7 +1,7 @@
 //! How rough the contours of one image are, told by all of them together.
 //!
 //! A contour by itself tells its roughness badly: of 38 degrees of freedom chance makes chi-square larger or smaller by a quarter. Were whatever it shows
-//! beyond the noise taken for roughness, half of all clean contours would be rough, and sigmas of clean dots 3 % too large on average and uneven by 13 %.
+//! beyond the noise taken for roughness, half of all clean contours would be rough, and sigmas of clean dots 3 % too large on average (docs/accuracy.md).
 //! But discs of one image come from one print. With `e_i` the variance that takes chi-square of contour i to its degrees of freedom `n_i`,
 //! negative where noise alone is more than enough, and `h_i` the variance of its edge points by noise,
 //!
