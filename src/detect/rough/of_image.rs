@@ -17,8 +17,10 @@
 //! ```
 //!
 //! Where all contours together show hardly more than noise (5 % of its variance), that is the noise of all, and those alone are asked that show much more by
-//! themselves. Of these, of contours that lie far off and of a
-//! single disc r is `max(0, e - s^2 / e)`, s^2 that of noise alone.
+//! themselves. Of these, of contours that lie far off and of a single disc r is `max(0, e - s^2 / e)`, s^2 that of noise alone.
+//!
+//! Roughness counts as each edge point's own. Of a rim whose waves are shorter than the blur that is too little for the ellipse: the long ones, which bend it,
+//! the blur leaves as they are (docs/accuracy.md).
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
