@@ -29,7 +29,6 @@ mod surface;
 mod trace;
 mod whole;
 
-pub(crate) use around::MOST_SMOKY;
 pub use find::{find_discs, find_discs_with};
 pub(crate) use plane::noise;
 pub use rejection::{Rejection, RejectionReason, counted, counted_words, missing_words};
@@ -154,6 +153,14 @@ pub struct Detection {
     pub shapes: Vec<Shape>,
     /// Candidates turned down, each with its reason.
     pub rejections: Vec<Rejection>,
+}
+
+impl Detection {
+    /// Bright discs that may be bubbles full of smoke, for all that the image tells: none where discs are too many.
+    pub fn possible_bubbles(&self) -> usize {
+        let bright = self.discs.iter().filter(|disc| disc.polarity == Polarity::Bright);
+        if self.discs.len() > around::MOST_SMOKY { 0 } else { bright.count() }
+    }
 }
 
 /// A disc that knows its place in the pattern.

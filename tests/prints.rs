@@ -8,7 +8,6 @@ use detect_table::off;
 use render::{Random, Spot, draw};
 use spivcal::detect::{DetectOptions, Disc, find_discs};
 use spivcal::image::{GrayView, Samples};
-use std::f64::consts::TAU;
 
 /// Columns and rows of dots, and pixels of each, edge to edge.
 const DOTS: [usize; 2] = [12, 9];

@@ -5,16 +5,13 @@ use super::arguments::Detect;
 use super::files::{Output, fault, note, tell_further_pages};
 use super::progress::Bar;
 use super::threads;
-use crate::detect::{
-    DetectMemory, DetectOptions, Detection, MOST_SMOKY, counted, counted_words, find_discs_with, missing_words,
-};
+use crate::detect::{DetectMemory, DetectOptions, Detection, counted, counted_words, find_discs_with, missing_words};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::image::GrayImage;
 use crate::pipeline::load_image;
 use crate::report::{
     DETECTION_FORMAT, contours_csv, detection_json, detection_shapes, discs_csv, features_csv, overlay_png,
 };
-use crate::target::Polarity;
 use rayon::prelude::*;
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -126,9 +123,7 @@ fn describe(path: &Path, stem: &str, image: &GrayImage, detection: &Detection) -
     let rejected = counted(&detection.rejections);
     let rejections = &detection.rejections;
     let (words, missing) = (counted_words(rejections), missing_words(rejections));
-    let discs = detection.discs.len();
-    let bright = detection.discs.iter().filter(|d| d.polarity == Polarity::Bright).count();
-    let bubbles = if discs > MOST_SMOKY { 0 } else { bright };
+    let (discs, bubbles) = (detection.discs.len(), detection.possible_bubbles());
     Ok(Found { discs, bubbles, rejected, words, missing, files })
 }
 

@@ -7,7 +7,7 @@ use crate::detect::refine::reach_px;
 use crate::detect::rows::ByRow;
 
 /// Images with more candidates than this, wisps of smoke in them apart, show prints, not smoke.
-pub(crate) const MOST_SMOKY: usize = 24;
+pub(super) const MOST_SMOKY: usize = 24;
 /// Contrast over that of the disc around it below which a region may be a wisp of smoke.
 const WISP: f64 = 0.5;
 
