@@ -131,7 +131,7 @@ fn describe(path: &Path, stem: &str, image: &GrayImage, detection: &Detection) -
 fn tell_of_smoke(bubbles: usize) {
     if bubbles > 0 {
         note(format_args!(
-            "{bubbles} bright disc(s): if they are bubbles full of smoke, detect them with --smoke; weak or slow smoke looks like even light, and moves a contour by more than the sigmas that hold for that"
+            "{bubbles} bright disc(s): if they are bubbles full of smoke, detect them with --smoke; weak or slow smoke looks like even light, and sigmas would be too small"
         ));
     }
 }
