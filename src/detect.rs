@@ -67,6 +67,13 @@ pub struct DetectOptions {
     pub max_edge_rms_ratio: f64,
 }
 
+impl DetectOptions {
+    /// Largest root mean square distance of the edge points of an ellipse from it, noise apart, px.
+    fn most_rms_px(&self, e: &Ellipse) -> f64 {
+        self.max_edge_rms_px + self.max_edge_rms_ratio * e.semi_minor_px
+    }
+}
+
 impl Default for DetectOptions {
     fn default() -> Self {
         Self {

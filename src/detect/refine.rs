@@ -505,7 +505,7 @@ fn accept(
     feet.find(e, &edge.u_px, &edge.v_px);
     let squares: f64 = feet.distance.iter().map(|d| d * d).sum();
     let (ellipse, rms_px) = (*e, (squares / count).sqrt());
-    let shape_px = options.max_edge_rms_px + options.max_edge_rms_ratio * ellipse.semi_minor_px;
+    let shape_px = options.most_rms_px(&ellipse);
     // Noise that explains any scatter says nothing of a shape either: place and size must be known within the same limit.
     let own = covariance_from_regular(&to_regular(e), &found.covariance);
     if !is_known(&own, shape_px) {

@@ -203,7 +203,7 @@ fn weighed(of: &[&Said], variance: impl Fn(&Said) -> f64) -> (f64, [f64; 2]) {
 /// A disc with a variance more for each of its edge points, px^2.
 fn roughened(disc: &Disc, rough_px2: f64, options: &DetectOptions, feet: &mut Feet) -> Refined {
     let e = &disc.ellipse;
-    let shape_px = options.max_edge_rms_px + options.max_edge_rms_ratio * e.semi_minor_px;
+    let shape_px = options.most_rms_px(e);
     let unknown = RejectionReason::NotElliptical { rms_px: f64::INFINITY, limit_px: shape_px };
     let mut edge = disc.edge.clone();
     feet.find(e, &edge.u_px, &edge.v_px);
