@@ -28,8 +28,10 @@ fn seen(rough_px: f64, seed: u64) -> Vec<(Spot, Disc)> {
         })
         .collect();
     let height = rough_px / (RAGGED.len() as f64).sqrt();
+    // All harmonics alike, and the radius, one number, half as much.
+    let of = |m: usize| if m == 0 { height / 2f64.sqrt() } else { height };
     let rims: Vec<Vec<[f64; 2]>> =
-        spots.iter().map(|_| RAGGED.map(|_| [(); 2].map(|()| height * random.normal())).collect()).collect();
+        spots.iter().map(|_| RAGGED.map(|m| [(); 2].map(|()| of(m) * random.normal())).collect()).collect();
     let cover = |u: f64, v: f64, h: f64| {
         let tile = |x: f64, size: usize, count: usize| ((x.max(0.0) as usize) / size).min(count - 1);
         let k = tile(v, TILE[1], rows) * columns + tile(u, TILE[0], columns);
@@ -97,13 +99,13 @@ fn clean_dots_have_the_sigmas_of_noise_alone() {
     assert!(spread < 0.06 * mean, "{spread} of {mean} px");
 }
 
-/// Rims rougher than the noise: all dots say so alike, and edge points scatter as their sigmas say. Not held: whole dots scatter more, for a blur takes short
-/// waves off a rim and leaves long ones. Whoever mends that brings the mean z^2 of 2.4 to one.
+/// Rims rougher than the noise: all dots say so alike, edge points scatter as their sigmas say, and so do whole dots, though the blur takes short waves off
+/// a rim and leaves the long ones, which bend an ellipse: taken for as rough in these as in all, dots had a mean z^2 of 2.1.
 #[test]
 fn rough_rims_are_told_by_all_dots() {
     let [clean, rough] = [0.0, 0.1].map(|rough_px| told(rough_px, 7..9));
     assert!(rough.mean > 1.2 * clean.mean, "{} px, clean ones {}", rough.mean, clean.mean);
     assert!((rough.chi2 - 1.0).abs() < 0.2, "{}", rough.chi2);
-    assert!((2.0..2.9).contains(&rough.z2), "{}", rough.z2);
+    assert!((rough.z2 - 1.0).abs() < 0.15, "{}", rough.z2);
     assert!(rough.spread < 0.09 * rough.mean, "{} of {} px", rough.spread, rough.mean);
 }

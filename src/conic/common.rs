@@ -7,10 +7,10 @@
 //! ```
 //! they are whitened by `T = 1 - U diag(1 - 1 / sqrt(1 + m)) U^T`, without a matrix as large as the contour.
 //!
-//! Three kinds are known. What is uncertain of blur and light moves the contour of a disc as a whole: the five numbers of its ellipse
-//! are known less well than its edge points, each for itself, would say. Light that is followed along the contour takes what bends
-//! it off an ellipse for light, so that a contour says nothing of that, m infinite. [`ContourNoise`] holds both. And printed discs are ovals (see
-//! [`crate::bundle`]).
+//! Four kinds are known. What is uncertain of blur and light moves the contour of a disc as a whole: the five numbers of its ellipse
+//! are known less well than its edge points, each for itself, would say. So do the long waves of a rough rim. Light that is followed along the
+//! contour takes what bends it off an ellipse for light, so that a contour says nothing of that, m infinite. [`ContourNoise`] holds these.
+//! And printed discs are ovals (see [`crate::bundle`]).
 
 use super::feet::{Feet, Normal};
 use super::{Ellipse, inverse_of_positive};
@@ -131,6 +131,11 @@ impl ContourNoise {
         let more = normal.matrix.component_mul(covariance).sum() > 5.0 + LEAST;
         let own = if more { inverse_of_positive(&normal.matrix) } else { None };
         Self { excess: own.map(|own| covariance - own), followed, chi2: normal.chi2 }
+    }
+
+    /// Adds what is uncertain of the regular coordinates by something else, px^2.
+    pub(crate) fn add(&mut self, covariance: &SMatrix<f64, 5, 5>) {
+        self.excess = Some(self.excess.map_or(*covariance, |excess| excess + covariance));
     }
 
     /// Chi-square of the edge points by noise alone.

@@ -141,13 +141,15 @@ impl Feet {
         Normal { matrix: SMatrix::from_fn(of), gradient: SVector::from_fn(|i, _| of(5, i)), chi2: of(5, 5) }
     }
 
-    /// By how much the covariance of `(u0, v0, a, b, phi)` grows as the sigmas of the points, whose feet on `e` were found last, grow from
-    /// `before_px` to those of the equations: never by a negative variance, as `(J^T W J)^-1` falls with W and both are turned alike.
-    pub(crate) fn growth(&self, e: &Ellipse, grown: &Normal, before_px: &[f64]) -> Option<SMatrix<f64, 5, 5>> {
+    /// By how much the covariances of the regular coordinates and of `(u0, v0, a, b, phi)` grow as the sigmas of the points, whose feet on `e` were
+    /// found last, grow from `before_px` to those of the equations: never by a negative variance, as `(J^T W J)^-1` falls with W and both are
+    /// turned alike.
+    pub(crate) fn growth(&self, e: &Ellipse, grown: &Normal, before_px: &[f64]) -> Option<[SMatrix<f64, 5, 5>; 2]> {
         let (whole, before) =
             (inverse_of_positive(&grown.matrix)?, inverse_of_positive(&self.normal(before_px).matrix)?);
         let by = parameters_by_regular(&to_regular(e), &whole);
-        Some(by * (whole - before) * by.transpose())
+        let regular = whole - before;
+        Some([regular, by * regular * by.transpose()])
     }
 
     /// Derivatives of the distances of the points, whose feet were found last, over their sigmas, px.

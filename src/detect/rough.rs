@@ -1,12 +1,13 @@
 //! How much rougher a contour is than the noise of its grey values explains.
 
+mod long_waves;
 mod of_image;
 
 use crate::conic::{Ellipse, Feet, fit_geometric_from};
 use crate::detect::{Disc, EdgePoints};
 use crate::lanes::{self, GROUP, Kernel, Lanes};
+use long_waves::Waves;
 use nalgebra::{SMatrix, SVector};
-use of_image::Said;
 pub(crate) use of_image::roughen_all;
 
 /// Harmonics along the contour that a smooth lens may explain: 3 to this.
@@ -15,6 +16,22 @@ const SMOOTH: usize = 5;
 const N: usize = 2 * SMOOTH + 1;
 /// Numbers of the harmonics up to twice that, which products of two make.
 const TWICE: usize = 4 * SMOOTH + 1;
+
+/// What one contour says of its roughness.
+#[derive(Debug, Clone, Copy)]
+struct Said {
+    /// Variance that takes chi-square to the degrees of freedom, px^2; negative where noise alone takes it below.
+    excess_px2: f64,
+    /// Variance of an edge point by noise, harmonic mean, px^2.
+    noise_px2: f64,
+    freedom: f64,
+    waves: Waves,
+}
+
+/// A number that is not negative, from one with this variance.
+fn shrunk(x: f64, variance: f64) -> f64 {
+    if x > 0.0 { (x - variance / x).max(0.0) } else { 0.0 }
+}
 
 /// Harmonics of the eccentric angle, times `b / |t|` as a smooth lens makes them (`Frame::bends_at`), at points whose feet were found last.
 #[derive(Clone, Copy)]
@@ -128,11 +145,21 @@ fn product(sums: &[f64; TWICE], i: usize, j: usize) -> f64 {
     }
 }
 
+/// Edge points, whose feet were found last, less what is no roughness.
+struct Bent {
+    /// Distances, px.
+    distance: Vec<f64>,
+    /// Degrees of freedom.
+    freedom: f64,
+    /// Harmonics along the contour that were taken off: up to this.
+    smooth: usize,
+}
+
 /// Distances of the edge points, whose feet were found last, from the ellipse without the low harmonics along the contour that a smooth lens
-/// explains, and the degrees of freedom that are left.
-fn without_smooth_bends(ellipse: &Ellipse, feet: &Feet) -> (Vec<f64>, f64) {
+/// explains; of few points with these, but for those of the ellipse.
+fn without_smooth_bends(ellipse: &Ellipse, feet: &Feet) -> Bent {
     let n = feet.distance.len();
-    let plain = || (feet.distance.clone(), (n as f64 - 5.0).max(1.0));
+    let plain = || Bent { distance: feet.distance.clone(), freedom: (n as f64 - 5.0).max(1.0), smooth: 2 };
     if n < 4 * N {
         return plain();
     }
@@ -141,9 +168,9 @@ fn without_smooth_bends(ellipse: &Ellipse, feet: &Feet) -> (Vec<f64>, f64) {
     let matrix = SMatrix::<f64, N, N>::from_fn(|i, j| product(&sums, i, j));
     let Some(factor) = matrix.cholesky() else { return plain() };
     let coefficients = factor.solve(&SVector::from(right)).into();
-    let mut left = lanes::run(Left { harmonics, coefficients: &coefficients });
-    left.truncate(n);
-    (left, (n - N) as f64)
+    let mut distance = lanes::run(Left { harmonics, coefficients: &coefficients });
+    distance.truncate(n);
+    Bent { distance, freedom: (n - N) as f64, smooth: SMOOTH }
 }
 
 /// What the contour of a disc says of its roughness: the variance that, added to those of its edge points, makes their chi-square the number of degrees
@@ -156,47 +183,53 @@ fn said(disc: &Disc, feet: &mut Feet) -> Said {
 
 /// The same of edge points, px, whose feet were found last.
 fn said_by(ellipse: &Ellipse, sigma_px: &[f64], feet: &Feet) -> Said {
-    let (distance, freedom) = without_smooth_bends(ellipse, feet);
+    let bent = without_smooth_bends(ellipse, feet);
     let noise_px2 = sigma_px.len() as f64 / sigma_px.iter().map(|s| 1.0 / (s * s)).sum::<f64>();
-    // chi2 and its slope; it falls and bends upwards, so that Newton steps from zero never pass the root.
-    let chi2 = |x: f64| {
-        let (mut sum, mut slope) = (0.0, 0.0);
-        for (d, sigma) in distance.iter().zip(sigma_px) {
-            let w = 1.0 / (sigma * sigma + x);
-            let term = d * d * w;
-            sum += term;
-            slope -= term * w;
-        }
-        (sum, slope)
-    };
-    let of_noise = chi2(0.0).0;
-    if of_noise <= freedom {
-        return Said { excess_px2: (of_noise / freedom - 1.0) * noise_px2, noise_px2, freedom };
+    let of_noise = chi2(&bent.distance, sigma_px, 0.0)[0];
+    let excess_px2 =
+        if of_noise <= bent.freedom { (of_noise / bent.freedom - 1.0) * noise_px2 } else { added_for(&bent, sigma_px) };
+    let waves = Waves::of(ellipse, &bent, sigma_px, feet);
+    Said { excess_px2, noise_px2, freedom: bent.freedom, waves }
+}
+
+/// Chi-square of distances with a variance more for each, px^2, and its slope.
+fn chi2(distance_px: &[f64], sigma_px: &[f64], more_px2: f64) -> [f64; 2] {
+    let (mut sum, mut slope) = (0.0, 0.0);
+    for (d, sigma) in distance_px.iter().zip(sigma_px) {
+        let w = 1.0 / (sigma * sigma + more_px2);
+        let term = d * d * w;
+        sum += term;
+        slope -= term * w;
     }
+    [sum, slope]
+}
+
+/// The variance that takes chi-square down to the degrees of freedom, px^2. It falls and bends upwards, so that Newton steps from zero never pass the root.
+fn added_for(bent: &Bent, sigma_px: &[f64]) -> f64 {
     let mut x = 0.0;
     for _ in 0..60 {
-        let (sum, slope) = chi2(x);
-        if sum <= freedom || !(slope < 0.0) {
+        let [sum, slope] = chi2(&bent.distance, sigma_px, x);
+        if sum <= bent.freedom || !(slope < 0.0) {
             break;
         }
-        let step = (freedom - sum) / slope;
+        let step = (bent.freedom - sum) / slope;
         x += step;
         if step < 1e-10 * x {
             break;
         }
     }
-    Said { excess_px2: x, noise_px2, freedom }
+    x
 }
 
 /// Adds a variance, px^2, to those of the edge points, whose feet on `e` were found last: the ellipse through them with these sigmas, and what
-/// the variance adds to the covariance of `(u0, v0, a, b, phi)`. Both covariances are about the ellipse that is returned, so that what
-/// is added is positive semidefinite, as `(J^T W J)^-1` is for a smaller W; none where the points fix no ellipse.
+/// the variance adds to the covariances of its regular coordinates and of `(u0, v0, a, b, phi)`. All covariances are about the ellipse that is
+/// returned, so that what is added is positive semidefinite, as `(J^T W J)^-1` is for a smaller W; none where the points fix no ellipse.
 fn roughen(
     e: &Ellipse,
     edge: &mut EdgePoints,
     variance_px2: f64,
     feet: &mut Feet,
-) -> Option<(Ellipse, SMatrix<f64, 5, 5>)> {
+) -> Option<(Ellipse, [SMatrix<f64, 5, 5>; 2])> {
     let plain_px = edge.sigma_px.clone();
     edge.sigma_px.iter_mut().for_each(|s| *s = (*s * *s + variance_px2).sqrt());
     let (ellipse, normal) = match feet.refit(e, &edge.u_px, &edge.v_px, &edge.sigma_px) {
@@ -243,9 +276,10 @@ mod tests {
         });
         let distance = DVector::from_column_slice(&feet.distance);
         let found = rows.clone().svd(true, true).solve(&distance, 1e-12).expect("a fit");
-        let (left, freedom) = without_smooth_bends(&e, &feet);
-        assert_eq!(freedom, 49.0);
-        assert!((DVector::from(left) - (distance - rows * found)).amax() < 1e-10);
+        let bent = without_smooth_bends(&e, &feet);
+        assert_eq!(bent.freedom, 49.0);
+        let left = DVector::from(bent.distance.clone());
+        assert!((&left - (distance - rows * found)).amax() < 1e-10);
         let harmonics = Harmonics { axes_px: [e.semi_major_px, e.semi_minor_px], feet: &feet };
         let sums = lanes::run_all(&Sums(harmonics));
         let left = lanes::run_all(&Left { harmonics, coefficients: &sums[0].1 });
@@ -260,8 +294,8 @@ mod tests {
             let sigma: Vec<f64> = (0..60).map(|k| 0.01 * f64::from(1 + k % 4)).collect();
             let feet = off(&e, &|k| size * f64::from((k * 29) % 13 - 6) / 6.0);
             let x = said_by(&e, &sigma, &feet).excess_px2;
-            let (left, freedom) = without_smooth_bends(&e, &feet);
-            let chi2: f64 = left.iter().zip(&sigma).map(|(d, s)| d * d / (s * s + x.max(0.0))).sum();
+            let Bent { distance, freedom, .. } = without_smooth_bends(&e, &feet);
+            let chi2: f64 = distance.iter().zip(&sigma).map(|(d, s)| d * d / (s * s + x.max(0.0))).sum();
             assert_eq!(x > 0.0, rough);
             let noise = 60.0 / sigma.iter().map(|s| s.powi(-2)).sum::<f64>();
             let wanted = if rough { freedom } else { freedom * (1.0 + x / noise) };
@@ -297,7 +331,7 @@ mod tests {
             let mut feet = Feet::default();
             feet.find(&e, &edge.u_px, &edge.v_px);
             let of_start = of(&e, &edge);
-            let Some((ellipse, added)) = roughen(&e, &mut edge, 0.003, &mut feet) else { continue };
+            let Some((ellipse, [_, added])) = roughen(&e, &mut edge, 0.003, &mut feet) else { continue };
             fitted += 1;
             let whole = of(&ellipse, &edge).expect("a covariance");
             let least = |m: SMatrix<f64, 5, 5>| m.symmetric_eigenvalues().min() / whole.trace();

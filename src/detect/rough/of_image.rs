@@ -19,18 +19,20 @@
 //! Where all contours together show hardly more than noise (5 % of its variance), that is the noise of all, and those alone are asked that show much more by
 //! themselves. Of these, of contours that lie far off and of a single disc r is `max(0, e - s^2 / e)`, s^2 that of noise alone.
 //!
-//! Roughness counts as each edge point's own. Of a rim whose waves are shorter than the blur that is too little for the ellipse: the long ones, which bend it,
-//! the blur leaves as they are (docs/accuracy.md).
+//! Each edge point is that rough, r. The covariance of an ellipse grows by L times what r would add were points rough each for itself
+//! ([`super::long_waves`]), and all but one part of that is noise that the points of the contour have in common.
 //!
 //! | symbol | identifier | unit | meaning |
 //! |---|---|---|---|
 //! | e, h, n | [`Said`] | px^2, px^2, 1 | what a contour says |
-//! | r | `rough_px2` | px^2 | variance that is added to those of its edge points |
+//! | r | `variance_px2` | px^2 | variance that is added to those of its edge points |
+//! | L | `long` | 1 | waves that bend an ellipse over all, as their powers |
 //!
 //! Source: DerSimonian and Laird, Controlled Clinical Trials 7 (1986), for m and t; James and Stein's estimator with its positive part (Efron and Morris,
 //! J. Amer. Statist. Assoc. 68 (1973)) for what chance leaves of r.
 
-use super::{roughen, said};
+use super::long_waves::Rim;
+use super::{Said, roughen, said, shrunk};
 use crate::conic::Feet;
 use crate::detect::refine::is_known;
 use crate::detect::{DetectOptions, Disc, RejectionReason};
@@ -49,14 +51,13 @@ const ROUNDS: usize = 3;
 /// Standard deviation of a place or an axis beyond which a rough contour is none, in semi-minor axes.
 const MOST_ROUGH: f64 = 0.25;
 
-/// What one contour says of its roughness.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Said {
-    /// Variance that takes chi-square to the degrees of freedom, px^2; negative where noise alone takes it below.
-    pub(super) excess_px2: f64,
-    /// Variance of an edge point by noise, harmonic mean, px^2.
-    pub(super) noise_px2: f64,
-    pub(super) freedom: f64,
+/// How rough a contour is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Rough {
+    /// Variance of each edge point, px^2.
+    variance_px2: f64,
+    /// How many times as much there is of the waves that bend an ellipse as of all.
+    long: f64,
 }
 
 impl Said {
@@ -65,15 +66,11 @@ impl Said {
         2.0 / self.freedom * (self.noise_px2 + rough_px2.max(0.0)).powi(2)
     }
 
-    /// The roughness of a contour that stands alone, px^2.
-    fn alone(&self) -> f64 {
-        shrunk(self.excess_px2, self.variance(0.0))
+    /// The roughness of a contour that stands alone.
+    fn alone(&self) -> Rough {
+        let long = Rim::of(&[(self, 1.0)]).long(&self.waves);
+        Rough { variance_px2: shrunk(self.excess_px2, self.variance(0.0)), long }
     }
-}
-
-/// A number that is not negative, from one with this variance.
-fn shrunk(x: f64, variance: f64) -> f64 {
-    if x > 0.0 { (x - variance / x).max(0.0) } else { 0.0 }
 }
 
 type Refined = Result<Disc, RejectionReason>;
@@ -90,10 +87,10 @@ pub(crate) fn roughen_all(refined: &mut [Refined], options: &DetectOptions) {
     let told = ask(&asked);
     let pool = if even.is_none() { Pool::of(&told) } else { None };
     let rough = |said: &Said| pool.as_ref().map_or_else(|| said.alone(), |pool| pool.rough(said));
-    let worth = asked.iter().zip(&told).map(|((i, disc), said)| (*i, *disc, rough(said), said));
-    let worth = worth.filter(|(.., rough, said)| *rough > EVEN * said.noise_px2);
-    let worth: Vec<(usize, &Disc, f64)> = worth.map(|(i, disc, rough, _)| (i, disc, rough)).collect();
-    let again = |(_, disc, rough): &(usize, &Disc, f64)| memory.with(|feet| roughened(disc, *rough, options, feet));
+    let worth = asked.iter().zip(&told).map(|((i, disc), said)| (*i, *disc, rough(said), said.noise_px2));
+    let worth = worth.filter(|(_, _, rough, noise_px2)| rough.variance_px2 > EVEN * noise_px2);
+    let worth: Vec<(usize, &Disc, Rough)> = worth.map(|(i, disc, rough, _)| (i, disc, rough)).collect();
+    let again = |(_, disc, rough): &(usize, &Disc, Rough)| memory.with(|feet| roughened(disc, *rough, options, feet));
     let new = threads::side_by_side(&worth, again);
     let places: Vec<usize> = worth.iter().map(|x| x.0).collect();
     refined.iter_mut().flatten().for_each(|disc| widen(disc, 1.0 + even.unwrap_or(0.0)));
@@ -148,6 +145,7 @@ struct Pool {
     spread_px2: f64,
     /// Mean variance by noise, px^2.
     noise_px2: f64,
+    rim: Rim,
 }
 
 impl Pool {
@@ -158,7 +156,8 @@ impl Pool {
         sorted.iter_mut().for_each(|x| *x = (*x - middle_px2).abs());
         let spread_px2 = 1.4826 * median(&mut sorted)?;
         let noise_px2 = all.iter().map(|x| x.noise_px2).sum::<f64>() / all.len() as f64;
-        let mut pool = Self { common_px2: middle_px2, apart_px4: 0.0, middle_px2, spread_px2, noise_px2 };
+        let mut pool =
+            Self { common_px2: middle_px2, apart_px4: 0.0, middle_px2, spread_px2, noise_px2, rim: Rim::default() };
         let of: Vec<&Said> = all.iter().filter(|x| pool.holds(x)).collect();
         let count = of.len() as f64;
         for _ in 0..ROUNDS {
@@ -170,6 +169,8 @@ impl Pool {
             let common_px2 = weighed(&of, |x| chance(x) + apart_px4).0;
             (pool.apart_px4, pool.common_px2) = (apart_px4, common_px2);
         }
+        let weight = |x: &Said| 1.0 / (x.variance(pool.common_px2) + pool.apart_px4);
+        pool.rim = Rim::of(&of.iter().map(|x| (*x, weight(x))).collect::<Vec<_>>());
         let weights = weighed(&of, |x| x.variance(0.0) + pool.apart_px4).1[0];
         pool.common_px2 = shrunk(pool.common_px2, 1.0 / weights);
         Some(pool)
@@ -180,13 +181,14 @@ impl Pool {
         (x.excess_px2 - self.middle_px2).abs() <= FAR * self.spread_px2.max(x.variance(self.middle_px2).sqrt())
     }
 
-    /// How rough a contour is, px^2.
-    fn rough(&self, x: &Said) -> f64 {
+    /// How rough a contour is.
+    fn rough(&self, x: &Said) -> Rough {
         if !self.holds(x) {
             return x.alone();
         }
         let share = self.apart_px4 / (self.apart_px4 + x.variance(self.common_px2));
-        (self.common_px2 + (x.excess_px2 - self.common_px2) * share).max(0.0)
+        let variance_px2 = (self.common_px2 + (x.excess_px2 - self.common_px2) * share).max(0.0);
+        Rough { variance_px2, long: self.rim.long(&x.waves) }
     }
 }
 
@@ -200,25 +202,29 @@ fn weighed(of: &[&Said], variance: impl Fn(&Said) -> f64) -> (f64, [f64; 2]) {
     (sum / weights, [weights, squares])
 }
 
-/// A disc with a variance more for each of its edge points, px^2.
-fn roughened(disc: &Disc, rough_px2: f64, options: &DetectOptions, feet: &mut Feet) -> Refined {
+/// A disc as rough as that: its edge points each for itself, its ellipse by the long waves.
+fn roughened(disc: &Disc, rough: Rough, options: &DetectOptions, feet: &mut Feet) -> Refined {
     let e = &disc.ellipse;
     let shape_px = options.most_rms_px(e);
     let unknown = RejectionReason::NotElliptical { rms_px: f64::INFINITY, limit_px: shape_px };
-    let mut edge = disc.edge.clone();
+    let (mut edge, mut contour) = (disc.edge.clone(), disc.contour.clone());
     feet.find(e, &edge.u_px, &edge.v_px);
-    let (ellipse, added) = roughen(e, &mut edge, rough_px2, feet).ok_or(unknown)?;
-    let covariance = disc.covariance + added;
+    let (ellipse, [regular, added]) = roughen(e, &mut edge, rough.variance_px2, feet).ok_or(unknown)?;
+    let covariance = disc.covariance + added * rough.long;
     if !is_known(&covariance, shape_px.max(MOST_ROUGH * e.semi_minor_px)) {
         return Err(unknown);
     }
-    Ok(Disc { ellipse, covariance, edge, ..disc.clone() })
+    if rough.long > 1.0 {
+        contour.add(&(regular * (rough.long - 1.0)));
+    }
+    Ok(Disc { ellipse, covariance, edge, contour, ..disc.clone() })
 }
 
 #[cfg(test)]
 #[allow(clippy::expect_used)]
 mod tests {
     use super::*;
+    use crate::detect::rough::long_waves::Waves;
     use crate::stats::random::Random;
 
     /// Noise that is alike everywhere, and as many degrees of freedom.
@@ -229,12 +235,17 @@ mod tests {
     fn shown(rough: f64, random: &mut Random) -> Said {
         let chi2: f64 = (0..FREEDOM).map(|_| (1.0 + rough) * random.gauss().powi(2)).sum();
         let freedom = FREEDOM as f64;
-        Said { excess_px2: (chi2 / freedom - 1.0) * NOISE, noise_px2: NOISE, freedom }
+        told((chi2 / freedom - 1.0) * NOISE)
+    }
+
+    /// What says nothing of long waves.
+    fn told(excess_px2: f64) -> Said {
+        Said { excess_px2, noise_px2: NOISE, freedom: FREEDOM as f64, waves: Waves::default() }
     }
 
     fn pooled(all: &[Said]) -> Vec<f64> {
         let pool = Pool::of(all).expect("contours");
-        all.iter().map(|x| pool.rough(x)).collect()
+        all.iter().map(|x| pool.rough(x).variance_px2).collect()
     }
 
     fn mean(all: impl ExactSizeIterator<Item = f64>) -> f64 {
@@ -300,8 +311,8 @@ mod tests {
         let alone = mean(all.iter().map(|x| pooled(&[*x])[0] / NOISE));
         let of_two = mean(all.chunks(2).map(|x| mean(pooled(x).into_iter()) / NOISE));
         assert!(alone < 0.045 && of_two < 0.045, "{alone} and {of_two} of the noise");
-        let sure = Said { excess_px2: 3.0 * NOISE, noise_px2: NOISE, freedom: FREEDOM as f64 };
-        for r in [pooled(&[sure])[0], sure.alone()] {
+        let sure = told(3.0 * NOISE);
+        for r in [pooled(&[sure])[0], sure.alone().variance_px2] {
             assert!(r > 0.98 * sure.excess_px2 && r < sure.excess_px2, "{r}");
         }
     }
