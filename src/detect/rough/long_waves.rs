@@ -11,7 +11,7 @@
 //! D_m = sum_k d_k / sigma_k^2 exp (i m theta_k),     m from 6 to 11
 //! ```
 //!
-//! with e_i what all waves of contour i beyond the fifth say (chance-free, [`super::of_image`]), w_i its weight, d_k the distances of its n edge
+//! with e_i what all waves of contour i beyond the fifth say ([`super::of_image`]), w_i its weight, d_k the distances of its n edge
 //! points at the eccentric angles theta_k without harmonics up to the fifth, and `shrunk (x) = max (0, x - var (x) / x)`, by chance; of less than 44 points
 //! m from 3 to 5, without those up to the second. tau is one of the image.
 //!
