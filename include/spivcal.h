@@ -21,9 +21,10 @@
      with a number, key or text _ARGUMENT, with an index _INDEX, with a buffer _BUFFER_TOO_SMALL, and where something is made or
      threads are needed _MEMORY. Others are named by their function.
 
-   POINTERS  The caller owns all memory; nothing that the library gives has to be freed. Inputs are copied before a call returns.
-     Pointers may have any alignment. A pointer must not be NULL unless its function says so. Arrays and buffers must have the stated
-     number of elements: that is the one thing that the library cannot check. Texts are UTF-8 with a closing zero.
+   POINTERS  The caller owns all memory; nothing that the library gives has to be freed. No input is looked at after its call has
+     returned. Arrays that are written must not overlap those that are read. Pointers may have any alignment. A pointer must not be
+     NULL unless its function says so. Arrays and buffers must have the stated number of elements: that is the one thing that the
+     library cannot check. Texts are UTF-8 with a closing zero.
 
    BUFFERS  (buffer, capacity, needed): capacity and needed count elements (bytes of a text, with its zero). capacity 0 asks for needed
      alone. Too small: SPIVCAL_ERROR_BUFFER_TOO_SMALL, needed is written, buffer is not.
@@ -395,7 +396,8 @@
 #define SPIVCAL_CAMERA_BETA_RAD 306
 
 /**
- * Index: camera. Radial distortion, r^2 term, on the untilted plane at unit distance, without unit.
+ * Index: camera. Radial distortion, r^2 term, on the untilted plane at unit distance, without unit. SPIVCAL_CAMERA_RADIAL says
+ * which way the polynomial of K1 to K3 goes.
  */
 #define SPIVCAL_CAMERA_K1 307
 
@@ -453,6 +455,12 @@
  * Index: camera. Pixel pitch as the rig description gives it, mm. No sigma.
  */
 #define SPIVCAL_CAMERA_PIXEL_PITCH_MM 325
+
+/**
+ * Index: camera. Direction of the radial polynomial. 0: it takes the ideal place to the distorted one (Brown's, as OpenCV's), 1: the
+ * distorted place to the ideal one (photogrammetry). No sigma.
+ */
+#define SPIVCAL_CAMERA_RADIAL 326
 
 /**
  * Index: camera. Unit normal of its flat window in the camera frame, away from the camera, x. SPIVCAL_ERROR_NOT_AVAILABLE, as for all
@@ -899,7 +907,7 @@
 #define SPIVCAL_RIG_TARGET_SPACING_MM 11
 
 /**
- * Index: disc (0 or 1; 0 for grids and plates). Radius, mm.
+ * Index: disc (0 or 1, in this order; 0 for grids and plates). Radius, mm.
  */
 #define SPIVCAL_RIG_TARGET_RADIUS_MM 12
 
@@ -972,6 +980,11 @@
  * Distortion terms that are free, separated by spaces: "k1" (default), "k1 k2", "".
  */
 #define SPIVCAL_RIG_SOLVE_ESTIMATE 56
+
+/**
+ * Index: camera. Direction of the radial polynomial: ideal-to-distorted (Brown's, default) or distorted-to-ideal (photogrammetry).
+ */
+#define SPIVCAL_RIG_CAMERA_RADIAL 57
 
 /**
  * Image distance over pixel pitch, px.
@@ -1065,7 +1078,7 @@
 #define SPIVCAL_SCALE_RADIUS 3
 
 /**
- * The steps between the views' SPIVCAL_RIG_VIEW_PLANE_Z_MM; its value is not looked at.
+ * The views' SPIVCAL_RIG_VIEW_PLANE_Z_MM; its value is not looked at, its sigma is that of each of these positions, mm.
  */
 #define SPIVCAL_SCALE_TRAVERSE 4
 
@@ -1166,7 +1179,8 @@ int32_t spivcal_image_create_f32(uint64_t context,
                                  uint64_t *image);
 
 /**
- * Image from a file: PNG, TIFF (8, 16 bit, floating point), BMP, PGM, JPEG. Colours become grey.
+ * Image from a file: PNG, TIFF (8, 16 bit, floating point), BMP, PGM, JPEG. Colours become grey; of several pages the first is
+ * read, give others by spivcal_image_create_u8 and its like.
  *
  * `path_utf8`: zero-terminated. `image`: receives the handle. SPIVCAL_ERROR_INVALID_INPUT where it cannot be read.
  */
@@ -1255,7 +1269,9 @@ int32_t spivcal_detection_destroy(uint64_t detection);
 /**
  * Makes an empty rig description, to be filled by the functions below.
  *
- * It needs cameras, a target, one length in mm (of the target, or spivcal_rig_set_scale), views and their images.
+ * It needs cameras, a target, one length in mm (of the target, or spivcal_rig_set_scale), views and their images. What a rig file may say
+ * besides, spivcal_rig_parse takes as a text: the standard deviation of the pitch of a grid or plate, design values of a camera, the frame of
+ * the sheet, and views whose plane_z_mm is unknown or has a standard deviation of its own.
  * `rig`: receives the handle.
  */
 int32_t spivcal_rig_create(uint64_t context,
@@ -1286,7 +1302,8 @@ int32_t spivcal_rig_load(uint64_t context,
 /**
  * Adds a camera; the first one is the rig frame, two are the most.
  *
- * `name_utf8`: up to 64 letters, digits, '-', '_', but not "sheet" or "plane_z_mm"; it names the camera in results. `camera`: receives its index, from 0.
+ * `name_utf8`: up to 64 bytes of letters, digits, '-', '_', but not "sheet" or "plane_z_mm"; it names the camera in results, and differs
+ * from that of the other by more than capitals. `camera`: receives its index, from 0.
  */
 int32_t spivcal_rig_add_camera(uint64_t rig,
                                const char *name_utf8,
@@ -1553,7 +1570,8 @@ int32_t spivcal_calibration_destroy(uint64_t calibration);
  *
  * `camera`: from 0. `x_mm`, `y_mm`, `z_mm`: `count` doubles each, mm, rig frame (that of the first camera: x right, y down, z forward).
  * `u_px`, `v_px`: receive `count` doubles each; (0, 0) is the centre of the first pixel. NaN where a point has no image.
- * `point_status`: receives `count` SPIVCAL_POINT_*; may be NULL. Arrays that are written must not overlap others. A point has the same
+ * `point_status`: receives `count` SPIVCAL_POINT_*; may be NULL. Arrays that are written must not overlap those that are read
+ * (SPIVCAL_ERROR_ARGUMENT). A point has the same
  * result, to the bit, alone and among others: a call with many points is what is quick.
  * SPIVCAL_OK, or SPIVCAL_WARNING_POINTS where at least one point has no image.
  */
@@ -1642,7 +1660,8 @@ int32_t spivcal_calibration_pixel_from_sheet(uint64_t calibration,
  * `mm_per_px`: side of a pixel, mm; 0 takes the finest that any of the cameras has there. `x0_mm`, `y0_mm`: receive the centre of the
  * first (upper left) pixel, mm, sheet frame. `side_mm`: receives the side of a pixel s, mm: pixel (i, j), column and row counted from 0, is
  * centred on (x0 + s i, y0 - s j). `width`, `height`: receive the size, px. SPIVCAL_ERROR_NOT_AVAILABLE where the calibration has no
- * sheet, SPIVCAL_ERROR_INSUFFICIENT where the cameras see nothing in common in it.
+ * sheet, SPIVCAL_ERROR_INSUFFICIENT where the cameras see nothing in common in it, SPIVCAL_ERROR_INVALID_INPUT where the side is no number,
+ * negative, or so small that the grid has more than 32768 px along a side.
  */
 int32_t spivcal_calibration_sheet_grid(uint64_t calibration,
                                        double mm_per_px,

@@ -45,14 +45,23 @@ struct Number {
 
 namespace detail {
 
-/* Asks for the size, then for the text. */
-template <class Copy> std::int32_t text(Copy copy, std::string &out) {
+/* Asks for the size, then copies; again where another thread has made it more in between. */
+template <class T, class Copy> std::int32_t copied(Copy copy, std::vector<T> &out) {
     std::uint64_t needed = 0;
-    std::int32_t status = copy(static_cast<char *>(nullptr), std::uint64_t(0), &needed);
-    if (status < 0 || needed == 0) return status;
-    std::vector<char> buffer(static_cast<std::size_t>(needed));
-    status = copy(buffer.data(), needed, &needed);
-    if (status >= 0) out.assign(buffer.data());
+    std::int32_t status = copy(static_cast<T *>(nullptr), std::uint64_t(0), &needed);
+    do {
+        out.resize(static_cast<std::size_t>(needed));
+        if (status < 0 || needed == 0) return status;
+        status = copy(out.data(), static_cast<std::uint64_t>(out.size()), &needed);
+    } while (status == SPIVCAL_ERROR_BUFFER_TOO_SMALL);
+    if (status >= 0) out.resize(static_cast<std::size_t>(needed));
+    return status;
+}
+
+template <class Copy> std::int32_t text(Copy copy, std::string &out) {
+    std::vector<char> buffer;
+    std::int32_t status = copied(copy, buffer);
+    if (status >= 0 && !buffer.empty()) out.assign(buffer.data());
     return status;
 }
 
@@ -73,10 +82,8 @@ template <class Copy> std::string text_of(std::uint64_t handle, Copy copy) {
 }
 
 template <class Copy> std::vector<double> array_of(std::uint64_t handle, Copy copy) {
-    std::uint64_t needed = 0;
-    check(copy(static_cast<double *>(nullptr), std::uint64_t(0), &needed), handle);
-    std::vector<double> out(static_cast<std::size_t>(needed));
-    if (needed > 0) check(copy(out.data(), needed, &needed), handle);
+    std::vector<double> out;
+    check(copied(copy, out), handle);
     return out;
 }
 

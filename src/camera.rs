@@ -33,7 +33,7 @@
 //! Eqs 12-13 leave open which way the polynomial goes: both are offered by [`Radial`], never mixed.
 //!
 //! Not valid, and refused by [`Refusal`]: behind the camera; where the ray no longer meets the sensor (`h <= 0`);
-//! beyond the radius where `r g(r^2)` stops growing (at most 1e3); where numbers overflow.
+//! beyond the radius where `r g(r^2)` stops growing (with distortion at most 1e3); where numbers overflow.
 
 mod arrays;
 mod bulk;

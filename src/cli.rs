@@ -1,7 +1,7 @@
 //! The program: arguments, files, progress, exit codes.
 //!
 //! Every command is one or two library calls. Exit codes: 0 done; 1 done but flagged; 2 bad input; 3 not enough or
-//! degenerate data; 4 internal. On an error nothing is written.
+//! degenerate data; 4 internal. On an error nothing is written, but for `detect` what shows why no disc was taken.
 
 mod arguments;
 mod calibrate;
@@ -64,7 +64,7 @@ fn fail(error: &Error) -> ExitCode {
 }
 
 fn dispatch(arguments: &Arguments) -> crate::Result<Done> {
-    let progress = progress::Bar::new(arguments.quiet || arguments.json);
+    let progress = progress::Bar::new(arguments.json, arguments.quiet);
     match &arguments.command {
         Command::Calibrate(c) => calibrate::run(c, arguments.threads, &progress),
         Command::Detect(c) => detect::run(c, arguments.threads, &progress),

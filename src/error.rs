@@ -118,6 +118,14 @@ pub enum Invalid {
         /// What the system says.
         message: String,
     },
+    /// There is not as much memory as that.
+    #[error("there is no memory for {what}, {bytes} bytes; ask for less, or end what holds so much")]
+    Memory {
+        /// What it is for.
+        what: String,
+        /// How much is needed.
+        bytes: usize,
+    },
     /// Two statements of the caller exclude each other.
     #[error("{0}")]
     Contradiction(String),

@@ -3,7 +3,7 @@
 //! ```text
 //! n . p = d,   n away from the first camera, d > 0,   (a, b, c) = n / d
 //! for a small turn w and shift v of the plane:   dn = w x n,   dd = n . v,   d(abc) = (w x n) / d - n (n . v) / d^2
-//! angle to the baseline = asin |n . b|,   b the unit vector between the projection centres
+//! angle to the baseline = asin (n . b),   b the unit vector between the projection centres
 //! rig_from_sheet = Rx(theta1) Ry(theta2) Rz(theta3) up to the half turn about x that makes z face the camera
 //! ```
 //! Sheet frame: z = -n (w is positive towards the first camera), x the rig's x axis projected into the sheet, y = z cross x;

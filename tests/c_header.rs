@@ -157,7 +157,8 @@ fn terminal(declaration: &str, parameter: &str) -> (String, &'static str) {
         other => other,
     };
     // Many points at once, buffers and pictures are arrays; other pointers are single results.
-    let many = declaration.contains("uint64_t count,") || parameter.ends_with("buffer") || parameter.ends_with("data");
+    let picture = ["buffer", "data", "grey", "seen"].iter().any(|name| parameter.ends_with(name));
+    let many = declaration.contains("uint64_t count,") || picture;
     match (word, parameter.contains('*')) {
         ("char", _) if parameter.contains("const") => ("String".into(), "C String Pointer, Constant"),
         ("char", _) => ("String, Minimum Size = capacity".into(), "C String Pointer"),
@@ -244,6 +245,29 @@ fn exported() -> BTreeSet<String> {
         }
     }
     names
+}
+
+/// A single value where the library writes many would have the host's memory overwritten.
+#[test]
+fn what_receives_many_is_an_array_in_labview() {
+    let header = header();
+    let mut looked_at = 0;
+    for part in header.split("/**").skip(1) {
+        let (comment, rest) = part.split_once("*/").unwrap();
+        let Some(declaration) = declarations(rest).into_iter().next() else { continue };
+        let comment = comment.replace("\n *", "");
+        let arguments = declaration.trim_end_matches(";").trim_end_matches(')').split_once('(').unwrap().1;
+        for parameter in arguments.split(',').map(str::trim).filter(|p| p.contains('*') && !p.contains("const")) {
+            let name = parameter.rsplit([' ', '*']).next().unwrap();
+            let Some((_, told)) = comment.split_once(&format!("`{name}`")) else { continue };
+            let told = told.split(". ").next().unwrap();
+            let many = ["width x height", "`count`", "capacity"].iter().any(|word| told.contains(word));
+            let (kind, _) = terminal(&declaration, parameter);
+            assert!(!many || !kind.starts_with("Numeric"), "{declaration}: {name} is {kind}");
+            looked_at += usize::from(many);
+        }
+    }
+    assert!(looked_at > 30, "{looked_at} arrays are told of");
 }
 
 #[test]
@@ -365,7 +389,7 @@ fn keys_with_an_index_say_what_it_counts() {
         assert!(before.rsplit_once("/**").unwrap().1.contains("Index: "), "{name}");
         seen += 1;
     }
-    assert_eq!(seen, 32);
+    assert_eq!(seen, 33);
 }
 
 fn constants(header: &str) -> std::collections::BTreeMap<&str, &str> {

@@ -26,9 +26,9 @@ struct Score {
     bound: [f64; 4],
 }
 
-/// Scenes of a slow set: half of them, or all with `./check --accuracy`.
+/// Scenes of a slow set: a third of them, or all with `./check --accuracy`.
 fn share(all: usize) -> usize {
-    if std::env::var_os("SPIVCAL_ALL_SCENES").is_some() { all } else { all.div_ceil(2) }
+    if std::env::var_os("SPIVCAL_ALL_SCENES").is_some() { all } else { all.div_ceil(3) }
 }
 
 /// What is known of the root mean square of so many errors, and of the mean square, as a part of it.

@@ -188,7 +188,7 @@ fn displaced(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> 
     let tested: Vec<usize> = (0..discs).flat_map(|j| [first + 4 * j, first + 4 * j + 1]).collect();
     // What a stretch or a bend of the whole field of dots explains, cameras and poses explain as well: it is not said to
     // be the dots'. The rest is tested, in an orthonormal basis.
-    let eigen = beside_smooth(model, state, discs)?.symmetric_eigen();
+    let eigen = beside_smooth(model, state, discs).symmetric_eigen();
     let rough: Vec<usize> = (0..discs).filter(|&k| eigen.eigenvalues[k] > 0.5).collect();
     let basis = DMatrix::from_fn(2 * discs, 2 * rough.len(), |i, k| {
         if i % 2 == k % 2 { eigen.eigenvectors[(i / 2, rough[k / 2])] } else { 0.0 }
@@ -206,7 +206,7 @@ fn displaced(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> 
 }
 
 /// Projector that takes a quadratic field out of one number per disc (a linear one where the discs are few).
-fn beside_smooth(model: &Model, state: &State, discs: usize) -> Option<DMatrix<f64>> {
+fn beside_smooth(model: &Model, state: &State, discs: usize) -> DMatrix<f64> {
     let at: Vec<_> = (0..discs).map(|j| model.target.nominal_disc(j, &state.shape_mm).0).collect();
     let middle = at.iter().map(|p| p.xy()).sum::<nalgebra::Vector2<f64>>() / discs as f64;
     let half_mm = at.iter().map(|p| (p.xy() - middle).amax()).fold(1e-9, f64::max);
@@ -215,6 +215,13 @@ fn beside_smooth(model: &Model, state: &State, discs: usize) -> Option<DMatrix<f
         let p = (at[j].xy() - middle) / half_mm;
         [1.0, p.x, p.y, p.x * p.x, p.x * p.y, p.y * p.y][k]
     });
-    let gram = smooth.tr_mul(&smooth).try_inverse()?;
-    Some(DMatrix::identity(discs, discs) - &smooth * gram * smooth.transpose())
+    // On a grid of two rows a square is a constant: what is not independent of the rest takes nothing out.
+    let gram = smooth.tr_mul(&smooth).symmetric_eigen();
+    let least = 1e-10 * gram.eigenvalues.max();
+    let mut out = DMatrix::identity(discs, discs);
+    for k in (0..columns).filter(|k| gram.eigenvalues[*k] > least) {
+        let field = &smooth * gram.eigenvectors.column(k);
+        out.ger(-1.0 / gram.eigenvalues[k], &field, &field, 1.0);
+    }
+    out
 }

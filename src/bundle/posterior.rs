@@ -58,6 +58,9 @@ pub struct NamedCovariance {
     pub undetermined: Vec<String>,
     /// Standard deviations of disc offsets `(dx, dy, dz, dr)`, mm; empty where discs are not estimated.
     pub offset_sigmas_mm: Vec<[f64; 4]>,
+    /// Standard deviations of the discs' `(X, Y, Z, R)` in the target frame, mm, those of pitch and step included, `NaN` where one is not determined; empty
+    /// where discs are not estimated.
+    pub disc_sigmas_mm: Vec<[f64; 4]>,
     /// Cameras, motions and poses in the natural frames.
     pub natural: Natural,
 }
@@ -147,11 +150,18 @@ pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
         let by_rounding = null_directions[(i, k)].abs() <= ROUNDED * scale[i];
         by_rounding || cancels(&rows[i].terms, &moved.column(k))
     };
-    let determined = (0..rows.len()).map(|i| (0..post.nullity).all(|k| still(i, k))).collect();
+    let determined: Vec<bool> = (0..rows.len()).map(|i| (0..post.nullity).all(|k| still(i, k))).collect();
     let names: Vec<String> = rows.into_iter().map(|r| r.name).collect();
     let offset_sigmas_mm = places.offsets.map_or_else(Vec::new, |at| {
         let sigma = |i: usize| post.global[(i, i)].max(0.0).sqrt();
         (0..model.target.disc_count()).map(|j| [0, 1, 2, 3].map(|k| sigma(at + 4 * j + k))).collect()
+    });
+    let loose = shape_names(model).map(|name| {
+        let at = names.iter().position(|n| n.strip_prefix("target.") == Some(name));
+        at.is_some_and(|i| !determined[i])
+    });
+    let disc_sigmas_mm = places.offsets.map_or_else(Vec::new, |at| {
+        (0..model.target.disc_count()).map(|j| disc_sigmas(model, &places, at, j, &post.global, loose)).collect()
     });
     let mut out = NamedCovariance {
         names,
@@ -163,6 +173,7 @@ pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
         nullity: post.nullity,
         undetermined: vec![],
         offset_sigmas_mm,
+        disc_sigmas_mm,
         natural,
     };
     out.intrinsics = (0..model.cameras.len()).map(|c| knowledge(model, &out, c)).collect();
@@ -290,6 +301,21 @@ fn shape_names(model: &Model) -> [&'static str; 3] {
         TargetShape::Pair { .. } => ["spacing_mm", "radius0_mm", "radius1_mm"],
         TargetShape::Lattice(_) => ["spacing_mm", "radius_mm", "step_mm"],
     }
+}
+
+/// Standard deviations of X, Y, Z and R of disc `j` by its own offsets, the first of all at `first`, and the shape of all; `NaN` where they follow one of
+/// the shape parameters that are loose.
+fn disc_sigmas(model: &Model, places: &Places, first: usize, j: usize, c: &DMatrix<f64>, loose: [bool; 3]) -> [f64; 4] {
+    let by_shape = model.target.disc_derivative(j);
+    std::array::from_fn(|k| {
+        let by = |p: &usize| by_shape[k][*p];
+        if (0..3).any(|p| loose[p] && by(&p) != 0.0) {
+            return f64::NAN;
+        }
+        let shape = (0..3).filter_map(|p| Some((places.shape[p]?, by(&p))));
+        let row: Vec<(usize, f64)> = shape.chain([(first + 4 * j + k, 1.0)]).collect();
+        row.iter().flat_map(|(a, x)| row.iter().map(move |(b, y)| x * y * c[(*a, *b)])).sum::<f64>().max(0.0).sqrt()
+    })
 }
 
 /// Movement of all unknowns along each undetermined direction, one column each.

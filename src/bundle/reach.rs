@@ -83,6 +83,10 @@ impl Numbers<'_> {
 
     /// Derivatives of all numbers (columns) by what all views share (rows), by central differences.
     fn gradient(&self, model: &Model, places: &Places, state: &State) -> Option<DMatrix<f64>> {
+        // Numbers of which there is no derivative have no list either.
+        if self.at(model, state)?.len() != self.values.len() {
+            return None;
+        }
         let Step { global, blocks } = layout::scales(model, places, state);
         let blocks: Vec<_> = blocks.iter().map(|b| DVector::zeros(b.len())).collect();
         let mut step = Step { global: DVector::zeros(global.len()), blocks };

@@ -1,7 +1,7 @@
 //! Radial distortion on the untilted plane at unit distance: `out = in g(|in|^2)`, its inverse, and where it ends.
 //!
 //! `r g(r^2)` grows while `p(s) = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 > 0` with `s = r^2`; its first positive root is the
-//! last radius at which the polynomial means a lens; where it has none, 1e3 is.
+//! last radius at which the polynomial means a lens; where it has none, 1e3 is. Without distortion there is no last one.
 
 use super::{Camera, Radial, Refusal};
 use nalgebra::{Matrix2, Matrix2x3, Vector2};

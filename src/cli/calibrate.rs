@@ -2,7 +2,7 @@
 
 use super::Done;
 use super::arguments::Calibrate;
-use super::files::{NamedImages, Output, read_text, tell_further_pages};
+use super::files::{NamedImages, Output, can_write, read_text, tell_further_pages};
 use super::progress::Bar;
 use super::threads;
 use crate::error::Result;
@@ -20,6 +20,7 @@ pub(super) fn run(command: &Calibrate, threads: Option<NonZeroUsize>, progress: 
     let rig_text = read_text(&command.rig, "a rig file (TOML)")?;
     let job = RigDescription::parse(&rig_text, &command.rig.display().to_string())?;
     let images = NamedImages { job: &job, rig: &command.rig, folder: command.images.as_deref() };
+    can_write(&command.output)?;
     let options = CalibrateOptions { threads: threads.map_or(0, NonZeroUsize::get), ..CalibrateOptions::default() };
     let found = calibrate(&job, &|view, camera| images.load(view, camera), &options, &mut |p| {
         tell(progress, &p);
@@ -32,7 +33,7 @@ pub(super) fn run(command: &Calibrate, threads: Option<NonZeroUsize>, progress: 
         images: &found.images,
         overlays: &found.overlays,
     };
-    results.write(&command.output, &[&command.rig], &images.paths(), threads)
+    results.write(&command.output, &[&command.rig], &images.paths(), threads, progress)
 }
 
 pub(super) fn tell(bar: &Bar, progress: &Progress<'_>) {
@@ -66,6 +67,7 @@ impl Results<'_> {
         inputs: &[&Path],
         images: &[PathBuf],
         threads: Option<NonZeroUsize>,
+        progress: &Bar,
     ) -> Result<Done> {
         let output = self.files(threads)?;
         let folder = to.display();
@@ -82,7 +84,7 @@ impl Results<'_> {
         }
         let read: Vec<&Path> = inputs.iter().copied().chain(images.iter().map(AsRef::as_ref)).collect();
         output.commit_beside(to, &read)?;
-        tell_further_pages(images);
+        tell_further_pages(progress, images);
         Ok(Done { text: words, json, flags: flags(self.record) })
     }
 

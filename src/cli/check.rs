@@ -3,7 +3,7 @@
 use super::Done;
 use super::arguments::Check;
 use super::dewarp::load_sized;
-use super::files::{Output, fault, read_text, tell_further_pages};
+use super::files::{Output, can_write, fault, read_text, tell_further_pages};
 use super::progress::Bar;
 use super::threads;
 use crate::diagnosis::mapping_of_record;
@@ -39,6 +39,11 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         return Err(fault(&command.calibration, what));
     }
     let files = pairs_of(&command.pairs)?;
+    can_write(&command.output)?;
+    if command.refine && command.calibration == command.output.join("calibration.json") {
+        let what = "this calibration would be overwritten by the corrected one; name another folder with -o";
+        return Err(fault(&command.calibration, what));
+    }
     progress.stage("reading images", files.len());
     let mut images: Vec<[GrayImage; 2]> = vec![];
     for pair in &files {
@@ -93,7 +98,7 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         "cameras_refined": value["cameras_refined"], "converged": found.check.converged, "history": value["history"], "flags": found.check.flags,
     });
     out.commit_beside(&command.output, &[&command.calibration])?;
-    tell_further_pages(files.iter().flatten());
+    tell_further_pages(progress, files.iter().flatten());
     Ok(Done { text: words, json, flags: found.check.flags })
 }
 
@@ -223,28 +228,43 @@ fn paired(left: Vec<PathBuf>, right: Vec<PathBuf>, a: &str, b: &str) -> Result<V
     Ok(left.into_iter().zip(right).map(|(l, r)| [l, r]).collect())
 }
 
-/// The last number in each name that is not the same in all of them; none where no number changes.
-fn running_numbers<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Option<Vec<u64>> {
-    let numbers = |p: &PathBuf| -> Vec<u64> {
-        let name = p.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        name.split(|c: char| !c.is_ascii_digit()).rev().filter_map(|d| d.parse().ok()).collect()
-    };
-    let all: Vec<Vec<u64>> = files.map(numbers).collect();
-    let fewest = all.iter().map(Vec::len).min()?;
-    let running = (0..fewest).find(|k| all.iter().any(|n| n[*k] != all[0][*k]))?;
-    Some(all.iter().map(|n| n[running]).collect())
+/// Words of the name of a file from its end: numbers, and runs of letters.
+fn name_words(path: &Path) -> Vec<String> {
+    let name = path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
+    let (mut out, mut last): (Vec<String>, _) = (vec![], None);
+    for c in name.chars() {
+        let kind = c.is_alphanumeric().then(|| c.is_numeric());
+        match out.last_mut() {
+            _ if kind.is_none() => {}
+            Some(word) if kind == last => word.push(c),
+            _ => out.push(c.to_string()),
+        }
+        last = kind;
+    }
+    out.reverse();
+    out
 }
 
-/// What must be said of pairs whose names count differently although both series have the same numbers.
+/// The words of each name that are not the same in all of them.
+fn running_words<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Vec<Vec<String>> {
+    let all: Vec<Vec<String>> = files.map(|path| name_words(path)).collect();
+    let most = all.iter().map(Vec::len).max().unwrap_or(0);
+    let runs = |k: &usize| all.iter().any(|words| words.get(*k) != all[0].get(*k));
+    let running: Vec<usize> = (0..most).filter(runs).collect();
+    // A number is the same with and without zeros before it.
+    let plain = |word: &String| word.parse::<u64>().map_or_else(|_| word.clone(), |number| number.to_string());
+    all.iter().map(|words| running.iter().filter_map(|k| words.get(*k).map(plain)).collect()).collect()
+}
+
+/// What must be said of pairs whose names count differently although both series have the same words.
 fn mispaired(files: &[[PathBuf; 2]]) -> Option<String> {
-    let left = running_numbers(files.iter().map(|p| &p[0]))?;
-    let right = running_numbers(files.iter().map(|p| &p[1]))?;
+    let [left, right] = [0, 1].map(|c| running_words(files.iter().map(|p| &p[c])));
     let pair = files.iter().zip(left.iter().zip(&right)).find(|(_, (l, r))| l != r)?.0;
     let name = |p: &PathBuf| p.file_name().unwrap_or_default().to_string_lossy().into_owned();
     left.iter().any(|l| right.contains(l)).then(|| {
         format!(
-            "{} is paired with {}: files are paired in the order of their names, and their numbers differ; where they are not of the same \
-             moment, remove images that have no partner",
+            "{} is paired with {}: files are paired in the order of their names, and these differ; where they are not of the same moment, remove \
+             images that have no partner",
             name(&pair[0]),
             name(&pair[1])
         )
@@ -286,6 +306,10 @@ mod tests {
             assert_eq!(said(&right), None);
         }
         assert_eq!(said(&[["l_1.png", "r_2.png"]]), None);
+        // Both exposures of a moment, one of each of which is not there.
+        let exposures = [["p1a_l", "p1a_r"], ["p1b_l", "p1b_r"], ["p2a_l", "p2b_r"]];
+        assert!(said(&exposures).is_some_and(|told| told.starts_with("p2a_l is paired with p2b_r")));
+        assert_eq!(said(&[["p1a_l", "p1a_r"], ["p1b_l", "p1b_r"], ["p02a_l", "p2a_r"]]), None);
     }
 
     #[test]

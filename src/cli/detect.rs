@@ -2,7 +2,7 @@
 
 use super::Done;
 use super::arguments::Detect;
-use super::files::{Output, fault, note, tell_further_pages};
+use super::files::{Output, can_write, fault, tell_further_pages};
 use super::progress::Bar;
 use super::threads;
 use crate::detect::{DetectMemory, DetectOptions, Detection, counted, counted_words, find_discs_with, missing_words};
@@ -35,6 +35,7 @@ struct Found {
 pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Bar) -> Result<Done> {
     let stems = stems(&command.images)?;
     stems.iter().try_for_each(|stem| spare_other_json(&command.output.join(format!("{stem}.json"))))?;
+    can_write(&command.output)?;
     let (polarity, full_of_smoke) = (command.polarity.into(), command.smoke);
     let options = DetectOptions { polarity, full_of_smoke, ..DetectOptions::default() };
     progress.stage("finding discs", command.images.len());
@@ -68,9 +69,9 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
         f.files.into_iter().for_each(|(name, bytes)| out.add(name, bytes));
     }
     out.commit_beside(&command.output, &command.images.iter().map(AsRef::as_ref).collect::<Vec<&Path>>())?;
-    tell_further_pages(&command.images);
+    tell_further_pages(progress, &command.images);
     if !full_of_smoke {
-        tell_of_smoke(bubbles);
+        tell_of_smoke(progress, bubbles);
     }
     none?;
     let json = json!({ "output": command.output.display().to_string(), "images": images });
@@ -128,9 +129,9 @@ fn describe(path: &Path, stem: &str, image: &GrayImage, detection: &Detection) -
 }
 
 /// Says what to do were the bright discs bubbles: weak or slow smoke looks like even light, so that no image tells them from prints.
-fn tell_of_smoke(bubbles: usize) {
+fn tell_of_smoke(to: &Bar, bubbles: usize) {
     if bubbles > 0 {
-        note(format_args!(
+        to.note(format_args!(
             "{bubbles} bright disc(s): if they are bubbles full of smoke, detect them with --smoke; weak or slow smoke looks like even light, and sigmas would be too small"
         ));
     }

@@ -3,7 +3,7 @@
 use super::Done;
 use super::arguments::Dewarp;
 use super::dewarped::Dewarped;
-use super::files::{Output, fault, read_text, tell_further_pages};
+use super::files::{Output, can_write, fault, read_text, tell_further_pages};
 use super::progress::Bar;
 use super::threads;
 use crate::dewarp::{self, SheetGrid, SheetMap, dewarp};
@@ -27,11 +27,15 @@ pub(super) fn run(command: &Dewarp, threads: Option<NonZeroUsize>, progress: &Ba
     let maps: Vec<SheetMap> =
         (0..record.cameras.len()).map(|c| SheetMap::from_record(&record, c)).collect::<Result<_>>()?;
     let grid = grid(command, &maps)?;
+    can_write(&command.output)?;
+    let identity = Dewarped::new(&record, &maps.iter().collect::<Vec<_>>(), grid, command.z_mm);
+    let named: Vec<String> = command.images.iter().map(|path| name_of(path)).collect();
+    let mut listed = identity.others(&command.output, &named)?;
     progress.stage("dewarping", command.images.len());
     let pool = threads::pool(threads)?;
     let mut out = Output::default();
     let mut masks: BTreeMap<usize, GrayImage> = BTreeMap::new();
-    let (mut listed, mut flags) = (vec![], vec![]);
+    let mut flags = vec![];
     let mut words = format!(
         "grid: {} x {} px of {:.6} mm, x {:.3} to {:.3} mm, y {:.3} to {:.3} mm, z = {} mm (x right, y up, z towards camera \"{}\")\n",
         grid.width_px,
@@ -51,7 +55,7 @@ pub(super) fn run(command: &Dewarp, threads: Option<NonZeroUsize>, progress: &Ba
         let dewarp::Dewarped { image, valid } =
             pool.install(|| dewarp(&image.view(), &maps[camera], &grid, kernel, command.z_mm))?;
         let share = valid.iter().filter(|v| **v).count() as f64 / valid.len() as f64;
-        let name = format!("{}_dewarped.tif", stem(path));
+        let name = name_of(path);
         if out.names().contains(&name.as_str()) {
             return Err(fault(
                 path,
@@ -74,7 +78,6 @@ pub(super) fn run(command: &Dewarp, threads: Option<NonZeroUsize>, progress: &Ba
     for (camera, mask) in &masks {
         out.add(format!("mask_{}.tif", record.cameras[*camera].name), tiff_bytes(mask, None)?);
     }
-    let identity = Dewarped::new(&record, &maps.iter().collect::<Vec<_>>(), grid, command.z_mm);
     let json = json!({
         "format": "spivcal-dewarp", "version": 1, "grid": grid, "z_mm": command.z_mm, "extent_mm": grid.extent_mm(), "axes": AXES,
         "kernel": format!("{:?}", command.kernel).to_lowercase(), "images": listed, "grid_in_images_px": identity.grid_in_images_px,
@@ -82,7 +85,7 @@ pub(super) fn run(command: &Dewarp, threads: Option<NonZeroUsize>, progress: &Ba
     out.add("dewarp.json", format!("{json:#}\n"));
     let inputs: Vec<&Path> = command.images.iter().map(AsRef::as_ref).chain([command.calibration.as_ref()]).collect();
     out.commit_beside(&command.output, &inputs)?;
-    tell_further_pages(&command.images);
+    tell_further_pages(progress, &command.images);
     let _ = writeln!(words, "Written to {}, with masks (255: seen) and dewarp.json", command.output.display());
     Ok(Done { text: words, json, flags })
 }
@@ -94,6 +97,11 @@ fn grid(command: &Dewarp, maps: &[SheetMap]) -> Result<SheetGrid> {
         (Some(extent), None) => SheetGrid::over(extent, SheetGrid::common(&all, None)?.mm_per_px),
         (None, scale) => SheetGrid::common(&all, scale),
     }
+}
+
+/// The file in which it is dewarped.
+fn name_of(path: &Path) -> String {
+    format!("{}_dewarped.tif", stem(path))
 }
 
 fn stem(path: &Path) -> String {

@@ -5,6 +5,7 @@ use crate::dewarp::{SheetGrid, SheetMap};
 use crate::error::Result;
 use crate::record::Record;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -21,6 +22,9 @@ pub(super) struct Dewarped {
     /// Where the corners and the middle of the grid lie in the image of each camera, px; `null` where it does not see them.
     #[serde(default)]
     pub(super) grid_in_images_px: BTreeMap<String, Vec<Option<[f64; 2]>>>,
+    /// What is said of each image.
+    #[serde(default)]
+    images: Vec<Value>,
 }
 
 impl Dewarped {
@@ -35,7 +39,7 @@ impl Dewarped {
             places.map(at).to_vec()
         };
         let grid_in_images_px = record.cameras.iter().zip(maps).map(|(c, m)| (c.name.clone(), seen(m))).collect();
-        Self { grid, z_mm, grid_in_images_px }
+        Self { grid, z_mm, grid_in_images_px, images: vec![] }
     }
 
     /// The grid of images that were dewarped with this calibration.
@@ -54,15 +58,13 @@ impl Dewarped {
             return Err(fault(path, what));
         }
         let own = Self::new(record, maps, told.grid, 0.0);
-        for (name, then) in &told.grid_in_images_px {
-            let Some(now) = own.grid_in_images_px.get(name) else {
+        for name in told.grid_in_images_px.keys() {
+            let Some(apart) = told.apart_px(&own, name) else {
                 let what = format!(
                     "the images were dewarped with a calibration that has a camera \"{name}\"; this one has none"
                 );
                 return Err(fault(path, what));
             };
-            let pairs = then.iter().zip(now).filter_map(|(a, b)| a.zip(*b));
-            let apart = pairs.map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).fold(0.0, f64::max);
             if apart > SAME_PX {
                 let what = format!(
                     "the images were dewarped with another calibration: points of their grid lie up to {apart:.2} px elsewhere in the images of camera \"{name}\"; \
@@ -72,5 +74,36 @@ impl Dewarped {
             }
         }
         Ok(told.grid)
+    }
+
+    /// How far the grid lies elsewhere in the images of a camera, px; none where the other has no such camera.
+    fn apart_px(&self, other: &Self, camera: &str) -> Option<f64> {
+        let [then, now] = [self, other].map(|d| d.grid_in_images_px.get(camera));
+        let pairs = then?.iter().zip(now?).filter_map(|(a, b)| a.zip(*b));
+        Some(pairs.map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).fold(0.0, f64::max))
+    }
+
+    /// What a folder says of images that are there besides those of the files named, which are to be written.
+    ///
+    /// # Errors
+    /// [`crate::error::Invalid::File`] where those are on another grid, or of another calibration: one `dewarp.json` tells of all.
+    pub(super) fn others(&self, folder: &Path, named: &[String]) -> Result<Vec<Value>> {
+        let path = folder.join("dewarp.json");
+        let told = std::fs::read_to_string(&path).ok().and_then(|text| serde_json::from_str::<Self>(&text).ok());
+        let Some(told) = told else { return Ok(vec![]) };
+        let file = |image: &Value| image["file"].as_str().map(str::to_string);
+        let there = |f: &String| !named.contains(f) && folder.join(f).is_file();
+        let others: Vec<Value> = told.images.iter().filter(|i| file(i).is_some_and(|f| there(&f))).cloned().collect();
+        let Some(first) = others.first().and_then(file) else { return Ok(others) };
+        let same = |name: &String| told.apart_px(self, name).is_some_and(|apart| apart <= SAME_PX);
+        if told.grid == self.grid && told.z_mm == self.z_mm && told.grid_in_images_px.keys().all(same) {
+            return Ok(others);
+        }
+        let what = format!(
+            "{first} and what else is told here lies on another grid, {} x {} px of {} mm at z = {} mm, or is of another calibration; dewarp into another \
+             folder (-o), or all images at once",
+            told.grid.width_px, told.grid.height_px, told.grid.mm_per_px, told.z_mm
+        );
+        Err(fault(&path, what))
     }
 }

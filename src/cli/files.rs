@@ -1,14 +1,13 @@
 //! Files read and written by the commands.
 
+use super::progress::Bar;
 use crate::error::{Error, Invalid, Result};
 use crate::image::GrayImage;
 use crate::pipeline::{has_further_pages, load_image};
 use crate::rig_file::{RigDescription, image_path};
-use std::fmt::Display;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
-pub(super) use crate::pipeline::{Output, read_text};
+pub(super) use crate::pipeline::{Output, can_write, read_text};
 
 pub(super) fn fault(path: &Path, message: impl Into<String>) -> Error {
     Invalid::File { path: path.display().to_string(), message: message.into() }.into()
@@ -42,13 +41,8 @@ impl NamedImages<'_> {
 }
 
 /// Says which images have pages that were not read; no flag, for the first is what single images are.
-pub(super) fn tell_further_pages<'a>(images: impl IntoIterator<Item = &'a PathBuf>) {
+pub(super) fn tell_further_pages<'a>(to: &Bar, images: impl IntoIterator<Item = &'a PathBuf>) {
     for path in images.into_iter().filter(|p| has_further_pages(p)) {
-        note(format_args!("{}: it has several pages, of which the first is used", path.display()));
+        to.note(format_args!("{}: it has several pages, of which the first is used", path.display()));
     }
-}
-
-/// A remark that is no flag, for whoever is there to read it.
-pub(super) fn note(words: impl Display) {
-    let _ = writeln!(std::io::stderr(), "note: {words}");
 }

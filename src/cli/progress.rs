@@ -1,46 +1,56 @@
-//! Progress on a terminal; silent when piped.
+//! Progress on a terminal, silent when piped, and remarks.
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::io::IsTerminal;
+use std::fmt::Display;
+use std::io::{IsTerminal, Write};
 
 /// A line at the bottom of the terminal that says what is being done.
-pub(super) struct Bar(ProgressBar);
+pub(super) struct Bar {
+    line: ProgressBar,
+    quiet: bool,
+}
 
 impl Bar {
-    /// Silent where asked for, or where standard error is not a terminal.
-    pub(super) fn new(silent: bool) -> Self {
-        let bar = ProgressBar::no_length();
-        if silent || !std::io::stderr().is_terminal() {
-            bar.set_draw_target(ProgressDrawTarget::hidden());
+    /// Without the line where asked for, or where standard error is not a terminal; without remarks, too, where it is to be quiet.
+    pub(super) fn new(no_line: bool, quiet: bool) -> Self {
+        let line = ProgressBar::no_length();
+        if no_line || quiet || !std::io::stderr().is_terminal() {
+            line.set_draw_target(ProgressDrawTarget::hidden());
         }
-        Self(bar)
+        Self { line, quiet }
+    }
+    /// A remark that is no flag, for whoever is there to read it.
+    pub(super) fn note(&self, words: impl Display) {
+        if !self.quiet {
+            let _ = writeln!(std::io::stderr(), "note: {words}");
+        }
     }
     /// Begins a stage of `total` steps.
     pub(super) fn stage(&self, what: &str, total: usize) {
         if let Ok(style) = ProgressStyle::with_template("{msg} [{bar:30}] {pos}/{len}") {
-            self.0.set_style(style.progress_chars("=> "));
+            self.line.set_style(style.progress_chars("=> "));
         }
-        self.0.set_length(total as u64);
-        self.0.set_position(0);
-        self.0.set_message(what.to_string());
-        self.0.tick();
+        self.line.set_length(total as u64);
+        self.line.set_position(0);
+        self.line.set_message(what.to_string());
+        self.line.tick();
     }
     /// Says how far a stage is whose end is not known.
     pub(super) fn say(&self, what: String) {
         if let Ok(style) = ProgressStyle::with_template("{msg}") {
-            self.0.set_style(style);
+            self.line.set_style(style);
         }
-        self.0.set_message(what);
-        self.0.tick();
+        self.line.set_message(what);
+        self.line.tick();
     }
     /// One more step is done.
     pub(super) fn step(&self) {
-        self.0.inc(1);
+        self.line.inc(1);
     }
 }
 
 impl Drop for Bar {
     fn drop(&mut self) {
-        self.0.finish_and_clear();
+        self.line.finish_and_clear();
     }
 }

@@ -3,7 +3,7 @@
 use super::Done;
 use super::arguments::Sheet;
 use super::calibrate::{Results, tell};
-use super::files::{NamedImages, read_text};
+use super::files::{NamedImages, can_write, read_text};
 use super::progress::Bar;
 use crate::error::Result;
 use crate::pipeline::{SheetOptions, find_sheet};
@@ -17,6 +17,7 @@ pub(super) fn run(command: &Sheet, threads: Option<NonZeroUsize>, progress: &Bar
     let text = read_text(&command.calibration, "a calibration.json")?;
     let calibration = Record::from_json(&text, &command.calibration.display().to_string())?;
     let images = NamedImages { job: &job, rig: &command.rig, folder: command.images.as_deref() };
+    can_write(&command.output)?;
     let options = SheetOptions { threads: threads.map_or(0, NonZeroUsize::get) };
     let found = find_sheet(&job, &|view, camera| images.load(view, camera), &calibration, &options, &mut |p| {
         tell(progress, &p);
@@ -24,5 +25,5 @@ pub(super) fn run(command: &Sheet, threads: Option<NonZeroUsize>, progress: &Bar
     })?;
     progress.say("writing the report".to_string());
     let results = Results { record: &found.record, residuals: None, images: &found.images, overlays: &found.overlays };
-    results.write(&command.output, &[&command.rig, &command.calibration], &images.paths(), threads)
+    results.write(&command.output, &[&command.rig, &command.calibration], &images.paths(), threads, progress)
 }

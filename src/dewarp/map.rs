@@ -128,12 +128,14 @@ impl SheetMap {
             return Err(Invalid::value("camera", camera as f64, format!("0 to {}", n.saturating_sub(1))).into());
         };
         let Some(sheet) = &record.sheet else {
-            return Err(Invalid::Contradiction(
-                "the calibration has no laser sheet, so pixels have no place in it; mark the views recorded in the sheet with \
-                 sheet = true and calibrate, or find it with spivcal sheet"
-                    .into(),
-            )
-            .into());
+            let how = match record.cameras.len() {
+                1 => "one camera alone does not tell where the sheet is: calibrate it together with the second",
+                _ => {
+                    "mark the views recorded in the sheet with sheet = true and calibrate, or find it with spivcal sheet"
+                }
+            };
+            let what = format!("the calibration has no laser sheet, so pixels have no place in it; {how}");
+            return Err(Invalid::Contradiction(what).into());
         };
         let cam_from_rig = c.cam_from_rig.motion::<Cam, crate::frames::Rig>();
         Ok(Self::new(c.model()?, cam_from_rig * sheet.rig_from_sheet.motion(), c.image_size_px))

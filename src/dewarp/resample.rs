@@ -86,7 +86,15 @@ pub(crate) fn dewarped_levels(
     z_mm: f64,
 ) -> Result<(Vec<f32>, Vec<bool>)> {
     check(view, map, z_mm)?;
+    let samples = grid.width_px * grid.height_px;
+    room(size_of::<f32>() * (samples + view.width() * view.height()) + samples, grid)?;
     Ok(resample(&Sampler::new(view, kernel), map, grid, z_mm))
+}
+
+/// That there is memory for an image that is dewarped: without it the process would end.
+fn room(bytes: usize, grid: &SheetGrid) -> Result<()> {
+    let what = || format!("a dewarped image of {} x {} px", grid.width_px, grid.height_px);
+    Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| Invalid::Memory { what: what(), bytes }.into())
 }
 
 fn check(view: &GrayView<'_>, map: &SheetMap, z_mm: f64) -> Result<()> {
@@ -106,7 +114,7 @@ fn check(view: &GrayView<'_>, map: &SheetMap, z_mm: f64) -> Result<()> {
 /// Depth is kept: 8 and 16 bit are rounded and kept within their limits, floats stay as they come.
 ///
 /// # Errors
-/// [`Invalid::Value`] where the image has another size than the map was made for, or z is no number.
+/// [`Invalid::Value`] where the image has another size than the map was made for, or z is no number; [`Invalid::Memory`].
 pub fn dewarp(view: &GrayView<'_>, map: &SheetMap, grid: &SheetGrid, kernel: Kernel, z_mm: f64) -> Result<Dewarped> {
     let mut out = Dewarped { image: GrayImage::new(Pixels::U8(vec![0]), 1, 1)?, valid: vec![] };
     dewarp_into(view, map, grid, kernel, z_mm, &mut out)?;
@@ -146,9 +154,13 @@ pub fn dewarp_into(
     out: &mut Dewarped,
 ) -> Result<()> {
     check(view, map, z_mm)?;
-    let size_px = [view.width(), view.height()];
+    let (samples, size_px) = (grid.width_px * grid.height_px, [view.width(), view.height()]);
     let valid = &mut out.valid;
-    valid.resize(grid.width_px * grid.height_px, false);
+    if samples > valid.capacity() {
+        let coefficients = if kernel == Kernel::BSpline { size_px[0] * size_px[1] } else { 0 };
+        room(size_of::<f32>() * (samples + coefficients) + samples, grid)?;
+    }
+    valid.resize(samples, false);
     let pixels = out.image.renew(&view.samples(), grid.width_px, grid.height_px);
     let (plane, stride) = (Plane { map, grid, z_mm }, view.stride());
     if kernel == Kernel::BSpline {
@@ -169,6 +181,17 @@ mod tests {
     use crate::camera::{Camera, Intrinsics};
     use crate::rigid::{Motion, rotation_exp};
     use nalgebra::Vector3;
+
+    /// As much as no machine has is an error with the size.
+    #[test]
+    fn memory_that_is_missing_is_no_end_of_the_process() {
+        let grid = SheetGrid { origin_mm: [0.0; 2], mm_per_px: 1.0, width_px: 70, height_px: 80 };
+        let error = room(isize::MAX as usize, &grid).unwrap_err();
+        let told = error.to_string();
+        assert!(told.contains("70 x 80 px") && told.contains("9223372036854775807 bytes"), "{told}");
+        assert_eq!(error.exit_code(), 2);
+        assert!(room(1 << 20, &grid).is_ok());
+    }
 
     /// Memory that was there, of another size or depth, rows with a stride and threads change no bit.
     #[test]

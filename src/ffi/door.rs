@@ -48,7 +48,7 @@ impl Fault {
 impl From<Error> for Fault {
     fn from(error: Error) -> Self {
         let status = match &error {
-            Error::Invalid(Invalid::Threads { .. }) => SPIVCAL_ERROR_MEMORY,
+            Error::Invalid(Invalid::Threads { .. } | Invalid::Memory { .. }) => SPIVCAL_ERROR_MEMORY,
             Error::Invalid(_) => SPIVCAL_ERROR_INVALID_INPUT,
             Error::Insufficient(_) => SPIVCAL_ERROR_INSUFFICIENT,
             Error::Unusable(Unusable::Cancelled) => SPIVCAL_ERROR_CANCELLED,

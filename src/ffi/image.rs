@@ -66,7 +66,8 @@ pub unsafe extern "C" fn spivcal_image_create_f32(
     unsafe { create(context, data, [width, height], stride_bytes, image, finite) }
 }
 
-/// Image from a file: PNG, TIFF (8, 16 bit, floating point), BMP, PGM, JPEG. Colours become grey.
+/// Image from a file: PNG, TIFF (8, 16 bit, floating point), BMP, PGM, JPEG. Colours become grey; of several pages the first is
+/// read, give others by spivcal_image_create_u8 and its like.
 ///
 /// `path_utf8`: zero-terminated. `image`: receives the handle. SPIVCAL_ERROR_INVALID_INPUT where it cannot be read.
 #[unsafe(no_mangle)]

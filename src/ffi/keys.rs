@@ -97,7 +97,8 @@ pub const SPIVCAL_CAMERA_CY_PX: i32 = 304;
 pub const SPIVCAL_CAMERA_ALPHA_RAD: i32 = 305;
 /// Index: camera. Tilt of the sensor about its v axis, rad.
 pub const SPIVCAL_CAMERA_BETA_RAD: i32 = 306;
-/// Index: camera. Radial distortion, r^2 term, on the untilted plane at unit distance, without unit.
+/// Index: camera. Radial distortion, r^2 term, on the untilted plane at unit distance, without unit. SPIVCAL_CAMERA_RADIAL says
+/// which way the polynomial of K1 to K3 goes.
 pub const SPIVCAL_CAMERA_K1: i32 = 307;
 /// Index: camera. Radial distortion, r^4 term, without unit.
 pub const SPIVCAL_CAMERA_K2: i32 = 308;
@@ -121,6 +122,9 @@ pub const SPIVCAL_CAMERA_HEIGHT_PX: i32 = 323;
 pub const SPIVCAL_CAMERA_OBSERVATIONS: i32 = 324;
 /// Index: camera. Pixel pitch as the rig description gives it, mm. No sigma.
 pub const SPIVCAL_CAMERA_PIXEL_PITCH_MM: i32 = 325;
+/// Index: camera. Direction of the radial polynomial. 0: it takes the ideal place to the distorted one (Brown's, as OpenCV's), 1: the
+/// distorted place to the ideal one (photogrammetry). No sigma.
+pub const SPIVCAL_CAMERA_RADIAL: i32 = 326;
 /// Index: camera. Unit normal of its flat window in the camera frame, away from the camera, x. SPIVCAL_ERROR_NOT_AVAILABLE, as for all
 /// keys of the window, where it looks through none. Sigma: see SPIVCAL_ARRAY_WINDOW_NORMAL_SIGMA_RAD.
 pub const SPIVCAL_CAMERA_WINDOW_NORMAL_X: i32 = 331;

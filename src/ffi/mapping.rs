@@ -16,7 +16,8 @@ use nalgebra::{Vector2, Vector3};
 ///
 /// `camera`: from 0. `x_mm`, `y_mm`, `z_mm`: `count` doubles each, mm, rig frame (that of the first camera: x right, y down, z forward).
 /// `u_px`, `v_px`: receive `count` doubles each; (0, 0) is the centre of the first pixel. NaN where a point has no image.
-/// `point_status`: receives `count` SPIVCAL_POINT_*; may be NULL. Arrays that are written must not overlap others. A point has the same
+/// `point_status`: receives `count` SPIVCAL_POINT_*; may be NULL. Arrays that are written must not overlap those that are read
+/// (SPIVCAL_ERROR_ARGUMENT). A point has the same
 /// result, to the bit, alone and among others: a call with many points is what is quick.
 /// SPIVCAL_OK, or SPIVCAL_WARNING_POINTS where at least one point has no image.
 #[unsafe(no_mangle)]
@@ -186,6 +187,18 @@ pub(super) struct Lists<'a, const N: usize, const M: usize> {
     status: Option<Filled<i32>>,
 }
 
+/// That what is written, some bytes, is none of the `n` numbers that are read: they would be lost before they are read.
+fn apart(read: (*const f64, &str), written: (*const u8, &str), bytes: usize, n: usize) -> Result<(), Fault> {
+    let (from, to) = (read.0.addr(), written.0.addr());
+    if written.0.is_null() || to >= from.saturating_add(n * size_of::<f64>()) || from >= to.saturating_add(bytes) {
+        return Ok(());
+    }
+    Err(Fault::argument(format!(
+        "{} lies in the memory of {}, which would be overwritten before it is read: results need an array of their own",
+        written.1, read.1
+    )))
+}
+
 impl<const N: usize, const M: usize> Lists<'_, N, M> {
     /// # Safety
     /// All that is not null can be read or written for `count` elements.
@@ -201,7 +214,10 @@ impl<const N: usize, const M: usize> Lists<'_, N, M> {
         }
         for (list, argument) in to {
             length_of(list, count, argument)?;
+            from.into_iter().try_for_each(|given| apart(given, (list.cast(), argument), n * size_of::<f64>(), n))?;
         }
+        let status_list = (status.cast_const().cast(), "point_status");
+        from.into_iter().try_for_each(|given| apart(given, status_list, n * size_of::<i32>(), n))?;
         // SAFETY: the contract of this function.
         unsafe {
             let status = if status.is_null() { None } else { Some(Filled::new(status, count, "point_status")?) };

@@ -4,7 +4,7 @@ use super::abi::SPIVCAL_ERROR_NOT_AVAILABLE;
 use super::detection::unknown_key;
 use super::door::Fault;
 use super::keys::*;
-use crate::record::{Camera, Pose, PoseSigma, Record, Sheet, View, Window};
+use crate::record::{Camera, Pose, PoseSigma, Radial, Record, Sheet, View, Window};
 use crate::report::{Level, verdict};
 
 /// A value and its standard deviation, NaN where there is none.
@@ -31,7 +31,7 @@ fn window_of(camera: &Camera) -> Result<&Window, Fault> {
 /// `spivcal_calibration_number`.
 pub(super) fn number(record: &Record, key: i32, index: u64) -> Number {
     let found = match key {
-        SPIVCAL_CAMERA_F_PX..=SPIVCAL_CAMERA_PIXEL_PITCH_MM => of_camera(one(&record.cameras, index, "camera")?, key),
+        SPIVCAL_CAMERA_F_PX..=SPIVCAL_CAMERA_RADIAL => of_camera(one(&record.cameras, index, "camera")?, key),
         SPIVCAL_CAMERA_WINDOW_NORMAL_X..=SPIVCAL_CAMERA_WINDOW_N_WATER => {
             of_window(window_of(one(&record.cameras, index, "camera")?)?, key)
         }
@@ -82,6 +82,7 @@ fn of_camera(c: &Camera, key: i32) -> Number {
         SPIVCAL_CAMERA_HEIGHT_PX => (c.image_size_px[1] as f64, NO_SIGMA),
         SPIVCAL_CAMERA_OBSERVATIONS => (c.observations as f64, NO_SIGMA),
         SPIVCAL_CAMERA_PIXEL_PITCH_MM => (c.pixel_pitch_mm.ok_or_else(|| missing("pixel pitch"))?, NO_SIGMA),
+        SPIVCAL_CAMERA_RADIAL => (f64::from(u8::from(c.radial == Radial::DistortedToIdeal)), NO_SIGMA),
         _ => return Err(unknown_key("SPIVCAL_CAMERA_*", key)),
     })
 }

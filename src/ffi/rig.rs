@@ -96,7 +96,9 @@ unsafe fn folder(path: *const c_char) -> Result<Option<PathBuf>, Fault> {
 
 /// Makes an empty rig description, to be filled by the functions below.
 ///
-/// It needs cameras, a target, one length in mm (of the target, or spivcal_rig_set_scale), views and their images.
+/// It needs cameras, a target, one length in mm (of the target, or spivcal_rig_set_scale), views and their images. What a rig file may say
+/// besides, spivcal_rig_parse takes as a text: the standard deviation of the pitch of a grid or plate, design values of a camera, the frame of
+/// the sheet, and views whose plane_z_mm is unknown or has a standard deviation of its own.
 /// `rig`: receives the handle.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_rig_create(context: u64, rig: *mut u64) -> i32 {
@@ -148,7 +150,8 @@ pub unsafe extern "C" fn spivcal_rig_load(
 
 /// Adds a camera; the first one is the rig frame, two are the most.
 ///
-/// `name_utf8`: up to 64 letters, digits, '-', '_', but not "sheet" or "plane_z_mm"; it names the camera in results. `camera`: receives its index, from 0.
+/// `name_utf8`: up to 64 bytes of letters, digits, '-', '_', but not "sheet" or "plane_z_mm"; it names the camera in results, and differs
+/// from that of the other by more than capitals. `camera`: receives its index, from 0.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_rig_add_camera(rig: u64, name_utf8: *const c_char, camera: *mut u64) -> i32 {
     on(rig, |state| {
@@ -161,8 +164,8 @@ pub unsafe extern "C" fn spivcal_rig_add_camera(rig: u64, name_utf8: *const c_ch
         if names.len() >= 2 {
             return Err(Fault::argument("there are two cameras already"));
         }
-        if names.contains(&name) {
-            return Err(Fault::argument(format!("there is a camera \"{name}\" already")));
+        if let Some(other) = names.iter().find(|other| other.to_lowercase() == name.to_lowercase()) {
+            return Err(Fault::argument(format!("there is a camera \"{other}\" already")));
         }
         out.set(state.document.append("camera", Table::from_iter([("name".to_string(), Value::String(name))])));
         Ok(SPIVCAL_OK)

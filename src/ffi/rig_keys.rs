@@ -11,7 +11,7 @@ pub const SPIVCAL_RIG_CAMERA_FOCAL_LENGTH_MM: i32 = 2;
 pub const SPIVCAL_RIG_CAMERA_WINDOW_TILT_SIGMA_DEG: i32 = 3;
 /// Two discs: distance of the centres; grid: pitch; plate: pitch on one level, mm.
 pub const SPIVCAL_RIG_TARGET_SPACING_MM: i32 = 11;
-/// Index: disc (0 or 1; 0 for grids and plates). Radius, mm.
+/// Index: disc (0 or 1, in this order; 0 for grids and plates). Radius, mm.
 pub const SPIVCAL_RIG_TARGET_RADIUS_MM: i32 = 12;
 /// With SPIVCAL_RIG_TARGET_ADJUST "points": how far a dot may be from its nominal place, mm.
 pub const SPIVCAL_RIG_TARGET_POINT_SIGMA_MM: i32 = 13;
@@ -44,6 +44,8 @@ pub const SPIVCAL_RIG_SOLVE_OBSERVATIONS: i32 = 54;
 pub const SPIVCAL_RIG_SOLVE_LOSS: i32 = 55;
 /// Distortion terms that are free, separated by spaces: "k1" (default), "k1 k2", "".
 pub const SPIVCAL_RIG_SOLVE_ESTIMATE: i32 = 56;
+/// Index: camera. Direction of the radial polynomial: ideal-to-distorted (Brown's, default) or distorted-to-ideal (photogrammetry).
+pub const SPIVCAL_RIG_CAMERA_RADIAL: i32 = 57;
 
 // Parameters of a camera for spivcal_rig_set_known.
 
@@ -87,7 +89,7 @@ pub const SPIVCAL_SCALE_BASELINE: i32 = 1;
 pub const SPIVCAL_SCALE_SPACING: i32 = 2;
 /// Radius of one disc in one view, mm.
 pub const SPIVCAL_SCALE_RADIUS: i32 = 3;
-/// The steps between the views' SPIVCAL_RIG_VIEW_PLANE_Z_MM; its value is not looked at.
+/// The views' SPIVCAL_RIG_VIEW_PLANE_Z_MM; its value is not looked at, its sigma is that of each of these positions, mm.
 pub const SPIVCAL_SCALE_TRAVERSE: i32 = 4;
 
 /// Where a key stands in the rig file.
@@ -138,7 +140,8 @@ pub(super) const NUMBERS: [(i32, Place, &str, Form); 13] = [
 ];
 
 /// Words: key of the interface, place and key of the rig file.
-pub(super) const WORDS: [(i32, Place, &str); 6] = [
+pub(super) const WORDS: [(i32, Place, &str); 7] = [
+    (SPIVCAL_RIG_CAMERA_RADIAL, Place::Camera, "radial"),
     (SPIVCAL_RIG_TARGET_KIND, Place::Target, "kind"),
     (SPIVCAL_RIG_TARGET_POLARITY, Place::Target, "polarity"),
     (SPIVCAL_RIG_TARGET_ADJUST, Place::Target, "adjust"),

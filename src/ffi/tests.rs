@@ -201,6 +201,36 @@ fn arguments_that_have_no_meaning_are_refused_at_the_call() {
     assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
 }
 
+/// In a rig, and in a calibration of it.
+#[test]
+fn the_direction_of_the_distortion_is_set_and_asked() {
+    let owner = context();
+    let rig = parsed_rig(owner);
+    let set = |word: &CStr| unsafe { spivcal_rig_set_text(rig, SPIVCAL_RIG_CAMERA_RADIAL, 0, word.as_ptr()) };
+    assert_eq!(set(c"distorted-to-ideal"), SPIVCAL_OK);
+    assert!(rig_text(rig).contains("radial = \"distorted-to-ideal\""), "{}", rig_text(rig));
+    assert_eq!(spivcal_rig_check(rig), SPIVCAL_OK, "{}", error_text(rig));
+    let mut json = full_calibration();
+    for (word, wanted) in [("ideal_to_distorted", 0.0), ("distorted_to_ideal", 1.0)] {
+        json["cameras"][1]["radial"] = word.into();
+        let (_, calibration) = parsed(owner, &json);
+        let [mut x, mut y] = [9.0; 2];
+        let told = unsafe { spivcal_calibration_number(calibration, SPIVCAL_CAMERA_RADIAL, 1, &mut x, &mut y) };
+        assert_eq!((told, x, y.is_nan()), (SPIVCAL_OK, wanted, true), "{word}");
+    }
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+}
+
+/// As in a rig file: some file systems do not tell them apart.
+#[test]
+fn names_of_cameras_differ_by_more_than_capitals() {
+    let (owner, mut n) = (context(), 0);
+    let rig = rig(owner);
+    let mut add = |name: &CStr| unsafe { spivcal_rig_add_camera(rig, name.as_ptr(), &mut n) };
+    assert_eq!([add(c"left"), add(c"Left"), add(c"right")], [SPIVCAL_OK, SPIVCAL_ERROR_ARGUMENT, SPIVCAL_OK]);
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+}
+
 #[test]
 fn an_index_that_counts_nothing_must_be_0() {
     let (owner, [mut x, mut y], mut n) = (context(), [0.0; 2], 0);

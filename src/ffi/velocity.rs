@@ -20,7 +20,8 @@ use std::cell::RefCell;
 /// `mm_per_px`: side of a pixel, mm; 0 takes the finest that any of the cameras has there. `x0_mm`, `y0_mm`: receive the centre of the
 /// first (upper left) pixel, mm, sheet frame. `side_mm`: receives the side of a pixel s, mm: pixel (i, j), column and row counted from 0, is
 /// centred on (x0 + s i, y0 - s j). `width`, `height`: receive the size, px. SPIVCAL_ERROR_NOT_AVAILABLE where the calibration has no
-/// sheet, SPIVCAL_ERROR_INSUFFICIENT where the cameras see nothing in common in it.
+/// sheet, SPIVCAL_ERROR_INSUFFICIENT where the cameras see nothing in common in it, SPIVCAL_ERROR_INVALID_INPUT where the side is no number,
+/// negative, or so small that the grid has more than 32768 px along a side.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_calibration_sheet_grid(
     calibration: u64,

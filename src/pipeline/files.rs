@@ -96,6 +96,26 @@ impl Output {
     }
 }
 
+/// That results can be written into a folder, or into one made there: asked before the work, and nothing is left of it.
+///
+/// # Errors
+/// [`Invalid::File`] where there is a file in its way, or nothing can be written.
+pub fn can_write(folder: &Path) -> Result<()> {
+    let there = folder.ancestors().find(|p| !p.as_os_str().is_empty() && p.exists()).unwrap_or(Path::new("."));
+    if !there.is_dir() {
+        let what = format!(
+            "this folder for the results cannot be made: {} is a file; name another place with -o",
+            there.display()
+        );
+        return Err(fault(folder, what));
+    }
+    let trial = Staged { folder: there.to_path_buf(), made: None, files: vec![], published: false };
+    let written = trial.temporary("trial").and_then(|(_, path)| fs::remove_file(path));
+    written.map_err(|e| {
+        fault(folder, format!("nothing can be written in {}: {e}; name another place with -o", there.display()))
+    })
+}
+
 /// Temporary files that vanish unless they are published.
 struct Staged {
     folder: PathBuf,
@@ -361,6 +381,21 @@ mod tests {
         out.add("missing/x.txt", "new");
         assert!(out.commit(&folder).is_err());
         assert_eq!(listing(scratch.path()), Vec::<String>::new());
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_known_before_the_work() {
+        let scratch = tempfile::tempdir().unwrap();
+        let file = scratch.path().join("file");
+        fs::write(&file, "mine").unwrap();
+        for place in [file.clone(), file.join("below")] {
+            let told = can_write(&place).unwrap_err().to_string();
+            assert!(told.contains("cannot be made") && told.contains("-o"), "{told}");
+        }
+        for place in ["", "new", "new/below"].map(|name| scratch.path().join(name)) {
+            assert_eq!(can_write(&place), Ok(()));
+        }
+        assert_eq!(listing(scratch.path()), ["file"]);
     }
 
     #[test]

@@ -196,7 +196,7 @@ fn target(s: &Solved) -> Target {
     let points: Vec<TargetPoint> = discs
         .iter()
         .filter_map(|(j, p)| {
-            let (o, sig) = (moved(*j)?, s.covariance.offset_sigmas_mm.get(*j)?);
+            let (o, sig) = (moved(*j)?, s.covariance.disc_sigmas_mm.get(*j)?);
             let xyz_mm = [p.x + o[0], p.y + o[1], p.z + o[2]];
             Some(TargetPoint { label: s.built.labels[*j], xyz_mm, sigma_mm: [sig[0], sig[1], sig[2]] })
         })
@@ -370,7 +370,7 @@ fn parameters(s: &Solved) -> Vec<Parameter> {
     out
 }
 
-/// Says so where the image distance found is shorter than the focal length of the lens, which no lens can form an image at.
+/// Says so where the image distance found is shorter than the focal length of the lens, at which no lens of that focal length forms an image.
 fn impossible_lens(s: &Solved, c: usize) -> Option<String> {
     let d = &s.job.cameras[c];
     let (lens_mm, pitch_mm) = d.focal_length_mm.zip(d.pixel_pitch_mm)?;
@@ -378,8 +378,9 @@ fn impossible_lens(s: &Solved, c: usize) -> Option<String> {
     let sigma_mm = sigma(s, &format!("{}.f_px", d.name)) * pitch_mm;
     (distance_mm + 3.0 * sigma_mm < SHORTEST * lens_mm).then(|| {
         format!(
-            "camera {}: an image distance of {distance_mm:.2} +- {sigma_mm:.2} mm is shorter than the focal length of its lens, {lens_mm} mm, which cannot be: \
-             focal_length_mm or pixel_pitch_mm is wrong, or the images were binned or made smaller",
+            "camera {}: an image distance of {distance_mm:.2} +- {sigma_mm:.2} mm is shorter than the focal length of its lens, {lens_mm} mm: focal_length_mm \
+             or pixel_pitch_mm is wrong, the images were binned or made smaller, or the lens focuses inside and is shorter when it looks near (then state no \
+             focal_length_mm)",
             d.name
         )
     })

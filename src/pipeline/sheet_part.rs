@@ -109,7 +109,8 @@ fn features_of_view(s: &Solved, held: &HeldCameras, view: usize) -> Vec<PairFeat
     let image = |camera: usize| s.contours.images.iter().find(|i| i.view == view && i.camera == camera);
     let (Some(first), Some(second)) = (image(0), image(1)) else { return vec![] };
     let seen = [first, second].map(|i| i.discs.iter().map(|d| (s.built.labels[d.disc], d)).collect::<Vec<_>>());
-    common_features(held.cameras(), [&seen[0], &seen[1]])
+    let scales = [first, second].map(|image| image.sigma_scale);
+    common_features(held.cameras(), [&seen[0], &seen[1]]).into_iter().map(|pair| pair.scaled(scales)).collect()
 }
 
 /// Tangency points of neighbouring discs that both cameras saw in a view, each disc in one pair alone; of a two-level plate those of the

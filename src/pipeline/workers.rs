@@ -17,7 +17,7 @@ pub struct Workers {
 }
 
 impl Workers {
-    /// `threads` threads; 0 takes as many as the machine has.
+    /// `threads` threads; 0 takes as many as the machine has, whatever variables of the environment say: they are the host's.
     ///
     /// # Errors
     /// [`Invalid::Value`] beyond [`MOST_THREADS`], [`Invalid::Threads`] where the system gives no threads.
@@ -26,6 +26,8 @@ impl Workers {
             let expected = format!("at most {MOST_THREADS}; without it all processors are used");
             return Err(Invalid::value("threads", threads as f64, expected).into());
         }
+        let all = || std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
+        let threads = if threads == 0 { all() } else { threads };
         Self::started(threads, |worker| std::thread::Builder::new().name("spivcal".into()).spawn(|| worker.run()))
     }
 
@@ -49,8 +51,6 @@ impl Workers {
             Err(e) => {
                 // Those that were started before the system refused end here.
                 drop(workers(None));
-                let all = || std::thread::available_parallelism().map_or(1, usize::from);
-                let threads = if threads == 0 { all() } else { threads };
                 Err(Invalid::Threads { threads, message: e.to_string() }.into())
             }
         }
@@ -112,6 +112,13 @@ mod tests {
         assert_eq!(error.exit_code(), 2);
         let told = error.to_string();
         assert!(told.contains("3 threads") && told.contains("no more") && told.contains("ask for fewer"), "{told}");
+    }
+
+    #[test]
+    fn no_number_is_that_of_the_processors() {
+        let all = std::thread::available_parallelism().map_or(1, usize::from);
+        let workers = Workers::new(0).unwrap();
+        assert_eq!(workers.threads.lock().unwrap().len(), all);
     }
 
     #[test]

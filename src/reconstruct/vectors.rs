@@ -30,6 +30,8 @@ pub mod flag {
     pub const FIRST_MISSING: u8 = 4;
     /// The second camera has no vector here.
     pub const SECOND_MISSING: u8 = 8;
+    /// Both cameras have a vector here, but no displacement in space that both would see so: one of them cannot be right.
+    pub const UNSOLVED: u8 = 16;
 }
 
 /// Residuals beyond this many sigmas are flagged.
@@ -417,7 +419,7 @@ fn nothing(measured: &[Measured; 2], names: [&str; 2]) -> Insufficient {
         format!("\"{}\" has {filled} of {all} vectors", names[c])
     };
     Insufficient::Degenerate(format!(
-        "no point of the sheet has a vector of both cameras ({}, {}); check the masks and flags of the fields",
+        "no point of the sheet has a vector of both cameras ({}, {}); check the masks and flags of the fields, and the fill values of what is missing",
         part(0),
         part(1)
     ))
@@ -511,7 +513,8 @@ impl VectorField {
             }
             None => {
                 let [a, b] = missing();
-                (flag::FIRST_MISSING * u8::from(a)) | (flag::SECOND_MISSING * u8::from(b))
+                let unsolved = flag::UNSOLVED * u8::from(!a && !b);
+                unsolved | (flag::FIRST_MISSING * u8::from(a)) | (flag::SECOND_MISSING * u8::from(b))
             }
         });
     }

@@ -113,7 +113,7 @@ pub struct Prior {
 }
 
 /// A length that is given without a sigma has this part of itself: far below what many discs together tell of a length (2e-6 of a radius).
-pub const EXACT: f64 = 1e-8;
+pub const EXACT: f64 = 1e-7;
 
 impl Prior {
     /// Whether it was given without a sigma.

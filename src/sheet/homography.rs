@@ -44,6 +44,14 @@ pub struct PairFeatures {
     covariance_px2: [PairCovariance; 2],
 }
 
+impl PairFeatures {
+    /// The same with edge points in both images that scatter so many times as much as they say.
+    pub(crate) fn scaled(mut self, by: [f64; 2]) -> Self {
+        self.covariance_px2.iter_mut().zip(by).for_each(|(covariance, by)| *covariance *= by * by);
+        self
+    }
+}
+
 /// Result of [`fit_homography`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Homography {

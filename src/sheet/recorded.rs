@@ -76,6 +76,7 @@ pub(crate) fn covariance_of_record(record: &Record) -> Option<NamedCovariance> {
         null_directions: DMatrix::from_fn(n, c.null_directions.len(), |i, k| c.null_directions[k][i]),
         undetermined: vec![],
         offset_sigmas_mm: vec![],
+        disc_sigmas_mm: vec![],
         natural,
         names: c.names,
         matrix,

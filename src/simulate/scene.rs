@@ -3,10 +3,34 @@
 //! What the keys mean is in `docs/simulate.md`. Every record refuses keys it does not know.
 
 use crate::error::{Error, Invalid};
-use serde::Deserialize;
+use serde::de::{DeserializeOwned, Error as _};
+use serde::{Deserialize, Deserializer};
 
 pub(super) fn syntax(file: &str, line: usize, message: impl Into<String>) -> Error {
     Invalid::Syntax { file: file.to_owned(), line, message: message.into() }.into()
+}
+
+/// A list of just so many items; without this what is too many would be dropped in silence.
+trait Exact: Sized {
+    fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Self, D::Error>;
+}
+
+impl<T: DeserializeOwned, const N: usize> Exact for [T; N] {
+    fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        let list = Vec::<T>::deserialize(from)?;
+        let found = list.len();
+        list.try_into().map_err(|_| D::Error::custom(format!("expected a list of {N} items, found {found}")))
+    }
+}
+
+impl<L: Exact> Exact for Option<L> {
+    fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        L::read(from).map(Some)
+    }
+}
+
+fn exactly<'de, D: Deserializer<'de>, L: Exact>(from: D) -> Result<L, D::Error> {
+    L::read(from)
 }
 
 /// A whole scene file as written.
@@ -34,18 +58,20 @@ pub(super) struct SceneFile {
 #[serde(deny_unknown_fields)]
 pub(super) struct CameraKeys {
     pub(super) name: String,
+    #[serde(deserialize_with = "exactly")]
     pub(super) image_size_px: [usize; 2],
     pub(super) pixel_pitch_mm: Option<f64>,
     pub(super) focal_length_mm: Option<f64>,
     pub(super) f_px: Option<f64>,
     #[serde(default = "one")]
     pub(super) aspect: f64,
+    #[serde(default, deserialize_with = "exactly")]
     pub(super) axis_point_px: Option<[f64; 2]>,
     #[serde(default)]
     pub(super) scheimpflug: bool,
     pub(super) alpha_deg: Option<f64>,
     pub(super) beta_deg: Option<f64>,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "exactly")]
     pub(super) k: [f64; 3],
     #[serde(default)]
     pub(super) radial: RadialKey,
@@ -73,7 +99,7 @@ pub(super) struct AimKeys {
     pub(super) elevation_deg: f64,
     #[serde(default)]
     pub(super) roll_deg: f64,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "exactly")]
     pub(super) look_at_mm: [f64; 3],
 }
 
@@ -81,7 +107,9 @@ pub(super) struct AimKeys {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PoseKeys {
+    #[serde(deserialize_with = "exactly")]
     pub(super) rotation_vector_deg: [f64; 3],
+    #[serde(deserialize_with = "exactly")]
     pub(super) translation_mm: [f64; 3],
 }
 
@@ -90,7 +118,7 @@ pub(super) struct PoseKeys {
 pub(super) struct SheetKeys {
     #[serde(default)]
     pub(super) offset_mm: f64,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "exactly")]
     pub(super) tilt_deg: [f64; 2],
 }
 
@@ -130,11 +158,12 @@ pub(super) struct TargetKeys {
     pub(super) kind: Kind,
     pub(super) polarity: PolarityKey,
     pub(super) spacing_mm: Option<f64>,
+    #[serde(default, deserialize_with = "exactly")]
     pub(super) radii_mm: Option<[f64; 2]>,
     pub(super) radius_mm: Option<f64>,
     pub(super) columns: Option<usize>,
     pub(super) rows: Option<usize>,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "exactly")]
     pub(super) origin: [i32; 2],
     pub(super) step_mm: Option<f64>,
     #[serde(default)]
@@ -235,10 +264,11 @@ pub(super) struct ViewKeys {
     #[serde(default)]
     pub(super) sheet: bool,
     pub(super) plane_z_mm: Option<f64>,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "exactly")]
     pub(super) position_mm: [f64; 3],
-    #[serde(default)]
+    #[serde(default, deserialize_with = "exactly")]
     pub(super) rotation_deg: [f64; 3],
+    #[serde(default, deserialize_with = "exactly")]
     pub(super) radii_mm: Option<[f64; 2]>,
     pub(super) spacing_mm: Option<f64>,
     #[serde(default)]
@@ -252,11 +282,15 @@ pub(super) struct RandomKeys {
     pub(super) seed: Option<u64>,
     #[serde(default)]
     pub(super) sheet_count: usize,
+    #[serde(deserialize_with = "exactly")]
     pub(super) tilt_deg: [f64; 2],
     #[serde(default = "default_spin")]
     pub(super) spin_deg: f64,
+    #[serde(deserialize_with = "exactly")]
     pub(super) position_mm: [f64; 3],
+    #[serde(default, deserialize_with = "exactly")]
     pub(super) radii_mm: Option<[[f64; 2]; 2]>,
+    #[serde(default, deserialize_with = "exactly")]
     pub(super) spacing_mm: Option<[f64; 2]>,
 }
 
@@ -270,7 +304,7 @@ pub(super) struct ParticleKeys {
     pub(super) level: f64,
     #[serde(default)]
     pub(super) offset_mm: f64,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "exactly")]
     pub(super) tilt_deg: [f64; 2],
     pub(super) flow: Option<FlowKeys>,
 }
@@ -279,14 +313,14 @@ pub(super) struct ParticleKeys {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FlowKeys {
-    #[serde(default)]
+    #[serde(default, deserialize_with = "exactly")]
     pub(super) shift_mm: [f64; 3],
     #[serde(default)]
     pub(super) vortex_mm: f64,
     #[serde(default)]
     pub(super) jet_mm: f64,
     pub(super) radius_mm: f64,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "exactly")]
     pub(super) center_mm: [f64; 2],
 }
 

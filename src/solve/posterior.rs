@@ -112,7 +112,7 @@ pub fn posterior(equations: &NormalEquations) -> Posterior {
     let n = equations.h_gg.nrows();
     // Blocks without damping where they allow it: the ridge would hide weak directions.
     let eliminated =
-        eliminate(equations, &Ridge::Relative(0.0)).or_else(|| eliminate(equations, &Ridge::Relative(1e-12)));
+        eliminate(equations, &Ridge::Relative(0.0)).or_else(|| eliminate(equations, &Ridge::Blocks(1e-12)));
     let (s, eliminated) =
         eliminated.map_or_else(|| (DMatrix::zeros(n, n), None), |(s, _, eliminated)| (s, Some(eliminated)));
     let scale = DVector::from_fn(n, |i, _| {

@@ -17,6 +17,8 @@ use nalgebra::{DMatrix, DVector};
 pub(super) enum Ridge<'a> {
     /// This times the diagonal itself.
     Relative(f64),
+    /// The same of the blocks alone: directions that are flat beyond them stay so.
+    Blocks(f64),
     /// `mu / scale^2`.
     Scaled {
         /// Damping.
@@ -33,12 +35,13 @@ impl Ridge<'_> {
     fn global(&self, i: usize, h: f64) -> f64 {
         match self {
             Ridge::Relative(r) => r * h,
+            Ridge::Blocks(_) => 0.0,
             Ridge::Scaled { mu, scales } => mu / scales.global[i].powi(2) + ROUNDING_RIDGE * h,
         }
     }
     fn block(&self, v: usize, i: usize, h: f64) -> f64 {
         match self {
-            Ridge::Relative(r) => r * h,
+            Ridge::Relative(r) | Ridge::Blocks(r) => r * h,
             Ridge::Scaled { mu, scales } => mu / scales.blocks[v][i].powi(2) + ROUNDING_RIDGE * h,
         }
     }

@@ -81,7 +81,7 @@ pub fn predict(equations: &NormalEquations, rows: &DMatrix<f64>) -> Option<Predi
 
 fn reduced(equations: &NormalEquations) -> Option<(DMatrix<f64>, DVector<f64>)> {
     let (s, rhs, _) =
-        eliminate(equations, &Ridge::Relative(0.0)).or_else(|| eliminate(equations, &Ridge::Relative(1e-12)))?;
+        eliminate(equations, &Ridge::Relative(0.0)).or_else(|| eliminate(equations, &Ridge::Blocks(1e-12)))?;
     let s = DMatrix::from_fn(s.nrows(), s.nrows(), |i, j| s[(i.max(j), i.min(j))]);
     Some((s, rhs))
 }

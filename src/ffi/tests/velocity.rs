@@ -135,5 +135,18 @@ fn displacements_are_found_in_all_components() {
         unsafe { spivcal_calibration_components(calibration, 1, x, y, a, b, c, d, u, v, w, r, su, sv, sw, NONE) },
         SPIVCAL_OK
     );
+    // What is read must not be overwritten before: in place, one off, and by the status of the points.
+    let before = from.clone();
+    let over = from[2].as_mut_ptr();
+    for (u, s) in [(over, NONE), (unsafe { over.add(n - 1) }, NONE), (u, over.cast())] {
+        assert_eq!(
+            unsafe {
+                spivcal_calibration_components(calibration, n as u64, x, y, over, b, c, d, u, v, w, r, su, sv, sw, s)
+            },
+            SPIVCAL_ERROR_ARGUMENT
+        );
+        assert!(error_text(calibration).contains("lies in the memory of dx1_mm"), "{}", error_text(calibration));
+        assert!(from.iter().flatten().map(|x| x.to_bits()).eq(before.iter().flatten().map(|x| x.to_bits())));
+    }
     assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
 }
