@@ -39,11 +39,7 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         return Err(fault(&command.calibration, what));
     }
     let files = pairs_of(&command.pairs)?;
-    can_write(&command.output)?;
-    if command.refine && command.calibration == command.output.join("calibration.json") {
-        let what = "this calibration would be overwritten by the corrected one; name another folder with -o";
-        return Err(fault(&command.calibration, what));
-    }
+    spared(command)?;
     progress.stage("reading images", files.len());
     let mut images: Vec<[GrayImage; 2]> = vec![];
     for pair in &files {
@@ -100,6 +96,16 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
     out.commit_beside(&command.output, &[&command.calibration])?;
     tell_further_pages(progress, files.iter().flatten());
     Ok(Done { text: words, json, flags: found.check.flags })
+}
+
+/// That results can be written, and not over the calibration: known before the work.
+fn spared(command: &Check) -> Result<()> {
+    can_write(&command.output)?;
+    if command.refine && command.calibration == command.output.join("calibration.json") {
+        let what = "this calibration would be overwritten by the corrected one; name another folder with -o";
+        return Err(fault(&command.calibration, what));
+    }
+    Ok(())
 }
 
 /// The files of each pair.
