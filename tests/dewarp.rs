@@ -224,6 +224,17 @@ fn the_program_writes_images_masks_and_scale() {
     let json: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(at("out/dewarp.json")).unwrap()).unwrap();
     assert_eq!(json["grid"]["width_px"], images[0].width());
+    // One image again: the other stays listed where the grid is the same, and another grid is refused.
+    let told = || serde_json::from_slice::<serde_json::Value>(&std::fs::read(at("out/dewarp.json")).unwrap()).unwrap();
+    let mut one = words(&["dewarp", &at("c.json"), &at("run_left_1.png"), "-o", &at("out")]);
+    one.extend(words(&["--extent-mm", "-20,-15.5,20,16"]));
+    assert_eq!(run(&one).status.code(), Some(0));
+    assert_eq!((told()["images"].as_array().unwrap().len(), &told()["grid"]), (2, &json["grid"]));
+    one.extend(words(&["--mm-per-px", "0.2"]));
+    let output = run(&one);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && said.contains("another grid"), "{said}");
+    assert_eq!(told()["grid"], json["grid"]);
     std::fs::copy(at("run_left_1.png"), at("a.png")).unwrap();
     arguments[2] = at("a.png");
     let output = run(&arguments);

@@ -8,7 +8,7 @@ mod rig_scene;
 use nalgebra::{Matrix3, Vector3};
 use rig_scene::{Noise, Scene, adjusted, diagnosed, drawn, given_sigmas};
 use spivcal::bundle::{Adjustment, Extension, Fact, PriorOf, adjust, extension_tests, named_covariance, prior_checks};
-use spivcal::bundle::{PlanePosition, ViewPlace};
+use spivcal::bundle::{PlanePosition, TargetShape, ViewPlace};
 use spivcal::camera::Camera;
 use spivcal::rigid::{Motion, rotation_exp};
 use spivcal::sheet::StereoSheet;
@@ -367,4 +367,24 @@ fn placed(own: &StereoSheet, truth: &StereoSheet, m: &spivcal::record::MappingUn
     let fitted = nalgebra::Vector2::new(x[0] - x[2] * p[1], x[1] + x[2] * p[0]);
     let squares = misplaced[count].map(|e| (e - fitted).norm_squared());
     0.5 * (squares[0] + squares[1]) / m.middle.in_plane_mm.powi(2)
+}
+
+/// Dots that are estimated on a grid whose pitch has a standard deviation: their places have that of the pitch as well, not that of their own displacement alone.
+#[test]
+fn dots_are_known_no_better_than_their_pitch() {
+    let mut scene = Scene::build(5, false, true, true);
+    let (value_mm, sigma_mm) = (scene.truth.shape_mm[0], 0.05);
+    scene.model.target.free[0] = true;
+    scene.model.facts.push(Fact::Shape { parameter: 0, view: None, value_mm, sigma_mm });
+    let TargetShape::Lattice(nodes) = &scene.model.target.shape else { panic!("a grid") };
+    let c = named_covariance(&adjusted(&drawn(&scene, 3))).unwrap();
+    let pitch_mm = c.sigmas(&[vec![("target.spacing_mm".to_string(), 1.0)]])[0];
+    assert!(pitch_mm > 0.8 * sigma_mm, "{pitch_mm}");
+    for ((node, found), own) in nodes.iter().zip(&c.disc_sigmas_mm).zip(&c.offset_sigmas_mm) {
+        for (k, steps) in [(0, node.x), (1, node.y)] {
+            let (by_pitch, own) = (steps.abs() * pitch_mm, own[k]);
+            let within = (by_pitch - own).abs() - 1e-9..by_pitch + own + 1e-9;
+            assert!(within.contains(&found[k]), "{} of {within:?} at {steps} pitches", found[k]);
+        }
+    }
 }

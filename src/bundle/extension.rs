@@ -16,7 +16,7 @@ use super::model::{Model, TargetShape};
 use super::state::State;
 use crate::solve::{Problem, Score, ScoreTests};
 use crate::stats::chi_square_above;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector2};
 
 /// Discs beyond which single displacements are not tested together: the matrix would outgrow the adjustment.
 const MOST_DISCS: usize = 600;
@@ -155,12 +155,10 @@ fn shared(base: &Places, places: &Places) -> Vec<usize> {
 }
 
 fn bent(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> Option<ExtensionTest> {
-    let n = model.target.disc_count();
-    let at: Vec<_> = (0..n).map(|j| model.target.nominal_disc(j, &state.shape_mm).0).collect();
-    let middle = at.iter().map(|p| p.xy()).sum::<nalgebra::Vector2<f64>>() / n as f64;
-    let half_mm = at.iter().map(|p| (p.xy() - middle).amax()).fold(1e-9, f64::max);
+    let at = spread(model, state);
+    let n = at.len();
     let basis = DMatrix::from_fn(n, 3, |j, k| {
-        let p = (at[j].xy() - middle) / half_mm;
+        let p = at[j];
         [p.x * p.x, p.x * p.y, p.y * p.y][k]
     });
     let tested: Vec<usize> = (0..n).map(|j| first + 4 * j + 2).collect();
@@ -188,7 +186,7 @@ fn displaced(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> 
     let tested: Vec<usize> = (0..discs).flat_map(|j| [first + 4 * j, first + 4 * j + 1]).collect();
     // What a stretch or a bend of the whole field of dots explains, cameras and poses explain as well: it is not said to
     // be the dots'. The rest is tested, in an orthonormal basis.
-    let eigen = beside_smooth(model, state, discs).symmetric_eigen();
+    let eigen = beside_smooth(&spread(model, state)).symmetric_eigen();
     let rough: Vec<usize> = (0..discs).filter(|&k| eigen.eigenvalues[k] > 0.5).collect();
     let basis = DMatrix::from_fn(2 * discs, 2 * rough.len(), |i, k| {
         if i % 2 == k % 2 { eigen.eigenvectors[(i / 2, rough[k / 2])] } else { 0.0 }
@@ -205,14 +203,21 @@ fn displaced(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> 
     })
 }
 
+/// Nominal places of the discs about their middle, over the largest coordinate.
+fn spread(model: &Model, state: &State) -> Vec<Vector2<f64>> {
+    let discs = model.target.disc_count();
+    let at: Vec<_> = (0..discs).map(|j| model.target.nominal_disc(j, &state.shape_mm).0.xy()).collect();
+    let middle = at.iter().sum::<Vector2<f64>>() / discs as f64;
+    let half_mm = at.iter().map(|p| (p - middle).amax()).fold(1e-9, f64::max);
+    at.iter().map(|p| (p - middle) / half_mm).collect()
+}
+
 /// Projector that takes a quadratic field out of one number per disc (a linear one where the discs are few).
-fn beside_smooth(model: &Model, state: &State, discs: usize) -> DMatrix<f64> {
-    let at: Vec<_> = (0..discs).map(|j| model.target.nominal_disc(j, &state.shape_mm).0).collect();
-    let middle = at.iter().map(|p| p.xy()).sum::<nalgebra::Vector2<f64>>() / discs as f64;
-    let half_mm = at.iter().map(|p| (p.xy() - middle).amax()).fold(1e-9, f64::max);
+fn beside_smooth(at: &[Vector2<f64>]) -> DMatrix<f64> {
+    let discs = at.len();
     let columns = if discs >= 12 { 6 } else { 3 };
     let smooth = DMatrix::from_fn(discs, columns, |j, k| {
-        let p = (at[j].xy() - middle) / half_mm;
+        let p = at[j];
         [1.0, p.x, p.y, p.x * p.x, p.x * p.y, p.y * p.y][k]
     });
     // On a grid of two rows a square is a constant: what is not independent of the rest takes nothing out.
@@ -224,4 +229,23 @@ fn beside_smooth(model: &Model, state: &State, discs: usize) -> DMatrix<f64> {
         out.ger(-1.0 / gram.eigenvalues[k], &field, &field, 1.0);
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of a grid of two rows the square across is a constant: five fields are taken out, not six, and these wholly.
+    #[test]
+    fn fields_of_two_rows_are_taken_out_once() {
+        for (columns, rows, fields) in [(10, 2, 5.0), (2, 9, 5.0), (6, 5, 6.0), (12, 1, 3.0), (3, 3, 3.0)] {
+            let place = |j: usize| Vector2::new(0.1 * (j % columns) as f64, 0.1 * (j / columns) as f64 - 0.3);
+            let at: Vec<_> = (0..columns * rows).map(place).collect();
+            let projector = beside_smooth(&at);
+            assert!((projector.trace() - (at.len() as f64 - fields)).abs() < 1e-9, "{columns} x {rows}");
+            assert!((&projector * &projector - &projector).amax() < 1e-9, "{columns} x {rows}");
+            let linear = DMatrix::from_fn(at.len(), 3, |j, k| [1.0, at[j].x, at[j].y][k]);
+            assert!((&projector * linear).amax() < 1e-9, "{columns} x {rows}");
+        }
+    }
 }

@@ -187,6 +187,12 @@ fn refusals_name_file_line_and_what_was_expected() {
             "scene.toml:26: ",
             "in (or parallel to) the sheet",
         ),
+        (
+            "rotation_deg = [10.0, -12.0, 20.0]",
+            "rotation_deg = [10.0, -12.0, 20.0, 5.0]",
+            "scene.toml:25: ",
+            "a list of 3 items, found 4",
+        ),
         ("viewing_angle_deg = 40.0", "viewing_angle_deg = 89.0", "scene.toml:10: ", "along the sheet"),
         ("name = 'right'", "name = 'left'", "scene.toml:11: ", "same name"),
         ("scheimpflug = true\naim", "scheimpflug = true\nbeta_deg = 1.0\naim", "scene.toml:8: ", "beta_deg"),

@@ -147,3 +147,25 @@ pub fn posterior(equations: &NormalEquations) -> Posterior {
     let null_directions = eigen.vectors.columns(0, nullity).into_owned();
     Posterior { global, blocks, nullity, null_directions, information_shares: eigen.values }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Block, Layout};
+    use super::*;
+
+    /// Two global unknowns of which everything sees the sum alone, beside a block of the same kind: a ridge that holds the block must not make
+    /// the global ones pass for determined.
+    #[test]
+    fn a_block_that_is_singular_hides_nothing_of_the_others() {
+        let ones = DMatrix::from_element(2, 2, 1.0);
+        let mut equations = NormalEquations::zeros(&Layout { global: 2, blocks: vec![2] });
+        equations.h_gg = 2.0 * &ones;
+        equations.blocks = vec![Block { h_vv: ones.clone(), h_vg: ones, b_v: DVector::zeros(2) }];
+        assert!(eliminate(&equations, &Ridge::Relative(0.0)).is_none());
+        let post = posterior(&equations);
+        assert_eq!(post.nullity, 1);
+        assert!((post.null_directions[(0, 0)] + post.null_directions[(1, 0)]).abs() < 1e-9);
+        // Their sum is known as by its own observation alone, for the block takes the other.
+        assert!((post.global.sum() - 1.0).abs() < 1e-6, "{}", post.global);
+    }
+}
