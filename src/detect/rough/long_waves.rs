@@ -242,6 +242,25 @@ mod tests {
         [rim.long(&all[0].waves), bends / beyond]
     }
 
+    /// Against the sums by their definition, with equal bits in all widths.
+    #[test]
+    fn powers_are_those_of_the_plain_sums() {
+        let e = Ellipse { center_px: Pixel::new(5.0, 4.0), semi_major_px: 17.0, semi_minor_px: 9.0, angle_rad: 0.3 };
+        let (u, v): (Vec<f64>, Vec<f64>) =
+            (0..53).map(|k| e.point(0.118 * f64::from(k))).map(|p| (p.u_px, p.v_px)).unzip();
+        let mut feet = Feet::default();
+        feet.find(&e, &u, &v);
+        let mut numbers: Vec<f64> = (0..53).map(|k| f64::from((k * 29) % 13 - 6)).collect();
+        let wave = |m: usize, f: fn(f64) -> f64| (0..53).map(|k| numbers[k] * f(0.118 * (m * k) as f64)).sum::<f64>();
+        let wanted: Vec<[f64; 2]> = (3..=7).map(|m| [wave(m, f64::cos), wave(m, f64::sin)]).collect();
+        numbers.resize(53_usize.next_multiple_of(GROUP), 0.0);
+        let found = lanes::run_all(&Power { feet: &feet, numbers: &numbers, of: [3, 7] });
+        assert!(found.iter().all(|of| *of == found[0]));
+        for (a, b) in found[0].iter().flatten().zip(wanted.iter().flatten()) {
+            assert!((a - b).abs() < 1e-6, "{a} {b}");
+        }
+    }
+
     /// Roughness of which the blur left long waves only, of which it left all, and of which it took the long ones: that makes no ellipse better known.
     #[test]
     fn long_waves_are_told_from_short_ones() {
