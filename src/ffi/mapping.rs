@@ -214,10 +214,11 @@ impl<const N: usize, const M: usize> Lists<'_, N, M> {
         }
         for (list, argument) in to {
             length_of(list, count, argument)?;
-            from.into_iter().try_for_each(|given| apart(given, (list.cast(), argument), n * size_of::<f64>(), n))?;
         }
-        let status_list = (status.cast_const().cast(), "point_status");
-        from.into_iter().try_for_each(|given| apart(given, status_list, n * size_of::<i32>(), n))?;
+        for given in from {
+            to.into_iter().try_for_each(|(list, name)| apart(given, (list.cast(), name), n * size_of::<f64>(), n))?;
+            apart(given, (status.cast(), "point_status"), n * size_of::<i32>(), n)?;
+        }
         // SAFETY: the contract of this function.
         unsafe {
             let status = if status.is_null() { None } else { Some(Filled::new(status, count, "point_status")?) };
