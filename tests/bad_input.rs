@@ -159,6 +159,8 @@ fn only_the_first_page_is_read_and_said_so() {
     let found = spivcal(&["detect", path.to_str().unwrap(), "-o", job.out().to_str().unwrap()]);
     let said = String::from_utf8_lossy(&found.stderr);
     assert!(found.status.code() == Some(0) && said.contains("pages.tif: it has several pages"), "{said}");
+    let found = spivcal(&["detect", path.to_str().unwrap(), "-o", job.out().to_str().unwrap(), "--quiet"]);
+    assert_eq!((found.status.code(), String::from_utf8_lossy(&found.stderr).as_ref()), (Some(0), ""));
 }
 
 #[test]

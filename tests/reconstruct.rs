@@ -336,6 +336,27 @@ fn missing_vectors_are_flagged_and_the_rest_stays_right() {
     }
 }
 
+/// A number that stands for a missing vector in both fields: what has no solution is no good vector.
+#[test]
+fn fill_values_are_flagged() {
+    let filled = |c: usize| -> String {
+        let text = raw_field(c, false, 0.0, 1, |_| true);
+        let line = |l: &str| {
+            let (u, v) = l.split_once(',').map(|(u, rest)| (u, rest.split_once(',').unwrap().0)).unwrap();
+            let fill = u.parse::<f64>().is_ok_and(|u| u > 600.0);
+            if fill { format!("{u},{v},99999,99999\n") } else { format!("{l}\n") }
+        };
+        text.lines().map(line).collect()
+    };
+    let f = solved([&filled(0), &filled(1)], &options(FieldUnit::RawPixels));
+    let unsolved = f.flags.iter().filter(|flags| **flags & flag::UNSOLVED != 0).count();
+    println!("{unsolved} of {} without a solution", f.flags.len());
+    assert!(unsolved > 100);
+    for (w, flags) in f.w_mm.iter().zip(&f.flags) {
+        assert!(w.is_finite() || *flags != 0, "no vector, flag 0");
+    }
+}
+
 #[test]
 fn the_program_reads_writes_and_refuses() {
     let scratch = tempfile::tempdir().unwrap();

@@ -3,7 +3,7 @@
 use super::Done;
 use super::arguments::Check;
 use super::dewarp::load_sized;
-use super::files::{Output, can_write, fault, read_text, tell_further_pages};
+use super::files::{Output, can_write, fault, read_text, spares, tell_further_pages};
 use super::progress::Bar;
 use super::threads;
 use crate::diagnosis::mapping_of_record;
@@ -101,11 +101,8 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
 /// That results can be written, and not over the calibration: known before the work.
 fn spared(command: &Check) -> Result<()> {
     can_write(&command.output)?;
-    if command.refine && command.calibration == command.output.join("calibration.json") {
-        let what = "this calibration would be overwritten by the corrected one; name another folder with -o";
-        return Err(fault(&command.calibration, what));
-    }
-    Ok(())
+    let written: &[&str] = if command.refine { &["calibration.json"] } else { &[] };
+    spares(&command.output, written, &[&command.calibration])
 }
 
 /// The files of each pair.

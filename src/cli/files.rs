@@ -7,7 +7,7 @@ use crate::pipeline::{has_further_pages, load_image};
 use crate::rig_file::{RigDescription, image_path};
 use std::path::{Path, PathBuf};
 
-pub(super) use crate::pipeline::{Output, can_write, read_text};
+pub(super) use crate::pipeline::{Output, can_write, read_text, spares};
 
 pub(super) fn fault(path: &Path, message: impl Into<String>) -> Error {
     Invalid::File { path: path.display().to_string(), message: message.into() }.into()

@@ -86,13 +86,15 @@ pub(crate) fn dewarped_levels(
     z_mm: f64,
 ) -> Result<(Vec<f32>, Vec<bool>)> {
     check(view, map, z_mm)?;
-    let samples = grid.width_px * grid.height_px;
-    room(size_of::<f32>() * (samples + view.width() * view.height()) + samples, grid)?;
+    room(grid, view.width() * view.height())?;
     Ok(resample(&Sampler::new(view, kernel), map, grid, z_mm))
 }
 
-/// That there is memory for an image that is dewarped: without it the process would end.
-fn room(bytes: usize, grid: &SheetGrid) -> Result<()> {
+/// That there is memory for an image that is dewarped, floats and where they are seen, and so many coefficients of the one that is read: without it the
+/// process would end.
+fn room(grid: &SheetGrid, coefficients: usize) -> Result<()> {
+    let samples = grid.width_px * grid.height_px;
+    let bytes = size_of::<f32>().saturating_mul(samples.saturating_add(coefficients)).saturating_add(samples);
     let what = || format!("a dewarped image of {} x {} px", grid.width_px, grid.height_px);
     Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| Invalid::Memory { what: what(), bytes }.into())
 }
@@ -154,13 +156,10 @@ pub fn dewarp_into(
     out: &mut Dewarped,
 ) -> Result<()> {
     check(view, map, z_mm)?;
-    let (samples, size_px) = (grid.width_px * grid.height_px, [view.width(), view.height()]);
+    let size_px = [view.width(), view.height()];
+    room(grid, if kernel == Kernel::BSpline { size_px[0] * size_px[1] } else { 0 })?;
     let valid = &mut out.valid;
-    if samples > valid.capacity() {
-        let coefficients = if kernel == Kernel::BSpline { size_px[0] * size_px[1] } else { 0 };
-        room(size_of::<f32>() * (samples + coefficients) + samples, grid)?;
-    }
-    valid.resize(samples, false);
+    valid.resize(grid.width_px * grid.height_px, false);
     let pixels = out.image.renew(&view.samples(), grid.width_px, grid.height_px);
     let (plane, stride) = (Plane { map, grid, z_mm }, view.stride());
     if kernel == Kernel::BSpline {
@@ -186,11 +185,11 @@ mod tests {
     #[test]
     fn memory_that_is_missing_is_no_end_of_the_process() {
         let grid = SheetGrid { origin_mm: [0.0; 2], mm_per_px: 1.0, width_px: 70, height_px: 80 };
-        let error = room(isize::MAX as usize, &grid).unwrap_err();
+        let error = room(&grid, 1 << 60).unwrap_err();
         let told = error.to_string();
-        assert!(told.contains("70 x 80 px") && told.contains("9223372036854775807 bytes"), "{told}");
+        assert!(told.contains("70 x 80 px") && told.contains("4611686018427415904 bytes"), "{told}");
         assert_eq!(error.exit_code(), 2);
-        assert!(room(1 << 20, &grid).is_ok());
+        assert!(room(&grid, 0).is_ok());
     }
 
     /// Memory that was there, of another size or depth, rows with a stride and threads change no bit.

@@ -11,6 +11,7 @@ use crate::dewarp::{NoMeeting, SheetMap};
 use crate::lanes::{Column, ColumnMut};
 use crate::record::PlacedCamera;
 use nalgebra::{Vector2, Vector3};
+use std::ops::Range;
 
 /// Images of points of the rig frame.
 ///
@@ -187,10 +188,14 @@ pub(super) struct Lists<'a, const N: usize, const M: usize> {
     status: Option<Filled<i32>>,
 }
 
-/// That what is written, some bytes, is none of the `n` numbers that are read: they would be lost before they are read.
-fn apart(read: (*const f64, &str), written: (*const u8, &str), bytes: usize, n: usize) -> Result<(), Fault> {
-    let (from, to) = (read.0.addr(), written.0.addr());
-    if written.0.is_null() || to >= from.saturating_add(n * size_of::<f64>()) || from >= to.saturating_add(bytes) {
+/// Addresses of the bytes of an array.
+fn bytes<T>(at: *const T, n: usize) -> Range<usize> {
+    at.addr()..at.addr().saturating_add(n * size_of::<T>())
+}
+
+/// That what is written is none of what is read: that would be lost before.
+fn apart(read: (Range<usize>, &str), written: (Range<usize>, &str)) -> Result<(), Fault> {
+    if read.0.start >= written.0.end || written.0.start >= read.0.end {
         return Ok(());
     }
     Err(Fault::argument(format!(
@@ -215,9 +220,10 @@ impl<const N: usize, const M: usize> Lists<'_, N, M> {
         for (list, argument) in to {
             length_of(list, count, argument)?;
         }
-        for given in from {
-            to.into_iter().try_for_each(|(list, name)| apart(given, (list.cast(), name), n * size_of::<f64>(), n))?;
-            apart(given, (status.cast(), "point_status"), n * size_of::<i32>(), n)?;
+        for (read, argument) in from {
+            let read = || (bytes(read, n), argument);
+            to.into_iter().try_for_each(|(list, name)| apart(read(), (bytes(list, n), name)))?;
+            apart(read(), (bytes(status, n), "point_status"))?;
         }
         // SAFETY: the contract of this function.
         unsafe {

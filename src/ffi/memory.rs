@@ -3,8 +3,9 @@
 //! A pointer of a caller may have any alignment (32-bit LabVIEW packs to one byte), so no reference and no slice is made
 //! from it; a length is only used after its product with the size of an element was checked.
 
-use super::abi::{SPIVCAL_ERROR_BUFFER_TOO_SMALL, SPIVCAL_ERROR_MEMORY, SPIVCAL_ERROR_UTF8, SPIVCAL_OK};
+use super::abi::{SPIVCAL_ERROR_BUFFER_TOO_SMALL, SPIVCAL_ERROR_UTF8, SPIVCAL_OK};
 use super::door::{Fault, Outcome};
+use crate::error::{Error, Invalid};
 use std::ffi::{CStr, c_char};
 
 /// Elements of the longest array and bytes of the largest image that are taken: what is longer is a mistaken argument, and a mistake
@@ -172,9 +173,9 @@ pub(super) unsafe fn rows_of<T: Plain>(
     }
     let (width, height) = (width as usize, height as usize);
     let mut pixels: Vec<T> = Vec::new();
-    pixels.try_reserve_exact(width * height).map_err(|_| {
-        Fault::new(SPIVCAL_ERROR_MEMORY, format!("there is no memory for an image of {width} x {height} px"))
-    })?;
+    let what = || format!("an image of {width} x {height} px");
+    let bytes = width * height * size_of::<T>();
+    pixels.try_reserve_exact(width * height).map_err(|_| Error::from(Invalid::Memory { what: what(), bytes }))?;
     pixels.resize(width * height, T::default());
     for (v, row) in pixels.chunks_exact_mut(width).enumerate() {
         // SAFETY: row `v` begins `v * stride_bytes` after `data` and is readable by the contract; bytes have no alignment.

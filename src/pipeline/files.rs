@@ -58,15 +58,7 @@ impl Output {
     /// # Errors
     /// [`Invalid::File`] as there, and where a file would take the place of one of the `inputs`; nothing is written then.
     pub fn commit_beside(self, folder: &Path, inputs: &[&Path]) -> Result<()> {
-        let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
-        for name in &self.names {
-            if let Some(input) = inputs.iter().find(|input| same(input, &folder.join(name))) {
-                return Err(fault(
-                    input,
-                    "this file, which was read, would be overwritten; name another place with -o",
-                ));
-            }
-        }
+        spares(folder, &self.names(), inputs)?;
         self.commit(folder)
     }
     /// Writes all files into `folder`, which is made where it is missing.
@@ -94,6 +86,21 @@ impl Output {
         self.staged = Some(staged);
         Ok(())
     }
+}
+
+/// That files of these names in a folder are none of those that are read.
+///
+/// # Errors
+/// [`Invalid::File`] where one is.
+pub fn spares(folder: &Path, names: &[&str], inputs: &[&Path]) -> Result<()> {
+    let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+    for name in names {
+        if let Some(input) = inputs.iter().find(|input| same(input, &folder.join(name))) {
+            let what = "this file, which was read, would be overwritten; name another place with -o";
+            return Err(fault(input, what));
+        }
+    }
+    Ok(())
 }
 
 /// That results can be written into a folder, or into one made there: asked before the work, and nothing is left of it.
