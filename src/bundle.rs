@@ -68,6 +68,7 @@ mod same_light;
 mod state;
 mod tangent;
 mod typical;
+mod undetermined;
 
 /// The scenes of the tests below `tests`, for those in here.
 #[cfg(test)]
@@ -84,7 +85,6 @@ pub use model::{
     CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, PairObservation,
     PlanePosition, PointObservations, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
 };
-pub(crate) use posterior::{MOSTLY_PRIOR, ONLY_PRIOR, intrinsic_words, layer_words};
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use reach::{Numbers, Observe, Reach};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};
@@ -92,6 +92,7 @@ pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
 pub use same_light::Alike;
 pub use state::{State, ViewState};
 pub(crate) use typical::{distance_mm, typical};
+pub(crate) use undetermined::{MOSTLY_PRIOR, ONLY_PRIOR, intrinsic_words, layer_words, view_of_direction};
 
 /// How the adjustment is steered and how it ended: rooms above speak of it without knowing the solver.
 pub use crate::solve::{Iteration, Options as SolveOptions, Prediction, Termination, symmetric_eigen};

@@ -383,6 +383,22 @@ fn the_verdict_follows_the_record() {
     let v = report::verdict(&loose);
     assert!(v.headline.contains("2 directions of the solution are not fixed"), "{}", v.headline);
     assert!(v.next.iter().any(|s| s.contains("a parallel shift does not help")));
+
+    // A direction that a view keeps to itself needs no tilted views.
+    let mut own = good.clone();
+    own.fit.nullity = 1;
+    let c = &mut own.covariance;
+    let mut moved = vec![0.0; c.names.len()];
+    moved.push(1.0);
+    c.names.push("view1.rig_from_target.tz_mm".into());
+    c.undetermined.extend(c.names.last().cloned());
+    c.null_directions.push(moved);
+    assert_eq!((own.covariance.loose_views(), own.covariance.shared_nullity()), (vec![1], 0));
+    let v = report::verdict(&own);
+    assert_eq!(v.level, Level::Care);
+    assert!(!v.headline.contains("directions"), "{}", v.headline);
+    assert!(!v.next.iter().any(|s| s.contains("a parallel shift does not help")), "{:?}", v.next);
+    assert!(v.next.iter().any(|s| s.contains("View 1: what is open there harms nothing else")), "{:?}", v.next);
 }
 
 #[test]

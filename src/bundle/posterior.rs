@@ -1,4 +1,4 @@
-//! Covariance in the user's own parameters, with names, and what is not determined, in words.
+//! Covariance in the user's own parameters, with names.
 //!
 //! The solver's unknowns are charts and steps in solver frames. The natural parameters follow linearly at the estimate:
 //! ```text
@@ -16,10 +16,11 @@ use super::layout::Places;
 use super::model::{Model, TargetShape};
 use super::state::State;
 use super::typical::typical;
+use super::undetermined;
 use crate::camera::{Camera, INTRINSIC_NAMES, INTRINSICS, LAYERS, WINDOW_STEP_NAMES};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::rigid::Motion;
-use crate::solve::{NormalEquations, Posterior, posterior};
+use crate::solve::posterior;
 use nalgebra::{DMatrix, DVector, DVectorView, SMatrix, Vector3};
 use std::collections::HashMap;
 
@@ -142,10 +143,10 @@ pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
     let matrix = &g * &full * g.transpose();
     // Large variances along weak directions cancel in small ones: rounding is not the same on both sides.
     let matrix = 0.5 * (&matrix + matrix.transpose());
-    let moved = null_movements(&post, &places, adjustment.equations.as_ref()?);
+    let moved = &post.null_movements;
     let cameras: Vec<&str> = model.cameras.iter().map(|c| c.name.as_str()).collect();
     let scale = DVector::from_iterator(rows.len(), rows.iter().map(|row| typical(&natural, &row.name, &cameras)));
-    let null_directions = measured(&g * &moved, &scale);
+    let null_directions = measured(&g * moved, &scale);
     let still = |i: usize, k: usize| {
         let by_rounding = null_directions[(i, k)].abs() <= ROUNDED * scale[i];
         by_rounding || cancels(&rows[i].terms, &moved.column(k))
@@ -177,7 +178,7 @@ pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
         natural,
     };
     out.intrinsics = (0..model.cameras.len()).map(|c| knowledge(model, &out, c)).collect();
-    out.undetermined = words(model, &out);
+    out.undetermined = undetermined::words(model, &out);
     Some(out)
 }
 
@@ -318,25 +319,6 @@ fn disc_sigmas(model: &Model, places: &Places, first: usize, j: usize, c: &DMatr
     })
 }
 
-/// Movement of all unknowns along each undetermined direction, one column each.
-fn null_movements(post: &Posterior, places: &Places, e: &NormalEquations) -> DMatrix<f64> {
-    let n = places.global;
-    let scale = |i: usize| if e.h_gg[(i, i)] > 0.0 { e.h_gg[(i, i)].sqrt().recip() } else { 1.0 };
-    let total = n + post.blocks.iter().map(|b| b.own.nrows()).sum::<usize>();
-    let mut moved = DMatrix::zeros(total, post.nullity);
-    for k in 0..post.nullity {
-        let global = DVector::from_fn(n, |i, _| post.null_directions[(i, k)] * scale(i));
-        moved.view_mut((0, k), (n, 1)).copy_from(&global);
-        let mut at = n;
-        for b in &post.blocks {
-            let own = -(b.coupling() * &global);
-            moved.view_mut((at, k), (own.len(), 1)).copy_from(&own);
-            at += own.len();
-        }
-    }
-    moved
-}
-
 /// Directions of such length that what moves most moves by its scale.
 fn measured(mut directions: DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> {
     for mut d in directions.column_iter_mut() {
@@ -375,53 +357,4 @@ fn knowledge(model: &Model, covariance: &NamedCovariance, c: usize) -> [Paramete
             }
         }
     })
-}
-
-/// Posterior variance over prior variance from which on a number is known from its prior only: nine tenths of its sigma are left.
-pub(crate) const ONLY_PRIOR: f64 = 0.81;
-/// The same for mostly: the images know less than it.
-pub(crate) const MOSTLY_PRIOR: f64 = 0.5;
-
-fn words(model: &Model, covariance: &NamedCovariance) -> Vec<String> {
-    let mut out = vec![];
-    for (c, camera) in model.cameras.iter().enumerate() {
-        for (k, know) in covariance.intrinsics[c].iter().enumerate() {
-            let what = intrinsic_words(k);
-            match know {
-                ParameterKnowledge::Undetermined => out
-                    .push(format!("{what} of camera {} is not determined by the images or by any prior", camera.name)),
-                ParameterKnowledge::Estimated { prior_share } if *prior_share > MOSTLY_PRIOR => {
-                    let most = if *prior_share > ONLY_PRIOR { "only" } else { "mostly" };
-                    out.push(format!("{what} of camera {} is known {most} from its prior", camera.name));
-                }
-                _ => {}
-            }
-        }
-    }
-    let other = covariance.names.iter().zip(&covariance.determined).filter(|(n, d)| {
-        !**d && !model.cameras.iter().any(|c| INTRINSIC_NAMES.iter().any(|i| **n == format!("{}.{i}", c.name)))
-    });
-    out.extend(other.map(|(n, _)| format!("{n} is not determined")));
-    out
-}
-
-/// An intrinsic parameter in words, by its index in [`INTRINSIC_NAMES`].
-pub(crate) fn intrinsic_words(k: usize) -> &'static str {
-    [
-        "focal length f",
-        "pixel aspect",
-        "axis point cx",
-        "axis point cy",
-        "tilt alpha",
-        "tilt beta",
-        "distortion k1",
-        "distortion k2",
-        "distortion k3",
-        "pupil ratio",
-    ][k]
-}
-
-/// A layer of a window in words, by its index in [`crate::camera::LAYER_NAMES`].
-pub(crate) fn layer_words(k: usize) -> &'static str {
-    ["distance", "thickness", "index before the glass", "index of the glass", "index behind the glass"][k]
 }

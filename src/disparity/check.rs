@@ -369,7 +369,7 @@ fn output(
     let across_rms_px = (used().map(|i| after.across_px[i].powi(2)).sum::<f64>() / n).sqrt();
     let misaligned = [misalignment(&before, false), misalignment(&after, true)];
     told(&misaligned[0], &misaligned[1], options.refine, &mut flags);
-    if shared.is_none() && !start.covariance.null_directions.is_empty() {
+    if shared.is_none() && start.covariance.shared_nullity() > 0 {
         flags.push(
             "the calibration leaves undetermined what the sheet depends on: sigmas here are those of the particles with the cameras held, and the \
              sheet has none; calibrate again with what the report of the calibration asks for"
@@ -430,7 +430,7 @@ fn corrected_record(
     } else {
         let c = &r.covariance;
         let kept: Vec<usize> = (0..c.names.len()).filter(|i| !c.names[*i].starts_with("sheet.")).collect();
-        if !c.null_directions.is_empty() {
+        if c.shared_nullity() > 0 {
             r = moved(&r, &Vector3::zeros(), &Matrix6::repeat(f64::NAN))?;
         }
         r.covariance = r.covariance.only(&kept);

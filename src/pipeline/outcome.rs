@@ -293,10 +293,10 @@ fn fit(s: &Solved, fits: &[ImageFit], findings: &Findings) -> Fit {
     let degrees_of_freedom = (observations + facts).saturating_sub(unknowns);
     let adjustment = s.adjustment;
     let mut flags = vec![];
-    if s.covariance.nullity > 0 {
+    let shared = covariance(s).shared_nullity();
+    if shared > 0 {
         flags.push(format!(
-            "{} direction(s) of the calibration are determined by nothing; see what is not determined",
-            s.covariance.nullity
+            "{shared} direction(s) of the calibration are determined by nothing; see what is not determined"
         ));
     }
     let outliers = adjustment.outliers.len();

@@ -5,6 +5,7 @@ use super::number::{maybe, maybe_map, maybe_rows};
 use super::provenance::Provenance;
 use super::sigma::{CameraSigma, PoseSigma, RigSigma, SheetSigma, WindowSigma};
 use super::target::{Target, ViewTarget};
+use crate::bundle::view_of_direction;
 use crate::camera::{self, Intrinsics};
 use crate::rigid::Motion;
 use nalgebra::{Matrix3, Vector3};
@@ -523,6 +524,17 @@ impl Covariance {
             null_directions: if lost.is_empty() { vec![] } else { self.null_directions.iter().map(pick).collect() },
             undetermined: lost,
         }
+    }
+    /// The views that keep an undetermined direction to themselves, by their index in the names; no other number moves along it.
+    pub fn loose_views(&self) -> Vec<usize> {
+        let mut views: Vec<_> = self.null_directions.iter().filter_map(|d| view_of_direction(&self.names, d)).collect();
+        views.sort_unstable();
+        views.dedup();
+        views
+    }
+    /// Number of undetermined directions that move what views share: cameras, motion, sheet, target.
+    pub fn shared_nullity(&self) -> usize {
+        self.null_directions.iter().filter(|d| view_of_direction(&self.names, *d).is_none()).count()
     }
     /// Index of a name.
     pub fn index(&self, name: &str) -> Option<usize> {

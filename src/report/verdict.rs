@@ -104,10 +104,10 @@ fn headline(r: &Record, level: Level) -> String {
             "Cameras as another program found them: how certain they are is not known, for no image was looked at."
                 .into()
         }
-        Level::Care if f.nullity > 0 => format!(
+        Level::Care if shared_nullity(r) > 0 => format!(
             "Usable only for what is determined: {} of the solution {} not fixed by the images.",
-            count(f.nullity, "direction"),
-            if f.nullity == 1 { "is" } else { "are" }
+            count(shared_nullity(r), "direction"),
+            if shared_nullity(r) == 1 { "is" } else { "are" }
         ),
         Level::Care => "Usable, but first read what is not determined and what to look at.".into(),
         Level::Good if r.sheet.is_none() => {
@@ -115,6 +115,11 @@ fn headline(r: &Record, level: Level) -> String {
         }
         Level::Good => "The calibration is complete and consistent.".into(),
     }
+}
+
+/// Undetermined directions of what the views share.
+fn shared_nullity(r: &Record) -> usize {
+    r.fit.nullity.saturating_sub(r.covariance.null_directions.len() - r.covariance.shared_nullity())
 }
 
 /// Whether the residuals are no noise of any image that shows discs.
@@ -285,6 +290,18 @@ const NOTHING: &str = "Nothing has to be done.";
 const BY_ITSELF: &str = "Nothing has to be done for displacements: what is not determined is counted in the uncertainties of u, v and w. Where one \
                          of those numbers is needed by itself, record further views, tilted about other axes, or give it a prior in the rig file.";
 
+/// What helps views that keep an undetermined direction to themselves.
+fn loose_views(r: &Record) -> Option<String> {
+    let views = r.covariance.loose_views();
+    let what = if r.cameras.len() > 1 { "the other camera's image of it" } else { "a target of known size" };
+    let (view, listed) = match views.as_slice() {
+        [] => return None,
+        [one] => ("View", one.to_string()),
+        all => ("Views", all.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")),
+    };
+    Some(format!("{view} {listed}: what is open there harms nothing else; {what} would settle it."))
+}
+
 fn next_steps(r: &Record) -> Vec<String> {
     let mut out: Vec<String> = r.fit.flags.iter().map(|w| sentence(w)).collect();
     if !r.fit.converged {
@@ -333,13 +350,14 @@ fn next_steps(r: &Record) -> Vec<String> {
     out.extend(r.cameras.iter().flat_map(|c| bad_views(r, &c.name)));
     out.extend(saturated(r));
     let tilted = r.views.iter().filter(|v| v.used).count();
-    if r.fit.nullity > 0 || tilted < FEW_VIEWS {
+    if shared_nullity(r) > 0 || tilted < FEW_VIEWS {
         out.push(
             "Record a printed target, or the sheet itself, tilted by a few degrees in one or more further views; a parallel \
              shift does not help. A known focal length or the focus relation ([focus] in the rig file) helps as well."
                 .into(),
         );
     }
+    out.extend(loose_views(r));
     if r.sheet.is_none() {
         out.push("To get the sheet, record one view of the target in the light sheet and mark it sheet = true.".into());
     }

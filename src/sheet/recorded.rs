@@ -88,7 +88,7 @@ const BESIDE: f64 = 0.02;
 
 /// Whether displacements that are measured with a record, and disparities, depend on nothing that its calibration leaves undetermined.
 pub fn determines_measurements(record: &Record) -> bool {
-    if record.covariance.null_directions.is_empty() {
+    if record.covariance.shared_nullity() == 0 {
         return true;
     }
     let known = || {

@@ -3,15 +3,14 @@
 //! With `A_v = H_vv^-1 H_vg`: `C_gg = S^+`, `C_vg = -A_v C_gg`, `C_vw = A_v C_gg A_w^T + [v = w] H_vv^-1`.
 //! `S^+` is the inverse over the directions that are determined. Rank is judged on `D^-1/2 S D^-1/2` with
 //! `D = diag(H_gg)`: its eigenvalues are the shares of information that survive the elimination of everything else,
-//! free of units. Rounding leaves about 1e-15 in an exactly flat direction.
+//! free of units. Rounding leaves about 1e-15 in an exactly flat direction. Directions in which a block is flat by itself are found and held
+//! before ([`super::flat`]): they are undetermined, too, and have no part in the covariance.
 
 use super::NormalEquations;
 use super::factor::{Cholesky, symmetric_eigen};
-use super::reduced::{Ridge, eliminate};
+use super::flat::{DETERMINED, FLAT, over_determined};
+use super::reduced::{EliminatedBlock, Ridge, eliminate};
 use nalgebra::{DMatrix, DVector};
-
-/// Share of information below which a direction counts as undetermined.
-pub(super) const RANK_LIMIT: f64 = 1e-12;
 
 /// Covariance parts of one block.
 #[derive(Debug, Clone, PartialEq)]
@@ -33,9 +32,9 @@ pub struct Posterior {
     pub blocks: Vec<BlockPosterior>,
     /// Number of undetermined directions.
     pub nullity: usize,
-    /// Undetermined directions of the global unknowns, n x nullity; each scaled by the unknowns' own precision
-    /// (`D^1/2` times the direction) and of unit length.
-    pub null_directions: DMatrix<f64>,
+    /// Movement of all unknowns (global ones first, then the blocks in order) along each undetermined direction, one column each: those that blocks
+    /// have by themselves come last.
+    pub null_movements: DMatrix<f64>,
     /// Ascending eigenvalues of the scaled reduced matrix.
     pub information_shares: DVector<f64>,
 }
@@ -48,11 +47,6 @@ impl BlockPosterior {
 }
 
 impl Posterior {
-    /// True where global unknown `i` moves along an undetermined direction.
-    pub fn touched_by_null(&self, i: usize) -> bool {
-        self.null_directions.row(i).norm() > 1e-4
-    }
-
     /// Covariance of everything, global unknowns first, then the blocks in order.
     pub fn full(&self) -> DMatrix<f64> {
         let n = self.global.nrows();
@@ -79,14 +73,13 @@ impl Posterior {
     }
 }
 
-/// Largest trace of the inverse of the scaled reduced matrix: no eigenvalue is then below [`RANK_LIMIT`] times ten, so that what a Cholesky
-/// factor says holds to a percent.
-const DETERMINED: f64 = 0.1 / RANK_LIMIT;
-
 /// Covariance of the global unknowns alone, n x n: what [`posterior`] says without eigenvectors and blocks, a hundred times sooner. `None` where
 /// not every direction is determined.
 pub fn global_covariance(equations: &NormalEquations) -> Option<DMatrix<f64>> {
-    let (mut s, _, _) = eliminate(equations, &Ridge::Relative(0.0))?;
+    let (mut s, _, blocks) = eliminate(equations, &Ridge::Relative(0.0))?;
+    if blocks.doubtful(equations) {
+        return None;
+    }
     let n = s.nrows();
     let scale: Vec<f64> = equations.h_gg.diagonal().iter().map(|d| d.sqrt().recip()).collect();
     if !scale.iter().all(|d| d.is_finite()) {
@@ -106,15 +99,10 @@ pub fn global_covariance(equations: &NormalEquations) -> Option<DMatrix<f64>> {
 }
 
 /// Covariance from the normal equations at the minimum.
-///
-/// A block that is singular in itself is held by a ridge of 1e-12 of its diagonal.
 pub fn posterior(equations: &NormalEquations) -> Posterior {
     let n = equations.h_gg.nrows();
-    // Blocks without damping where they allow it: the ridge would hide weak directions.
-    let eliminated =
-        eliminate(equations, &Ridge::Relative(0.0)).or_else(|| eliminate(equations, &Ridge::Blocks(1e-12)));
-    let (s, eliminated) =
-        eliminated.map_or_else(|| (DMatrix::zeros(n, n), None), |(s, _, eliminated)| (s, Some(eliminated)));
+    let (s, held) =
+        over_determined(equations).map_or_else(|| (DMatrix::zeros(n, n), None), |(s, _, held)| (s, Some(held)));
     let scale = DVector::from_fn(n, |i, _| {
         let d = equations.h_gg[(i, i)];
         if d > 0.0 { d.sqrt().recip() } else { 1.0 }
@@ -131,41 +119,116 @@ pub fn posterior(equations: &NormalEquations) -> Posterior {
         );
     let eigen = symmetric_eigen(&scaled)
         .unwrap_or_else(|| super::SymmetricEigen { values: DVector::zeros(n), vectors: DMatrix::identity(n, n) });
-    let nullity = eigen.values.iter().filter(|v| **v < RANK_LIMIT).count();
+    let nullity = eigen.values.iter().filter(|v| **v < FLAT).count();
     let mut global = DMatrix::zeros(n, n);
     for i in nullity..n {
         let v = eigen.vectors.column(i).component_mul(&scale);
         global.ger(1.0 / eigen.values[i], &v, &v, 1.0);
     }
-    let of = |block: super::reduced::EliminatedBlock| {
+    let of = |(block, flat): (EliminatedBlock, &DMatrix<f64>)| {
         let coupling = block.coupling();
         let with_global = -(&coupling * &global);
-        let own = block.inverse() - &with_global * coupling.transpose();
+        let own = block.inverse() - flat * flat.transpose() - &with_global * coupling.transpose();
         BlockPosterior { own, with_global, coupling }
     };
-    let blocks = eliminated.iter().flat_map(|e| e.blocks().map(of)).collect();
-    let null_directions = eigen.vectors.columns(0, nullity).into_owned();
-    Posterior { global, blocks, nullity, null_directions, information_shares: eigen.values }
+    let blocks: Vec<BlockPosterior> = held.iter().flat_map(|h| h.blocks.blocks().zip(&h.flat).map(of)).collect();
+    let flat = held.map_or(vec![], |h| h.flat);
+    let shared = DMatrix::from_fn(n, nullity, |i, k| eigen.vectors[(i, k)] * scale[i]);
+    let null_movements = null_movements(&shared, &blocks, &flat);
+    Posterior { global, blocks, nullity: null_movements.ncols(), null_movements, information_shares: eigen.values }
+}
+
+/// Those of the global unknowns, which the blocks follow, then those of each block.
+fn null_movements(shared: &DMatrix<f64>, blocks: &[BlockPosterior], flat: &[DMatrix<f64>]) -> DMatrix<f64> {
+    let (n, nullity) = shared.shape();
+    let total = n + blocks.iter().map(|b| b.own.nrows()).sum::<usize>();
+    let mut out = DMatrix::zeros(total, nullity + flat.iter().map(DMatrix::ncols).sum::<usize>());
+    out.view_mut((0, 0), (n, nullity)).copy_from(shared);
+    let (mut row, mut column) = (n, nullity);
+    for (block, own) in blocks.iter().zip(flat) {
+        let d = block.own.nrows();
+        out.view_mut((row, 0), (d, nullity)).copy_from(&-(&block.coupling * shared));
+        out.view_mut((row, column), own.shape()).copy_from(own);
+        (row, column) = (row + d, column + own.ncols());
+    }
+    out
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Block, Layout};
+    use super::super::Layout;
     use super::*;
 
-    /// Two global unknowns of which everything sees the sum alone, beside a block of the same kind: a ridge that holds the block must not make
-    /// the global ones pass for determined.
+    /// Equations of the rows given: unknowns of each row with their derivatives, global ones first.
+    fn equations(layout: &Layout, rows: &[Vec<(usize, f64)>]) -> (NormalEquations, DMatrix<f64>) {
+        let n = layout.global;
+        let total = n + layout.blocks.iter().sum::<usize>();
+        let mut h = DMatrix::zeros(total, total);
+        for row in rows {
+            row.iter().for_each(|(i, a)| row.iter().for_each(|(j, b)| h[(*i, *j)] += a * b));
+        }
+        let mut e = NormalEquations::zeros(layout);
+        e.h_gg.copy_from(&h.view((0, 0), (n, n)));
+        let mut at = n;
+        for (block, &d) in e.blocks.iter_mut().zip(&layout.blocks) {
+            block.h_vv.copy_from(&h.view((at, at), (d, d)));
+            block.h_vg.copy_from(&h.view((at, 0), (d, n)));
+            at += d;
+        }
+        (e, h)
+    }
+
+    /// Two global unknowns of which everything sees the sum alone, beside a block of the same kind, in units of very different size: each is flat by
+    /// itself, neither hides the other, and the covariance is the pseudo-inverse of the whole.
     #[test]
-    fn a_block_that_is_singular_hides_nothing_of_the_others() {
-        let ones = DMatrix::from_element(2, 2, 1.0);
-        let mut equations = NormalEquations::zeros(&Layout { global: 2, blocks: vec![2] });
-        equations.h_gg = 2.0 * &ones;
-        equations.blocks = vec![Block { h_vv: ones.clone(), h_vg: ones, b_v: DVector::zeros(2) }];
-        assert!(eliminate(&equations, &Ridge::Relative(0.0)).is_none());
-        let post = posterior(&equations);
-        assert_eq!(post.nullity, 1);
-        assert!((post.null_directions[(0, 0)] + post.null_directions[(1, 0)]).abs() < 1e-9);
-        // Their sum is known as by its own observation alone, for the block takes the other.
-        assert!((post.global.sum() - 1.0).abs() < 1e-6, "{}", post.global);
+    fn a_block_that_is_flat_by_itself_is_said_and_hides_nothing() {
+        let layout = Layout { global: 2, blocks: vec![2, 2, 1] };
+        // Sum of the global ones; the first block with it and by its own sum; a determined block; one that nothing sees.
+        let rows = vec![
+            vec![(0, 1.0), (1, 1e6)],
+            vec![(0, 1.0), (1, 1e6), (2, 1e-3), (3, 2.0)],
+            vec![(2, 3e-3), (3, 6.0)],
+            vec![(4, 2.0), (0, 1.0), (1, 1e6)],
+            vec![(5, 1.0)],
+        ];
+        let (e, h) = equations(&layout, &rows);
+        let post = posterior(&e);
+        assert_eq!(post.nullity, 3, "{}", post.null_movements);
+        assert!(global_covariance(&e).is_none());
+        for column in post.null_movements.column_iter() {
+            assert!(
+                rows.iter().all(|r| r.iter().map(|(i, a)| a * column[*i]).sum::<f64>().abs() < 1e-9 * column.amax())
+            );
+        }
+        // What is determined: each row, and it has the covariance that all others would find without the flat directions.
+        let scale: Vec<f64> = (0..7).map(|i| if h[(i, i)] > 0.0 { h[(i, i)].sqrt() } else { 1.0 }).collect();
+        let scaled = DMatrix::from_fn(7, 7, |i, j| h[(i, j)] / (scale[i] * scale[j]));
+        let pseudo = scaled.pseudo_inverse(1e-10).unwrap();
+        let full = post.full();
+        for a in &rows {
+            for b in &rows {
+                let by = |c: &dyn Fn(usize, usize) -> f64| -> f64 {
+                    a.iter()
+                        .flat_map(|(i, x)| b.iter().map(move |(j, y)| (i, j, x * y)))
+                        .map(|(i, j, w)| w * c(*i, *j))
+                        .sum()
+                };
+                let (ours, wanted) = (by(&|i, j| full[(i, j)]), by(&|i, j| pseudo[(i, j)] / (scale[i] * scale[j])));
+                assert!((ours - wanted).abs() < 1e-9, "{a:?} {b:?}: {ours} {wanted}");
+            }
+        }
+        assert_eq!(full[(6, 6)], 0.0, "nothing sees it");
+    }
+
+    /// A view whose own directions are weak by 1e-5 of their information is determined, and the short way says the same.
+    #[test]
+    fn a_weak_block_is_not_flat() {
+        let layout = Layout { global: 1, blocks: vec![2] };
+        let rows = vec![vec![(0, 1.0), (1, 1.0), (2, 1.0)], vec![(1, 1.0), (2, 1.0 + 1e-2)], vec![(1, 1.0), (2, 1.0)]];
+        let (e, h) = equations(&layout, &rows);
+        let (post, inverse) = (posterior(&e), h.try_inverse().unwrap());
+        assert_eq!(post.nullity, 0);
+        assert!((post.full() - &inverse).amax() < 1e-9 * inverse.amax());
+        assert!((global_covariance(&e).unwrap()[(0, 0)] / inverse[(0, 0)] - 1.0).abs() < 1e-9);
     }
 }

@@ -7,8 +7,9 @@
 //! `H_vv^-1 H_vg = L^-T Y` itself is formed only where the covariance asks for it.
 
 use super::factor::{Cholesky, backward, factorise, forward, take_product};
+use super::flat::DETERMINED;
 use super::tiles::{FEW, Take};
-use super::{Gradient, NormalEquations, Step};
+use super::{Block, Gradient, NormalEquations, Step};
 use crate::lanes::{self, GROUP, Kernel, Lanes};
 use nalgebra::{DMatrix, DVector};
 
@@ -17,8 +18,6 @@ use nalgebra::{DMatrix, DVector};
 pub(super) enum Ridge<'a> {
     /// This times the diagonal itself.
     Relative(f64),
-    /// The same of the blocks alone: directions that are flat beyond them stay so.
-    Blocks(f64),
     /// `mu / scale^2`.
     Scaled {
         /// Damping.
@@ -35,13 +34,12 @@ impl Ridge<'_> {
     fn global(&self, i: usize, h: f64) -> f64 {
         match self {
             Ridge::Relative(r) => r * h,
-            Ridge::Blocks(_) => 0.0,
             Ridge::Scaled { mu, scales } => mu / scales.global[i].powi(2) + ROUNDING_RIDGE * h,
         }
     }
     fn block(&self, v: usize, i: usize, h: f64) -> f64 {
         match self {
-            Ridge::Relative(r) | Ridge::Blocks(r) => r * h,
+            Ridge::Relative(r) => r * h,
             Ridge::Scaled { mu, scales } => mu / scales.blocks[v][i].powi(2) + ROUNDING_RIDGE * h,
         }
     }
@@ -140,6 +138,16 @@ impl Eliminated {
                 global: self.global,
             }
         })
+    }
+
+    /// Whether a block may be flat in a direction by itself: the trace of its scaled inverse is too large, or nothing sees an unknown.
+    pub(super) fn doubtful(&self, equations: &NormalEquations) -> bool {
+        let trace = |(own, block): (EliminatedBlock<'_>, &Block)| -> f64 {
+            let seen = block.h_vv.diagonal();
+            let scaled = own.inverse().diagonal().component_mul(&seen);
+            if seen.iter().all(|h| *h > 0.0) { scaled.sum() } else { f64::INFINITY }
+        };
+        !self.blocks().zip(&equations.blocks).map(trace).all(|t| t < DETERMINED)
     }
 }
 

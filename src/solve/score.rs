@@ -20,8 +20,7 @@
 
 use super::NormalEquations;
 use super::factor::{Cholesky, symmetric_eigen};
-use super::posterior::RANK_LIMIT;
-use super::reduced::{Ridge, eliminate};
+use super::flat::{FLAT, over_determined};
 use nalgebra::{DMatrix, DVector};
 
 /// Global unknowns beyond which a Cholesky factor replaces the eigenvectors, which cost twenty times more.
@@ -58,7 +57,7 @@ pub fn predict(equations: &NormalEquations, rows: &DMatrix<f64>) -> Option<Predi
         let determined = (0..rows.nrows()).map(|k| held(k) < 1e-3 || covariance[(k, k)] == 0.0).collect();
         return Some(Prediction { shift: x.tr_mul(&rhs), covariance, determined });
     }
-    let inverse = Inverse::of(&s, &scales(equations, &(0..n).collect::<Vec<_>>()), RANK_LIMIT)?;
+    let inverse = Inverse::of(&s, &scales(equations, &(0..n).collect::<Vec<_>>()), FLAT)?;
     // What nothing sees has a unit diagonal instead of a null direction.
     let unseen: Vec<usize> = (0..n).filter(|&i| equations.h_gg[(i, i)] <= 0.0).collect();
     let scale = scales(equations, &(0..n).collect::<Vec<_>>());
@@ -80,8 +79,7 @@ pub fn predict(equations: &NormalEquations, rows: &DMatrix<f64>) -> Option<Predi
 }
 
 fn reduced(equations: &NormalEquations) -> Option<(DMatrix<f64>, DVector<f64>)> {
-    let (s, rhs, _) =
-        eliminate(equations, &Ridge::Relative(0.0)).or_else(|| eliminate(equations, &Ridge::Blocks(1e-12)))?;
+    let (s, rhs, _) = over_determined(equations)?;
     let s = DMatrix::from_fn(s.nrows(), s.nrows(), |i, j| s[(i.max(j), i.min(j))]);
     Some((s, rhs))
 }
@@ -147,7 +145,7 @@ impl ScoreTests {
     pub fn of(equations: &NormalEquations, base: Vec<usize>) -> Option<Self> {
         let (information, rhs) = reduced(equations)?;
         let s = DMatrix::from_fn(base.len(), base.len(), |i, j| information[(base[i], base[j])]);
-        let inverse = Inverse::of(&s, &scales(equations, &base), RANK_LIMIT)?;
+        let inverse = Inverse::of(&s, &scales(equations, &base), FLAT)?;
         Some(Self { information, rhs, base, base_inverse: inverse.matrix })
     }
 
