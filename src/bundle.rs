@@ -92,7 +92,7 @@ pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
 pub use same_light::Alike;
 pub use state::{State, ViewState};
 pub(crate) use typical::{distance_mm, typical};
-pub(crate) use undetermined::{MOSTLY_PRIOR, ONLY_PRIOR, intrinsic_words, layer_words, view_of_direction};
+pub(crate) use undetermined::{MOSTLY_PRIOR, ONLY_PRIOR, intrinsic_words, layer_words, listed, view_of_direction};
 
 /// How the adjustment is steered and how it ended: rooms above speak of it without knowing the solver.
 pub use crate::solve::{Iteration, Options as SolveOptions, Prediction, Termination, symmetric_eigen};

@@ -182,12 +182,3 @@ fn measured(value: f64, sigma: f64, unit: &str) -> String {
     let decimals = (1 - sigma.log10().floor() as i32).clamp(0, 9) as usize;
     format!("{value:.decimals$} ± {sigma:.decimals$}{unit}")
 }
-
-/// A list in words.
-fn listed(items: &[String]) -> String {
-    match items {
-        [] => String::new(),
-        [one] => one.clone(),
-        [first @ .., last] => format!("{} and {last}", first.join(", ")),
-    }
-}

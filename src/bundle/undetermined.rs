@@ -41,7 +41,19 @@ pub(super) fn words(model: &Model, covariance: &NamedCovariance) -> Vec<String> 
     let other =
         covariance.names.iter().zip(&covariance.determined).filter(|(n, d)| !**d && !of_intrinsic(n) && !of_view(n));
     out.extend(other.map(|(n, _)| format!("{n} is not determined")));
-    out.extend(by_themselves.iter().map(|(v, names)| of_a_view(*v, names)));
+    let mut open: Vec<(String, Vec<usize>)> = vec![];
+    for (v, names) in &by_themselves {
+        let what = open_of_target(names);
+        match open.iter_mut().find(|(other, _)| *other == what) {
+            Some((_, views)) => views.push(*v),
+            None => open.push((what, vec![*v])),
+        }
+    }
+    out.extend(open.iter().map(|(what, views)| {
+        let of = if views.len() == 1 { "the target of view" } else { "the targets of views" };
+        let listed = listed(&views.iter().map(usize::to_string).collect::<Vec<_>>());
+        format!("{what} of {of} {listed}: not determined, and no other number depends on it")
+    }));
     out
 }
 
@@ -62,19 +74,22 @@ fn views_by_themselves(covariance: &NamedCovariance) -> Vec<(usize, Vec<String>)
 }
 
 /// What one view leaves open by itself, from the names of those numbers.
-fn of_a_view(view: usize, names: &[String]) -> String {
+fn open_of_target(names: &[String]) -> String {
     let any = |part: &str| names.iter().any(|n| n.contains(part));
     let place = any("_from_target.t") || any(".plane_z");
     let turn = names.iter().any(|n| n.ends_with("_rad"));
     let size = any("spacing") || any("radius") || any(".step");
     let parts = [(place, "place"), (turn, "direction"), (size, "size")];
-    let parts: Vec<&str> = parts.iter().filter(|p| p.0).map(|p| p.1).collect();
-    let listed = match parts.split_last() {
-        Some((last, rest)) if !rest.is_empty() => format!("{} and {last}", rest.join(", ")),
-        _ => parts.join(""),
-    };
-    let (are, they) = if parts.len() == 1 { ("is", "it moves") } else { ("are", "they move together") };
-    format!("{listed} of the target of view {view} {are} not determined: {they}, and no other number depends on it")
+    listed(&parts.iter().filter(|p| p.0).map(|p| p.1.to_owned()).collect::<Vec<_>>())
+}
+
+/// A list in words.
+pub(crate) fn listed(items: &[String]) -> String {
+    match items {
+        [] => String::new(),
+        [one] => one.clone(),
+        [first @ .., last] => format!("{} and {last}", first.join(", ")),
+    }
 }
 
 /// An intrinsic parameter in words, by its index in [`INTRINSIC_NAMES`].

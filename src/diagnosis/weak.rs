@@ -3,9 +3,9 @@
 //! The covariance of cameras, motion and sheet, each number in units of half a percent or 5 mrad, has principal directions; those
 //! along which one standard deviation exceeds one unit are weak. Directions that nothing determines come first, without a sigma.
 
+use super::digits;
 use super::keys::{Keys, parameter_words};
-use super::{digits, listed};
-use crate::bundle::{NamedCovariance, symmetric_eigen};
+use crate::bundle::{NamedCovariance, listed, symmetric_eigen};
 use crate::record::NearNull;
 use crate::sheet::Parameter;
 use nalgebra::{DMatrix, DVector};
