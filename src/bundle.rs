@@ -67,6 +67,7 @@ mod retraction;
 mod same_light;
 mod state;
 mod tangent;
+mod tie;
 mod typical;
 mod undetermined;
 
@@ -89,8 +90,8 @@ pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covarian
 pub use reach::{Numbers, Observe, Reach};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};
 pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
-pub use same_light::Alike;
 pub use state::{State, ViewState};
+pub use tie::Alike;
 pub(crate) use typical::{distance_mm, typical};
 pub(crate) use undetermined::{MOSTLY_PRIOR, ONLY_PRIOR, intrinsic_words, layer_words, listed, view_of_direction};
 

@@ -44,7 +44,7 @@ mod score;
 mod secant;
 mod tiles;
 
-pub use evidence::evidence;
+pub use evidence::{evidence, likely_mean};
 pub use factor::{SymmetricEigen, symmetric_eigen};
 pub use posterior::{BlockPosterior, Posterior, global_covariance, posterior};
 pub use score::{Prediction, Score, ScoreTests, predict};

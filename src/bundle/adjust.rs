@@ -11,13 +11,14 @@ use super::facts;
 use super::image_map::MappedNormal;
 use super::layout::{self, Places};
 use super::model::{ImageObservations, Model};
-use super::outline;
+use super::outline::{self, Outlines};
 use super::part;
 use super::points;
 use super::residuals::{self, DiscResidual, ImageResiduals};
 use super::retraction;
-use super::same_light::{self, Alike};
+use super::same_light;
 use super::state::State;
+use super::tie::Alike;
 use crate::solve::{self, Gradient, Iteration, NormalEquations, Posterior, Problem, Step, Termination};
 use crate::stats::chi_square_above;
 use nalgebra::DMatrix;
@@ -272,12 +273,16 @@ pub fn adjust_owned(
     options: &AdjustOptions,
     observe: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Adjustment {
+    let mut start = start;
+    if model.target.oval_sigma_mm.is_some() {
+        start.ovals_mm.resize(model.target.disc_count(), [0.0; 2]);
+    }
     let (mut state, damping, wanted) = first_start(&model, start, options, observe);
     let mut observe = |i: &Iteration| wanted && observe(i);
     let mut damping = Some(damping);
     let mut iterations = 0;
     let mut outliers = vec![];
-    let (mut ovality_mm, mut same_light) = (None, None);
+    let (mut outlines, mut same_light) = (Outlines::default(), None);
     let mut round = 0;
     loop {
         let bundle = Bundle::of(&model);
@@ -290,9 +295,9 @@ pub fn adjust_owned(
             let mut all = residuals::of_each_image(&model, &out.state);
             let set_aside = set_outliers_aside(&mut model, &mut all, options, &mut outliers);
             if round == 0 {
-                ovality_mm = outline::whiten(&mut model, &out.state);
+                outlines = outline::find(&mut model, &mut out.state);
             }
-            let oval = round == 0 && ovality_mm.is_some();
+            let oval = round == 0 && outlines.changed;
             if oval {
                 all = residuals::of_each_image(&model, &out.state);
             }
@@ -300,10 +305,14 @@ pub fn adjust_owned(
                 same_light = same_light::tie(&mut model, &out.state);
             }
             let tied = round == 0 && same_light.is_some();
-            rescale(&mut model, &all, &out.state, out.equations.as_ref()) || set_aside || oval || tied
+            // Equations of fewer unknowns say nothing of what these pay for.
+            let known = !(oval && model.target.oval_sigma_mm.is_some());
+            let rescaled = known && rescale(&mut model, &all, &out.state, out.equations.as_ref());
+            rescaled || set_aside || oval || tied
         };
         if !changed {
             return Adjustment {
+                ovality_mm: outlines.ovality_mm.map(|tau| outline::rms_mm(&out.state).unwrap_or(tau)),
                 state: out.state,
                 model,
                 cost: out.cost,
@@ -312,7 +321,6 @@ pub fn adjust_owned(
                 termination: out.termination,
                 equations: out.equations,
                 outliers,
-                ovality_mm,
                 same_light,
             };
         }
@@ -365,8 +373,9 @@ fn scale_of_camera(
         let unscale = image.sigma_scale * image.sigma_scale;
         for (seen, disc) in image.discs.iter().zip(&r.discs) {
             // Where cameras err alike both pay for what an ellipse may follow, which are all five numbers of the rim.
-            let (chi2, numbers, variance) = match (disc.rim_chi2, &seen.tie) {
-                (Some(chi2), Some(tie)) => (chi2, 5.0, tie.alike.variance),
+            let alike = seen.tie.as_ref().and_then(|tie| tie.alike());
+            let (chi2, numbers, variance) = match (disc.rim_chi2, alike) {
+                (Some(chi2), Some(alike)) => (chi2, 5.0, alike.variance),
                 // Ties that were formed since the residuals say nothing of them.
                 _ => (disc.chi2, 3.0, 1.0),
             };

@@ -18,9 +18,9 @@ use super::image_map::{self, MapColumn, MappedNormal, add_mapped, image_map, map
 use super::layout::Places;
 use super::model::{DiscObservation, ImageObservations, Model};
 use super::points;
-use super::same_light::{Pairs, Tie, Tied};
 use super::state::State;
 use super::tangent;
+use super::tie::{self, Pairs, Tie, Tied};
 use crate::camera::{INTRINSICS, WINDOW_STEPS};
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
@@ -48,7 +48,7 @@ pub(super) struct ImageNormal<const L: usize> {
     pub(super) h: SMatrix<f64, L, L>,
     pub(super) b: SVector<f64, L>,
     pub(super) offsets: Vec<OffsetNormal<L>>,
-    /// What it says together with the other camera's.
+    /// What it has in common with others.
     pub(super) tied: Vec<Tied<SVector<f64, L>>>,
     pub(super) cost: f64,
 }
@@ -79,7 +79,8 @@ pub(super) struct SeenImage<'a> {
     pub(super) cam_from_target: Motion<Cam, Target>,
     pub(super) shape_mm: [f64; 3],
     pub(super) offsets_mm: &'a [[f64; 4]],
-    /// Whether it stands beside the other camera's image, so that ties hold.
+    ovals_mm: &'a [[f64; 2]],
+    /// Whether it stands beside the other camera's image, so that ties to that hold.
     pub(super) paired: bool,
 }
 
@@ -96,7 +97,8 @@ impl<'a> SeenImage<'a> {
         let turn: Motion<Cam, Cam> = Motion::new(camera.cam_from_solver, Vector3::zeros());
         let cam_from_target = turn * state.camera_from_first[c] * view.first_from_target;
         let shape_mm = if model.target.per_view() { view.shape_mm } else { state.shape_mm };
-        Self { model, observations, camera, cam_from_target, shape_mm, offsets_mm: &state.offsets_mm, paired: true }
+        let (offsets_mm, ovals_mm) = (&state.offsets_mm[..], &state.ovals_mm[..]);
+        Self { model, observations, camera, cam_from_target, shape_mm, offsets_mm, ovals_mm, paired: true }
     }
 
     /// Centre and radius of disc `j`, offsets included, mm.
@@ -117,10 +119,15 @@ impl<'a> SeenImage<'a> {
     /// The tie of one of its contours.
     #[inline(always)]
     pub(super) fn tie<'s>(&self, seen: &'s DiscObservation) -> Option<&'s Tie> {
-        if self.paired { seen.tie.as_deref() } else { None }
+        seen.tie.as_deref().filter(|tie| self.paired || tie.alike().is_none())
     }
 
-    /// Cost of the image by itself, and what it says together with the other camera's.
+    /// Ovality of a disc, mm.
+    pub(super) fn oval_mm(&self, disc: usize) -> [f64; 2] {
+        self.ovals_mm.get(disc).copied().unwrap_or_default()
+    }
+
+    /// Cost of the image by itself, and what it has in common with others.
     fn cost(&self, scratch: &mut Scratch) -> Option<(f64, Vec<Tied<()>>)> {
         let mut tied = vec![];
         let mut sum = match edges::allows(&self.camera.camera) {
@@ -133,11 +140,9 @@ impl<'a> SeenImage<'a> {
         Some((sum, tied))
     }
 
-    /// Cost of the contours, point by point; what they say together with the other camera's is added to `tied`.
+    /// Cost of the contours, point by point; what they have in common with others is added to `tied`.
     pub(super) fn plain_cost(&self, tied: &mut Vec<Tied<()>>) -> Option<f64> {
-        let (scale, loss) = (self.observations.sigma_scale, self.model.loss);
-        let discs = self.observations.discs.iter();
-        discs.map(|seen| contour::cost(&self.circle(seen.disc), (seen, self.tie(seen)), scale, loss, tied)).sum()
+        self.observations.discs.iter().map(|seen| contour::cost(self, seen, tied)).sum()
     }
 
     /// Adds the contours, point by point; with the discs' own equations where each is `estimated`.
@@ -146,9 +151,8 @@ impl<'a> SeenImage<'a> {
         estimated: bool,
         out: &mut ImageNormal<L>,
     ) -> Option<()> {
-        let (scale, loss) = (self.observations.sigma_scale, self.model.loss);
         for seen in &self.observations.discs {
-            let n = contour::linearise::<E>(&self.circle(seen.disc), (seen, self.tie(seen)), scale, loss)?;
+            let n = contour::linearise::<E>(self, seen)?;
             let map = self.disc_map::<E, L>(seen.disc);
             let hm = n.h * map;
             out.h += map.tr_mul(&hm);
@@ -227,7 +231,7 @@ pub(super) fn cost(model: &Model, state: &State) -> Option<f64> {
         memory.with(|scratch| SeenImage::through(model, state, o, cameras[o.camera]).cost(scratch))
     };
     let each: Option<Vec<(f64, Vec<Tied<()>>)>> = gathered(threaded(&images), &images, of);
-    let mut pairs = Pairs::default();
+    let mut pairs = Pairs::of(None);
     each.map(|each| {
         let whole = images.iter().zip(&each).map(|(o, (own, tied))| own + pairs.cost(o.view, tied, model.loss));
         whole.sum()
@@ -335,7 +339,7 @@ pub(super) fn linearise(
     camera: Option<usize>,
 ) -> Option<NormalEquations> {
     let mut equations = NormalEquations::zeros(&places.layout());
-    let mut pairs = Pairs::default();
+    let mut pairs = Pairs::of(Some(places));
     each_image(model, places, state, camera, |view, n| {
         add_mapped(&mut equations, view, n, places.offsets);
         pairs.add(&mut equations, view, n, model.loss);
@@ -351,7 +355,7 @@ pub(super) fn summed<'a>(
     images: impl Iterator<Item = &'a (usize, MappedNormal)>,
 ) -> NormalEquations {
     let mut equations = NormalEquations::zeros(&places.layout());
-    let mut pairs = Pairs::default();
+    let mut pairs = Pairs::of(Some(places));
     images.for_each(|(view, n)| {
         add_mapped(&mut equations, *view, n, places.offsets);
         pairs.add(&mut equations, *view, n, model.loss);
@@ -384,18 +388,24 @@ pub(super) fn bend(model: &Model, places: &Places, states: [&State; 3], h: f64) 
     let memory = OwnMemory::<Scratch>::new();
     let of = |o: &&ImageObservations| {
         let seen = [0, 1, 2].map(|k| SeenImage::through(model, states[k], o, all[k][o.camera]));
-        memory.with(|scratch| bend_of(model, places, states[1], &seen, (h, scratch)))
+        let bend = memory.with(|scratch| bend_of(model, places, states[1], &seen, (h, scratch)))?;
+        Some((bend, if places.ovals.is_some() { tie::oval_bends(&seen, h)? } else { vec![] }))
     };
     let images: Vec<&ImageObservations> = model.images.iter().collect();
-    let each: Option<Vec<Bend>> = gathered(threaded(&images), &images, of);
+    let each: Option<Vec<(Bend, Vec<(usize, [f64; 2])>)>> = gathered(threaded(&images), &images, of);
     let layout = places.layout();
     let blocks = layout.blocks.iter().map(|d| DVector::zeros(*d)).collect();
     let mut out = Gradient { global: DVector::zeros(layout.global), blocks };
-    for (o, (map, local, offsets)) in model.images.iter().zip(each?) {
+    for (o, ((map, local, offsets), ovals)) in model.images.iter().zip(each?) {
         image_map::add_gradient(&mut out, o.view, &map, &local);
         if let Some(first) = places.offsets {
             for (disc, x) in offsets {
                 (0..4).for_each(|k| out.global[first + 4 * disc + k] += x[k]);
+            }
+        }
+        if let Some(first) = places.ovals {
+            for (disc, x) in ovals {
+                (0..2).for_each(|k| out.global[first + 2 * disc + k] += x[k]);
             }
         }
     }

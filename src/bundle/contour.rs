@@ -11,8 +11,9 @@
 //! One row per edge point, `dr/dz = -n . dq/dz`: intrinsics `n . dq/di`; turn w: `p x g`; shift v: `g`; radius: `g . e(phi)`
 //! with e the radial direction. A shift of the centre is a shift v turned into the camera frame.
 
+use super::assemble::SeenImage;
 use super::model::{DiscObservation, Loss};
-use super::same_light::{Tie, Tied};
+use super::tie::Tied;
 use crate::camera::{Camera, INTRINSICS, ProjectionJet, WINDOW_STEPS};
 use crate::frames::{Cam, Target};
 use crate::rigid::Motion;
@@ -106,18 +107,13 @@ pub(super) struct DiscNormal<const E: usize> {
     pub(super) h: SMatrix<f64, E, E>,
     pub(super) b: SVector<f64, E>,
     pub(super) cost: f64,
-    /// What it says together with the other camera's.
+    /// What it has in common with others.
     pub(super) tied: Vec<Tied<SVector<f64, E>>>,
 }
 
-/// Cost of one contour; `None` where the circle has no image. What it says by its `tie` is added to `tied`.
-pub(super) fn cost(
-    circle: &SeenCircle,
-    (seen, tie): (&DiscObservation, Option<&Tie>),
-    scale: f64,
-    loss: Loss,
-    tied: &mut Vec<Tied<()>>,
-) -> Option<f64> {
+/// Cost of one contour; `None` where the circle has no image. What it has in common with others is added to `tied`.
+pub(super) fn cost(image: &SeenImage, seen: &DiscObservation, tied: &mut Vec<Tied<()>>) -> Option<f64> {
+    let (circle, scale, loss) = (image.circle(seen.disc), image.observations.sigma_scale, image.model.loss);
     let start = circle.start()?;
     let edge = &seen.edge;
     let residual = |i: usize| -> Option<f64> {
@@ -133,21 +129,17 @@ pub(super) fn cost(
     } else {
         let mut all: Vec<[f64; 1]> = (0..edge.u_px.len()).map(|i| Some([residual(i)?])).collect::<Option<_>>()?;
         seen.whiten(&mut all);
-        if let Some(tie) = tie {
-            tied.extend(tie.tied(seen.disc, tie.take(&mut all).into_iter().map(|[r]| (r, ()))));
+        if let Some(tie) = image.tie(seen) {
+            tied.extend(tie.tied(image, seen.disc, tie.take(&mut all).into_iter().map(|[r]| (r, ()))));
         }
         all.iter().for_each(|[r]| sum += loss.apply(r * r).0);
     }
     sum.is_finite().then_some(0.5 * sum)
 }
 
-/// Normal equations of one contour, with what it says by its `tie`; `None` where the circle has no image.
-pub(super) fn linearise<const E: usize>(
-    circle: &SeenCircle,
-    (seen, tie): (&DiscObservation, Option<&Tie>),
-    scale: f64,
-    loss: Loss,
-) -> Option<DiscNormal<E>> {
+/// Normal equations of one contour, with what it has in common with others; `None` where the circle has no image.
+pub(super) fn linearise<const E: usize>(image: &SeenImage, seen: &DiscObservation) -> Option<DiscNormal<E>> {
+    let (circle, scale, loss) = (image.circle(seen.disc), image.observations.sigma_scale, image.model.loss);
     let start = circle.start()?;
     let edge = &seen.edge;
     // Row and residual of an edge point over its sigma.
@@ -168,9 +160,9 @@ pub(super) fn linearise<const E: usize>(
             (0..edge.u_px.len()).map(whitened).collect::<Option<_>>()?;
         seen.whiten(&mut rows);
         seen.whiten(&mut rest);
-        if let Some(tie) = tie {
+        if let Some(tie) = image.tie(seen) {
             let numbers = tie.take(&mut rest).into_iter().zip(tie.take(&mut rows));
-            tied.extend(tie.tied(seen.disc, numbers.map(|([r], row)| (r, SVector::from(row)))));
+            tied.extend(tie.tied(image, seen.disc, numbers.map(|([r], row)| (r, SVector::from(row)))));
         }
         rows.iter().zip(&rest).for_each(|(row, [r])| sums.add(row, *r, loss));
     }

@@ -19,7 +19,7 @@ mod rows;
 
 pub(super) use super::assemble::{ImageNormal, LOCAL, OffsetNormal, SeenImage};
 use super::model::Loss;
-use super::same_light::Tied;
+use super::tie::Tied;
 use crate::camera::{Camera, INTRINSICS, LaneCamera, Radial};
 use crate::lanes::{self, GROUP, Kernel, Lanes};
 pub(super) use feet::{Feet, filled, padded};
@@ -76,7 +76,7 @@ pub(super) struct Scratch {
     sums: Vec<f64>,
 }
 
-/// Cost of an image's contours; `None` where a circle has no image. What they say together with the other camera's is added to `tied`.
+/// Cost of an image's contours; `None` where a circle has no image. What they have in common with others is added to `tied`.
 pub(super) fn cost(image: &SeenImage, scratch: &mut Scratch, tied: &mut Vec<Tied<()>>) -> Option<f64> {
     lanes::run(Cost { image, scratch, tied })
 }
@@ -126,7 +126,7 @@ impl Kernel for Cost<'_> {
             rows.whiten::<L>(first, seen, 1);
             if let Some(tie) = image.tie(seen) {
                 let products = rows.take_tie::<L>(first, tie, 1);
-                self.tied.extend(tie.tied(seen.disc, products.iter().map(|r| (r[0], ()))));
+                self.tied.extend(tie.tied(image, seen.disc, products.iter().map(|r| (r[0], ()))));
             }
             rho += rows.weigh(first, n, 1, loss);
         }
@@ -157,7 +157,7 @@ impl Kernel for Normal<'_> {
             rows.whiten::<L>(first, seen, used);
             if let Some(tie) = image.tie(seen) {
                 let products = rows.take_tie::<L>(first, tie, used);
-                out.tied.extend(tie.tied(seen.disc, products.iter().map(|p| (p[used - 1], local(p, columns)))));
+                out.tied.extend(tie.tied(image, seen.disc, products.iter().map(|p| (p[used - 1], local(p, columns)))));
             }
             rho += rows.weigh(first, n, used, image.model.loss);
             if estimated {

@@ -149,6 +149,7 @@ fn shared(base: &Places, places: &Places) -> Vec<usize> {
     }
     put(base.plane, places.plane, 3);
     base.shape.iter().zip(&places.shape).for_each(|(a, b)| put(*a, *b, 1));
+    put(base.ovals, places.ovals, 4);
     let offsets = base.offsets.map_or(0, |at| base.global - at);
     put(base.offsets, places.offsets, offsets);
     out

@@ -7,6 +7,7 @@
 //! | a length of the target | tau_k, shared or of one view | 1 |
 //! | position along a traverse | z of a view in the common plane | 1 |
 //! | offsets of printed discs | (dx, dy, dz, dr) | 1 |
+//! | ovality of printed discs | (a, b) | 1 |
 //! | a layer of a window | distance, thickness, index | 1 |
 //! | a window parallel to the common plane | m_x, m_y of `m = R^T n`, R camera from plane | `R^T (w x n)` by its turn, the opposite by the motion, `-w x m` by the plane |
 //! | focus | the sheet lies in the plane of focus | see [`super::focus`] |
@@ -100,6 +101,13 @@ pub enum PriorOf {
         /// 0 to 3.
         part: usize,
     },
+    /// The ovality of a disc, a or b, of which the adjustment has found the standard deviation.
+    Oval {
+        /// Disc of the target.
+        disc: usize,
+        /// 0 or 1.
+        part: usize,
+    },
 }
 
 /// One whitened row: residual and its derivatives.
@@ -109,7 +117,7 @@ pub(super) struct Row {
     pub(super) slots: Vec<(Slot, f64)>,
 }
 
-/// The rows of all facts in their order, then those of positions along a traverse and of the discs' offsets, each with what it is about.
+/// The rows of all facts in their order, then those of positions along a traverse and of the discs' offsets and ovality, each with what it is about.
 pub(super) fn rows(model: &Model, places: &Places, state: &State) -> Option<Vec<(PriorOf, Row)>> {
     let mut out = vec![];
     let mut charts = vec![None; model.cameras.len()];
@@ -134,6 +142,13 @@ pub(super) fn rows(model: &Model, places: &Places, state: &State) -> Option<Vec<
                 let of = PriorOf::Disc { disc: j, part: k };
                 out.push((of, Row { view: 0, residual: offset[k] / sigmas[k], slots }));
             }
+        }
+    }
+    if let (Some(sigma), Some(first)) = (model.target.oval_sigma_mm, places.ovals) {
+        for (k, oval) in state.ovals_mm.iter().flatten().enumerate() {
+            let slots = vec![(Slot::Global(first + k), 1.0 / sigma)];
+            let of = PriorOf::Oval { disc: k / 2, part: k % 2 };
+            out.push((of, Row { view: 0, residual: oval / sigma, slots }));
         }
     }
     Some(out)
@@ -250,4 +265,5 @@ pub(super) fn count(model: &Model) -> usize {
     model.facts.iter().map(of_fact).sum::<usize>()
         + positions(model).count()
         + model.target.offset_sigma_mm.map_or(0, |_| 4 * model.target.disc_count())
+        + model.target.oval_sigma_mm.map_or(0, |_| 2 * model.target.disc_count())
 }

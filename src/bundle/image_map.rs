@@ -8,8 +8,8 @@ use super::assemble::{ImageNormal, LOCAL, SPACE, SeenImage};
 use super::chart;
 use super::layout::Places;
 use super::model::Model;
-use super::same_light::Tied;
 use super::state::State;
+use super::tie::Tied;
 use crate::camera::INTRINSICS;
 use crate::frames::Cam;
 use crate::rigid::Motion;
@@ -122,7 +122,7 @@ pub(super) struct MappedNormal {
     pub(super) offsets: Vec<MappedOffset>,
     /// Coupling of each of them with each of the slots.
     pub(super) crosses: Vec<Vector4<f64>>,
-    /// What it says together with the other camera's.
+    /// What it has in common with others.
     pub(super) tied: Vec<Tied<Vec<f64>>>,
     pub(super) cost: f64,
 }

@@ -1,6 +1,6 @@
 //! Where each unknown stands in the normal equations, and how far it may go in one step.
 //!
-//! Global unknowns: cameras' charts, motions between cameras, windows, plane, shape, offsets. Block of a view: pose (6, or 3 in the
+//! Global unknowns: cameras' charts, motions between cameras, windows, plane, shape, ovals, offsets. Block of a view: pose (6, or 3 in the
 //! plane, 4 where its distance from the plane is estimated) and its own shape where it has one.
 
 use super::chart;
@@ -23,6 +23,8 @@ pub(super) struct Places {
     pub(super) plane: Option<usize>,
     /// Shared shape parameters.
     pub(super) shape: [Option<usize>; 3],
+    /// First ovality; two per disc.
+    pub(super) ovals: Option<usize>,
     /// First offset; four per disc.
     pub(super) offsets: Option<usize>,
     /// Number of global unknowns.
@@ -50,6 +52,7 @@ impl Places {
         let plane = model.views.iter().any(|v| v.place.in_plane()).then(|| take(3));
         let per_view = model.target.per_view();
         let shape = model.target.free.map(|on| (on && !per_view).then(|| take(1)));
+        let ovals = model.target.oval_sigma_mm.map(|_| take(2 * model.target.disc_count()));
         let offsets = model.target.offset_sigma_mm.map(|_| take(4 * model.target.disc_count()));
         let mut inside = 0;
         let view_shape = model.target.free.map(|on| {
@@ -66,6 +69,7 @@ impl Places {
             windows,
             plane,
             shape,
+            ovals,
             offsets,
             global: next,
             pose_sizes,
@@ -115,6 +119,9 @@ pub(super) fn scales(model: &Model, places: &Places, state: &State) -> Step {
     let first = state.views.first().map_or([1.0; 3], length);
     for k in 0..3 {
         places.shape[k].iter().for_each(|at| global[*at] = first[k]);
+    }
+    if let Some(at) = places.ovals {
+        global.rows_mut(at, 2 * state.ovals_mm.len()).fill(first[1]);
     }
     if let Some(at) = places.offsets {
         global.rows_mut(at, 4 * state.offsets_mm.len()).fill(first[1]);

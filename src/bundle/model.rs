@@ -1,7 +1,7 @@
 //! What is adjusted: cameras, target, views, observations; constant during a solve.
 
 use super::facts::Fact;
-use super::same_light::Tie;
+use super::tie::Tie;
 use crate::camera::{INTRINSICS, LAYERS};
 use crate::conic::CommonNoise;
 use crate::detect::{Disc, EdgePoints};
@@ -66,6 +66,8 @@ pub struct TargetModel {
     pub free: [bool; 3],
     /// Standard deviations of disc offsets `(dx, dy, dz, dr)`, mm, where every disc is estimated.
     pub offset_sigma_mm: Option<[f64; 4]>,
+    /// Standard deviation of the ovality (a, b) of each of two printed discs, mm, where it is estimated; set by the adjustment.
+    pub oval_sigma_mm: Option<f64>,
 }
 
 impl TargetModel {
@@ -171,7 +173,7 @@ pub struct DiscObservation {
     pub common: CommonNoise,
     /// What they have in common beyond that where the printed disc is not round; set by the adjustment.
     pub outline: CommonNoise,
-    /// What it says together with the same disc's contour in the other camera; set by the adjustment.
+    /// What it has in common with the disc's contours in other images; set by the adjustment.
     pub(super) tie: Option<Box<Tie>>,
 }
 

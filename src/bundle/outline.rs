@@ -2,25 +2,53 @@
 //!
 //! The outline of a printed disc departs from its circle by `a cos 2 phi + b sin 2 phi`, tau (mm) the standard deviation of a and
 //! b. In the image that is far more than the noise of an edge point and common to all points of a contour, so that independent
-//! sigmas would let ovals turn the plate: on a real plate 5 um of ovality are 0.35 px. The residuals of one contour, over
-//! their sigmas, then have the covariance
+//! sigmas would let ovals turn the plate: on a real plate 5 um of ovality are 0.35 px. With k the variance factor of single edge points the residuals of
+//! one contour, over their sigmas, are (sigmas and B after the contour was whitened for what else its points have in common)
 //! ```text
-//! k I + tau^2 B B^T,   B_i = (mm of outline -> px) / sigma_i * (cos 2 phi_i, sin 2 phi_i)
+//! r = noise + B (a, b),   Cov(noise) = k I,   B_i = (mm of outline -> px) / sigma_i * (cos 2 phi_i, sin 2 phi_i)
 //! ```
-//! (k the variance factor of single edge points; sigmas and B after the contour was whitened for what else its points have in common) and
-//! are whitened by its inverse root, up to `1 / sqrt k` (see [`CommonNoise`]). That is formed once, from the feet of the first solution, and held: the cost stays one of least squares, its derivatives
-//! exact. Higher harmonics do not couple to a plate's pose. tau is estimated from all contours together by moments,
+//! B is formed once, from the feet of the first solution, and held: the cost stays one of least squares, its derivatives exact. Higher harmonics do not
+//! couple to a plate's pose.
+//!
+//! *Two discs.* Pose and size of each view take most of an ovality to themselves, alike in all views, so that the cameras follow: taken for independent
+//! from image to image, 1 um of it makes errors twice as large as their sigmas with two cameras, six times with one. So (a, b) of either disc are unknowns
+//! of all images, normal about zero by tau; that is the mean over its likelihood with everything else integrated out ([`crate::solve::evidence`]), every
+//! order of magnitude alike beforehand.
+//!
+//! *Grids, bubbles.* Where centres tell the pose, or every view has discs of its own, contours are whitened by the inverse root of
+//! `k I + tau^2 B B^T`, up to `1 / sqrt k` (see [`CommonNoise`]). tau is estimated from all contours together by moments,
 //! `tau^2 = mean of |x|^2 / 2 - k tr (B^T B)^-1 / 2` with x the least-squares (a, b) of a contour, and taken for zero where it is no
 //! more than chance.
 
+use super::adjust::Bundle;
 use super::assemble::{SeenImage, threaded};
 use super::contour::SeenCircle;
 use super::edges::Feet;
-use super::model::{DiscObservation, ImageObservations, Model};
+use super::layout::Places;
+use super::model::{DiscObservation, ImageObservations, Model, TargetShape};
 use super::state::State;
+use super::tie::Tie;
 use crate::conic::CommonNoise;
+use crate::solve::{Problem, evidence, likely_mean};
 use crate::threads::gathered;
 use nalgebra::{Matrix2, Vector2};
+
+/// tau that are weighed, as parts of a radius: from the first to the last, so many.
+const LIKELY: [f64; 2] = [1e-6, 1e-2];
+const WEIGHED: usize = 33;
+/// What minus twice the logarithm of the likelihood falls by where ovals show: three standard deviations.
+const SHOWN: f64 = 9.0;
+/// Variance of what all contours of a disc say of its ovality, over that by noise, below which it may count as round.
+const LEAST: f64 = 0.1;
+
+/// What is found of outlines.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Outlines {
+    /// Whether the model has changed.
+    pub(super) changed: bool,
+    /// tau, mm, where ovals show.
+    pub(super) ovality_mm: Option<f64>,
+}
 
 /// Second harmonic of one contour.
 struct Harmonic {
@@ -63,9 +91,27 @@ impl Harmonic {
     }
 }
 
-/// Estimates the ovality from the residuals and whitens every contour for it; its standard deviation tau, mm, or `None`
-/// where the outlines are round as far as their noise shows (and nothing is changed).
-pub(super) fn whiten(model: &mut Model, state: &State) -> Option<f64> {
+/// Looks for ovals in the residuals and lets the model know of them; nothing is changed where outlines are round as far as their noise shows.
+pub(super) fn find(model: &mut Model, state: &mut State) -> Outlines {
+    let printed_pair = matches!(model.target.shape, TargetShape::Pair { per_view: false });
+    match printed_pair && model.target.offset_sigma_mm.is_none() {
+        true => of_discs(model, state).unwrap_or_default(),
+        false => {
+            let ovality_mm = whiten(model, state);
+            Outlines { changed: ovality_mm.is_some(), ovality_mm }
+        }
+    }
+}
+
+/// Root mean square of the ovality that is estimated, mm.
+pub(super) fn rms_mm(state: &State) -> Option<f64> {
+    let count = 2 * state.ovals_mm.len();
+    let squares = state.ovals_mm.iter().flatten().map(|x| x * x).sum::<f64>();
+    (count > 0).then(|| (squares / count as f64).sqrt())
+}
+
+/// The harmonics of all contours, each by image and number.
+fn harmonics(model: &Model, state: &State) -> Option<Vec<(usize, usize, Harmonic)>> {
     let of_image = |&(k, image): &(usize, &ImageObservations)| {
         let seen_image = SeenImage::of(model, state, image)?;
         let own = image.discs.iter().enumerate();
@@ -75,9 +121,77 @@ pub(super) fn whiten(model: &mut Model, state: &State) -> Option<f64> {
     let images: Vec<&ImageObservations> = model.images.iter().collect();
     let numbered: Vec<(usize, &ImageObservations)> = images.iter().copied().enumerate().collect();
     let all: Option<Vec<Vec<_>>> = gathered(threaded(&images), &numbered, of_image);
-    let all: Vec<(usize, usize, Harmonic)> = all?.into_iter().flatten().collect();
+    Some(all?.into_iter().flatten().collect())
+}
+
+/// Variance factor of single edge points, k.
+fn factor(all: &[(usize, usize, Harmonic)]) -> f64 {
     let chi2 = all.iter().fold([0.0, 0.0], |a, (_, _, h)| [a[0] + h.rest[0], a[1] + h.rest[1]]);
-    let (n, factor) = (all.len() as f64, chi2[0] / chi2[1]);
+    chi2[0] / chi2[1]
+}
+
+/// Ovality as unknowns of two discs, which every image shares; `None` where there is none to be asked for.
+fn of_discs(model: &mut Model, state: &mut State) -> Option<Outlines> {
+    if model.target.oval_sigma_mm.is_some() {
+        return None;
+    }
+    let all = harmonics(model, state)?;
+    let (factor, discs) = (factor(&all).max(1.0), model.target.disc_count());
+    let mut information = 0.0;
+    for (k, d, h) in &all {
+        information += h.information.trace() / (2 * discs) as f64 / factor;
+        model.images[*k].discs[*d].tie = Tie::of_oval(&h.rows).map(Box::new);
+    }
+    let radius_mm = 0.5 * (state.shape_mm[1] + state.shape_mm[2]);
+    model.target.oval_sigma_mm = Some(radius_mm);
+    state.ovals_mm = vec![[0.0; 2]; discs];
+    let found = likely(model, state, (factor, radius_mm));
+    match found {
+        Some((tau, falls)) if tau * tau * information > LEAST => {
+            model.target.oval_sigma_mm = Some(tau);
+            Some(Outlines { changed: true, ovality_mm: (falls > SHOWN).then_some(tau) })
+        }
+        _ => {
+            model.images.iter_mut().flat_map(|i| &mut i.discs).for_each(|d| d.tie = None);
+            model.target.oval_sigma_mm = None;
+            state.ovals_mm.clear();
+            None
+        }
+    }
+}
+
+/// tau by its likelihood, mm, and by how much minus twice the logarithm of that falls from round discs to the likeliest. The model has ovals of the
+/// standard deviation `radius_mm`.
+fn likely(model: &mut Model, state: &State, (factor, radius_mm): (f64, f64)) -> Option<(f64, f64)> {
+    let scaled = |model: &mut Model, by: f64| model.images.iter_mut().for_each(|i| i.sigma_scale *= by);
+    scaled(model, factor.sqrt());
+    let bundle = Bundle::with_views(model);
+    let (equations, scales) = (bundle.linearise(state), bundle.scales(state));
+    let (first, count) = (Places::of(model).ovals?, 2 * model.target.disc_count());
+    scaled(model, 1.0 / factor.sqrt());
+    let mut equations = equations?;
+    let mut before = radius_mm.powi(-2);
+    let mut value = |tau: f64| {
+        let weight = tau.powi(-2);
+        (first..first + count).for_each(|i| equations.h_gg[(i, i)] += weight - before);
+        before = weight;
+        Some(evidence(&equations, &scales)? + count as f64 * (tau * tau).ln())
+    };
+    let part = |k: usize| k as f64 / (WEIGHED - 1) as f64;
+    let tried: Vec<f64> = (0..WEIGHED).map(|k| radius_mm * LIKELY[0] * (LIKELY[1] / LIKELY[0]).powf(part(k))).collect();
+    let values: Vec<f64> = tried.iter().map(|tau| value(*tau)).collect::<Option<_>>()?;
+    let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let squares: Vec<f64> = tried.iter().map(|tau| tau * tau).collect();
+    let mut each = values.iter().copied();
+    let square = likely_mean(&squares, |_| each.next())?;
+    Some((square.sqrt(), values[0] - least))
+}
+
+/// Estimates the ovality from the residuals and whitens every contour for it; its standard deviation tau, mm, or `None`
+/// where the outlines are round as far as their noise shows (and nothing is changed).
+pub(super) fn whiten(model: &mut Model, state: &State) -> Option<f64> {
+    let all = harmonics(model, state)?;
+    let (n, factor) = (all.len() as f64, factor(&all));
     let half_square = all.iter().map(|(_, _, h)| 0.5 * h.oval_mm.norm_squared()).sum::<f64>() / n;
     let by_noise =
         all.iter().filter_map(|(_, _, h)| Some(0.5 * factor * h.information.try_inverse()?.trace())).sum::<f64>() / n;
@@ -91,3 +205,7 @@ pub(super) fn whiten(model: &mut Model, state: &State) -> Option<f64> {
     }
     Some(variance.sqrt())
 }
+
+#[cfg(test)]
+#[allow(clippy::expect_used, clippy::unwrap_used)]
+mod tests;

@@ -24,6 +24,10 @@ fn observed(image: &ImageObservations) -> usize {
 
 /// The model with a part of its observations; `None` where all of them are few, or where tangents are among them.
 pub(super) fn part(model: &Model) -> Option<Model> {
+    // Contours that are taken for round would lead away from a start that knows better.
+    if model.target.oval_sigma_mm.is_some() {
+        return None;
+    }
     let out = with_few_observations(model)?;
     let sum = |model: &Model| model.images.iter().map(observed).sum::<usize>();
     (sum(&out) as f64 <= WORTH * sum(model) as f64).then_some(out)
@@ -38,7 +42,7 @@ pub(super) fn with_few_observations(model: &Model) -> Option<Model> {
     let Model { cameras, target, views, facts, loss, .. } = model;
     let (cameras, mut target, views) = (cameras.clone(), target.clone(), views.clone());
     // Discs stay where the start has them: few of them are seen, and views are eliminated sooner than discs.
-    target.offset_sigma_mm = None;
+    (target.offset_sigma_mm, target.oval_sigma_mm) = (None, None);
     Some(Model { cameras, target, views, facts: facts.clone(), images, loss: *loss })
 }
 

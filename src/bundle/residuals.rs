@@ -83,6 +83,9 @@ fn disc_residual(image: &SeenImage, seen: &DiscObservation, scale: f64) -> Optio
     };
     let mut rows: Vec<_> = (0..seen.edge.u_px.len()).map(row).collect();
     seen.whiten(&mut rows);
+    if let Some(tie) = &seen.tie {
+        tie.take_oval(&mut rows, image.oval_mm(seen.disc), scale);
+    }
     let (mut n, mut b, mut edge_chi2) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
     for &[u, v, grow, r] in &rows {
         let row = Vector3::new(u, v, grow);
@@ -90,7 +93,8 @@ fn disc_residual(image: &SeenImage, seen: &DiscObservation, scale: f64) -> Optio
         b += row * r;
         edge_chi2 += r * r;
     }
-    let rim_chi2 = seen.tie.as_ref().map(|tie| tie.take(&mut rows).iter().map(|[.., r]| r * r).sum());
+    let light = seen.tie.as_ref().filter(|tie| tie.alike().is_some());
+    let rim_chi2 = light.map(|tie| tie.take(&mut rows).iter().map(|[.., r]| r * r).sum());
     let x = n.cholesky().map_or_else(Vector3::zeros, |c| c.solve(&b));
     Some(DiscResidual {
         disc: seen.disc,

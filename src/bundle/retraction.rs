@@ -93,6 +93,9 @@ pub(super) fn retract(model: &Model, places: &Places, state: &State, step: &Step
     for (k, at) in places.shape.iter().enumerate() {
         next.shape_mm[k] = grown(state.shape_mm[k], at.map_or(0.0, |at| g[at]));
     }
+    if let Some(at) = places.ovals {
+        next.ovals_mm.iter_mut().flatten().zip(at..).for_each(|(o, at)| *o += g[at]);
+    }
     if let Some(at) = places.offsets {
         for (j, o) in next.offsets_mm.iter_mut().enumerate() {
             (0..4).for_each(|k| o[k] += g[at + 4 * j + k]);
@@ -300,6 +303,7 @@ fn scale(s: &mut State, by: f64) {
     s.first_from_plane.iter_mut().for_each(|m| m.translation_mm *= by);
     s.shape_mm.iter_mut().for_each(|l| *l *= by);
     s.offsets_mm.iter_mut().flatten().for_each(|o| *o *= by);
+    s.ovals_mm.iter_mut().flatten().for_each(|o| *o *= by);
     for v in &mut s.views {
         v.first_from_target.translation_mm *= by;
         v.plane_from_target.iter_mut().for_each(|m| m.translation_mm *= by);

@@ -22,9 +22,9 @@
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
 //! | B | `rim` | points x 5 | 1/mm | movement of whitened edge points by the harmonics |
-//! | U | `Tie::columns` | points x 5 | 1 | the same, orthonormal |
+//! | U | `Tie` | points x 5 | 1 | the same, orthonormal |
 //! | g, v | [`Alike`] | 1 | 1 | correlation of what both cameras say, and its variance |
-//! | p | [`Tied`] | 1 | 1 | one of the five numbers, with its derivative |
+//! | p | `Tied` | 1 | 1 | one of the five numbers, with its derivative |
 //!
 //! Asked of discs that drift, in views of which nobody knows a length: these are bubbles, others may be holes in a foil. Not valid where the cameras
 //! look at different moments. Tangent features count as independent.
@@ -37,11 +37,10 @@ use super::assemble::SeenImage;
 use super::contour::SeenCircle;
 use super::edges::Feet;
 use super::facts::Fact;
-use super::image_map::{MapColumn, MappedNormal, Slot, add_row};
-use super::model::{DiscObservation, ImageObservations, Loss, Model};
+use super::model::{DiscObservation, ImageObservations, Model};
 use super::state::State;
-use crate::conic::CommonNoise;
-use crate::solve::{NormalEquations, Problem, SymmetricEigen, evidence, symmetric_eigen};
+use super::tie::{Alike, Tie};
+use crate::solve::{Problem, SymmetricEigen, evidence, likely_mean, symmetric_eigen};
 use nalgebra::{DMatrix, SMatrix, SVector};
 
 /// Numbers that a contour says of its rim.
@@ -56,180 +55,6 @@ const TIMES: usize = 2;
 const EXPECTED: f64 = 0.1;
 const UNSURE: f64 = 0.2;
 const FURTHEST: f64 = 1.0;
-
-/// How what both cameras say of rims goes together.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Alike {
-    /// Correlation of the numbers of both cameras, 0 to 1.
-    pub correlation: f64,
-    /// Their variance over that which either image has.
-    pub variance: f64,
-}
-
-impl Alike {
-    /// What is taken until the images are asked.
-    const UNKNOWN: Self = Self { correlation: 0.5, variance: 1.0 };
-
-    /// Factors of a pair of numbers in the two common rows.
-    fn rows(self) -> [[f64; 2]; 2] {
-        let Self { correlation: g, variance: v } = self;
-        let root = (v * (1.0 - g * g)).sqrt();
-        [[1.0 / v.sqrt(), 0.0], [-g / root, 1.0 / root]]
-    }
-}
-
-/// What a contour has in common with that of the same disc in the other camera.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Tie {
-    /// U.
-    columns: CommonNoise,
-    pub(super) alike: Alike,
-    second: bool,
-}
-
-impl Tie {
-    /// Columns of U.
-    #[inline(always)]
-    pub(super) fn columns(&self) -> impl Iterator<Item = &[f64]> {
-        self.columns.columns().map(|(column, _)| column)
-    }
-
-    /// Products of the columns with a matrix given by its rows, one per point, from which they are taken.
-    pub(super) fn take<const N: usize>(&self, rows: &mut [[f64; N]]) -> Vec<[f64; N]> {
-        let mut out = vec![];
-        for column in self.columns() {
-            let mut sums = [0.0; N];
-            for (row, u) in rows.iter().zip(column) {
-                (0..N).for_each(|n| sums[n] += u * row[n]);
-            }
-            for (row, u) in rows.iter_mut().zip(column) {
-                (0..N).for_each(|n| row[n] -= u * sums[n]);
-            }
-            out.push(sums);
-        }
-        out
-    }
-
-    /// The contributions of a contour of the disc given, in the order of the columns.
-    pub(super) fn tied<'a, R>(
-        &'a self,
-        disc: usize,
-        numbers: impl Iterator<Item = (f64, R)> + 'a,
-    ) -> impl Iterator<Item = Tied<R>> + 'a
-    where
-        R: 'a,
-    {
-        let (alike, second) = (self.alike, self.second);
-        numbers.enumerate().map(move |(k, (residual, row))| Tied { of: (disc, k), alike, second, residual, row })
-    }
-}
-
-/// One contribution of a contour to what both cameras say together, with what moves it: nothing, the camera space, or the unknowns of its image.
-#[derive(Debug, Clone)]
-pub(super) struct Tied<R> {
-    /// Disc of the target and which of its numbers.
-    of: (usize, usize),
-    alike: Alike,
-    second: bool,
-    pub(super) residual: f64,
-    pub(super) row: R,
-}
-
-impl<const L: usize> Tied<SVector<f64, L>> {
-    /// In other coordinates, of which `map` is the derivative of its own.
-    pub(super) fn moved_by<const M: usize>(&self, map: &SMatrix<f64, L, M>) -> Tied<SVector<f64, M>> {
-        self.with(map.tr_mul(&self.row))
-    }
-
-    /// In the unknowns of the image.
-    pub(super) fn mapped(&self, map: &[MapColumn]) -> Tied<Vec<f64>> {
-        self.with(map.iter().map(|z| z.dot(self.row.as_slice())).collect())
-    }
-}
-
-impl<R> Tied<R> {
-    fn with<S>(&self, row: S) -> Tied<S> {
-        let Self { of, alike, second, residual, .. } = *self;
-        Tied { of, alike, second, residual, row }
-    }
-}
-
-/// Contributions of a view whose other camera has not come yet, and the unknowns of its image.
-struct Waiting<R> {
-    view: usize,
-    slots: Vec<Slot>,
-    tied: Vec<Tied<R>>,
-}
-
-/// A contribution with the unknowns of its image.
-type Of<'a, R> = (&'a [Slot], &'a Tied<R>);
-
-/// Brings together what both cameras contribute, image after image in their order.
-pub(super) struct Pairs<R> {
-    waiting: Vec<Waiting<R>>,
-}
-
-impl<R> Default for Pairs<R> {
-    fn default() -> Self {
-        Self { waiting: vec![] }
-    }
-}
-
-impl<R: Clone> Pairs<R> {
-    /// Gives `add` each pair of a first and a second contribution that an image of the view completes.
-    fn meet(&mut self, view: usize, (slots, tied): (&[Slot], &[Tied<R>]), mut add: impl FnMut(Of<'_, R>, Of<'_, R>)) {
-        if tied.is_empty() {
-            return;
-        }
-        let Some(at) = self.waiting.iter().position(|w| w.view == view) else {
-            self.waiting.push(Waiting { view, slots: slots.to_vec(), tied: tied.to_vec() });
-            return;
-        };
-        let other = self.waiting.swap_remove(at);
-        for own in tied {
-            for before in other.tied.iter().filter(|t| t.of == own.of && t.second != own.second) {
-                let (own, before) = ((slots, own), (&other.slots[..], before));
-                if own.1.second { add(before, own) } else { add(own, before) }
-            }
-        }
-    }
-}
-
-impl Pairs<()> {
-    /// Cost of what an image of the view completes.
-    pub(super) fn cost(&mut self, view: usize, tied: &[Tied<()>], loss: Loss) -> f64 {
-        let mut sum = 0.0;
-        self.meet(view, (&[], tied), |(_, first), (_, second)| {
-            for [a, b] in first.alike.rows() {
-                let r = a * first.residual + b * second.residual;
-                sum += 0.5 * loss.apply(r * r).0;
-            }
-        });
-        sum
-    }
-}
-
-impl Pairs<Vec<f64>> {
-    /// Adds what an image of the view completes to the equations.
-    pub(super) fn add(&mut self, e: &mut NormalEquations, view: usize, image: &MappedNormal, loss: Loss) {
-        self.meet(view, (&image.slots, &image.tied), |first, second| {
-            for [a, b] in first.1.alike.rows() {
-                let residual = a * first.1.residual + b * second.1.residual;
-                let (rho, weight) = loss.apply(residual * residual);
-                let root = weight.sqrt();
-                // Distances fall as the image moves outwards.
-                let of = |(slots, tied): Of<'_, Vec<f64>>, factor: f64| {
-                    let moves = if factor == 0.0 { &[][..] } else { slots };
-                    let each = moves.iter().zip(&tied.row).map(|(slot, x)| (*slot, -factor * root * x));
-                    each.collect::<Vec<_>>()
-                };
-                let row = [of(first, a), of(second, b)].concat();
-                add_row(e, view, &row, residual * root);
-                e.cost += 0.5 * rho;
-            }
-        });
-    }
-}
 
 /// What the whitened edge points of a contour say of its rim, in five numbers; `None` where they do not fix them.
 fn columns(circle: &SeenCircle, seen: &DiscObservation) -> Option<Vec<[f64; NUMBERS]>> {
@@ -274,10 +99,10 @@ fn pairs(model: &Model, state: &State, images: [usize; 2]) -> Vec<Pair> {
 
 /// Ties the contours of bubbles that two cameras see at one moment, in place of ties from before; how, where there are any.
 pub(super) fn tie(model: &mut Model, state: &State) -> Option<Alike> {
-    model.images.iter_mut().flat_map(|i| &mut i.discs).for_each(|d| d.tie = None);
     if !model.target.per_view() || model.target.offset_sigma_mm.is_some() {
         return None;
     }
+    model.images.iter_mut().flat_map(|i| &mut i.discs).for_each(|d| d.tie = None);
     let known = |v: usize| model.facts.iter().any(|f| matches!(f, Fact::Shape { view: Some(of), .. } if *of == v));
     let mut found = vec![];
     for (i, first) in model.images.iter().enumerate().filter(|(_, o)| !known(o.view)) {
@@ -287,14 +112,13 @@ pub(super) fn tie(model: &mut Model, state: &State) -> Option<Alike> {
     }
     for (at, columns) in &found {
         for (k, ((i, d), rows)) in at.iter().zip(columns).enumerate() {
-            let columns = CommonNoise::of_orthonormal(rows);
-            model.images[*i].discs[*d].tie = Some(Box::new(Tie { columns, alike: Alike::UNKNOWN, second: k == 1 }));
+            model.images[*i].discs[*d].tie = Some(Box::new(Tie::of_light(rows, k == 1)));
         }
     }
     let alike = if found.is_empty() { None } else { alike(model, state, (found.len() * NUMBERS) as f64) };
     for disc in model.images.iter_mut().flat_map(|i| &mut i.discs) {
         match (alike, &mut disc.tie) {
-            (Some(alike), Some(tie)) => tie.alike = alike,
+            (Some(alike), Some(tie)) => tie.set_alike(alike),
             _ => disc.tie = None,
         }
     }
@@ -307,7 +131,7 @@ fn alike(model: &Model, state: &State, pairs: f64) -> Option<Alike> {
     let mut images = bundle.of_each_image(state)?;
     let scales = bundle.scales(state);
     let mut value = |alike: Alike| {
-        images.iter_mut().flat_map(|(_, n)| &mut n.tied).for_each(|t| t.alike = alike);
+        images.iter_mut().flat_map(|(_, n)| &mut n.tied).for_each(|t| t.set_alike(alike));
         let own = evidence(&bundle.summed(images.iter(), state)?, &scales)?;
         let Alike { correlation: g, variance: v } = alike;
         Some(own + pairs * (2.0 * v.ln() + (1.0 - g * g).ln()) + ((v.ln() - EXPECTED) / UNSURE).powi(2))
@@ -316,19 +140,11 @@ fn alike(model: &Model, state: &State, pairs: f64) -> Option<Alike> {
     for _ in 0..TIMES {
         let part = |k: usize| (k as f64 + 0.5) / TRIED as f64;
         let correlations: Vec<f64> = (0..TRIED).map(part).collect();
-        out.correlation = mean(&correlations, |correlation| value(Alike { correlation, ..out }))?;
+        out.correlation = likely_mean(&correlations, |correlation| value(Alike { correlation, ..out }))?;
         let variances: Vec<f64> = (0..TRIED).map(|k| (FURTHEST * (2.0 * part(k) - 1.0)).exp()).collect();
-        out.variance = mean(&variances, |variance| value(Alike { variance, ..out }))?;
+        out.variance = likely_mean(&variances, |variance| value(Alike { variance, ..out }))?;
     }
     Some(out)
-}
-
-/// Mean of numbers by how likely they are, of which `value` says minus twice the logarithm.
-fn mean(numbers: &[f64], value: impl FnMut(f64) -> Option<f64>) -> Option<f64> {
-    let values: Vec<f64> = numbers.iter().copied().map(value).collect::<Option<_>>()?;
-    let least = values.iter().copied().fold(f64::INFINITY, f64::min);
-    let weights: Vec<f64> = values.iter().map(|v| (-0.5 * (v - least)).exp()).collect();
-    Some(numbers.iter().zip(&weights).map(|(x, w)| x * w).sum::<f64>() / weights.iter().sum::<f64>())
 }
 
 #[cfg(test)]

@@ -33,6 +33,8 @@ pub struct State {
     pub shape_mm: [f64; 3],
     /// Offsets `(dx, dy, dz, dr)` of each disc, mm; empty where discs are not estimated.
     pub offsets_mm: Vec<[f64; 4]>,
+    /// Ovality of each printed disc, mm `(a, b)`: its radius grows by `a cos 2 phi + b sin 2 phi`; empty where it is not estimated.
+    pub ovals_mm: Vec<[f64; 2]>,
     /// Window of each camera in its solver frame; empty where no camera has one.
     pub windows: Vec<Option<Window>>,
 }

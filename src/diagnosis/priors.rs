@@ -26,7 +26,7 @@ pub(super) fn priors(s: &Subject<'_>, flags: &mut Vec<String>) -> Vec<Prior> {
         .filter_map(|check| match check.of {
             PriorOf::Fact { index, row } => Some((check, known(s, index, row), !s.assumed.contains(&index))),
             PriorOf::Position { view } => Some((check, position(s, view)?, true)),
-            PriorOf::Disc { .. } => None,
+            PriorOf::Disc { .. } | PriorOf::Oval { .. } => None,
         })
         .collect();
     let tested = own.iter().filter(|(c, ..)| c.z().is_some()).count().max(1) as f64;

@@ -198,7 +198,7 @@ fn target(job: &RigDescription, labels: &[DotId]) -> Result<(TargetModel, [Optio
     if labels.is_empty() {
         return Err(Insufficient::Degenerate("no image shows the target".into()).into());
     }
-    Ok((TargetModel { shape, free, offset_sigma_mm }, shape_mm, facts))
+    Ok((TargetModel { shape, free, offset_sigma_mm, oval_sigma_mm: None }, shape_mm, facts))
 }
 
 /// Index of a rig-file parameter in [`crate::camera::INTRINSIC_NAMES`].

@@ -311,6 +311,7 @@ fn mono_start(problem: &RigProblem, c: usize, seeds: &[SeededImage], pinhole: &E
         views,
         shape_mm,
         offsets_mm: vec![],
+        ovals_mm: vec![],
         windows: vec![],
     })
 }

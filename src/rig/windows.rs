@@ -138,6 +138,7 @@ mod tests {
                 shape: TargetShape::Pair { per_view: false },
                 free: [false, true, true],
                 offset_sigma_mm: None,
+                oval_sigma_mm: None,
             },
             views: vec![ViewModel { place }; 2],
             facts: if f_known {
@@ -179,6 +180,7 @@ mod tests {
             views: vec![view(-4.0, -5.0), view(5.0, 5.0)],
             shape_mm: [13.0, 6.0, 4.7],
             offsets_mm: vec![],
+            ovals_mm: vec![],
             windows: vec![],
         };
         (problem, state)

@@ -22,6 +22,14 @@ pub fn evidence(equations: &NormalEquations, scales: &Step) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
+/// Mean of numbers by how likely they are, of which `value` says minus twice the logarithm.
+pub fn likely_mean(numbers: &[f64], value: impl FnMut(f64) -> Option<f64>) -> Option<f64> {
+    let values: Vec<f64> = numbers.iter().copied().map(value).collect::<Option<_>>()?;
+    let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let weights: Vec<f64> = values.iter().map(|v| (-0.5 * (v - least)).exp()).collect();
+    Some(numbers.iter().zip(&weights).map(|(x, w)| x * w).sum::<f64>() / weights.iter().sum::<f64>())
+}
+
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {

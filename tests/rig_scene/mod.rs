@@ -181,6 +181,7 @@ impl Parts {
             shape,
             free: [per_view, true, !lattice],
             offset_sigma_mm: points.then_some([0.02, 0.02, 0.02, 0.01]),
+            oval_sigma_mm: None,
         };
         let mut facts = vec![];
         for camera in 0..2 {
@@ -242,6 +243,7 @@ impl Parts {
             views: self.views.iter().map(view).collect(),
             shape_mm: self.shape_mm,
             offsets_mm: self.offsets_mm.clone(),
+            ovals_mm: vec![],
             windows: vec![],
         };
         let mut scene = Scene { model, cameras: self.cameras.clone(), truth };

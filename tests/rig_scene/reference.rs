@@ -154,6 +154,7 @@ fn parts_of(scene: &simulate::Scene) -> Parts {
             shape: TargetShape::Pair { per_view },
             free: [per_view, true, true],
             offset_sigma_mm: None,
+            oval_sigma_mm: None,
         },
         shape_mm: views[0].shape_mm,
         views,

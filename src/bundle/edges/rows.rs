@@ -5,7 +5,7 @@ use super::{COLLECTED, COLUMNS, Columns, Scratch};
 use crate::bundle::assemble::{SPACE, SeenImage};
 use crate::bundle::contour::SeenCircle;
 use crate::bundle::model::{DiscObservation, Loss};
-use crate::bundle::same_light::Tie;
+use crate::bundle::tie::Tie;
 use crate::camera::{INTRINSICS, LaneCamera};
 use crate::lanes::{self, GROUP, Lanes, splats};
 use nalgebra::Vector3;

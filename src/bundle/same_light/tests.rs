@@ -6,9 +6,10 @@ use crate::bundle::layout::Places;
 use crate::bundle::rig_scene::{
     Noise, Problem as Reference, SIGMA_PX, Scene, TWO_SIDED_995, band, camera_covariance, camera_numbers, nees,
 };
-use crate::bundle::{AdjustOptions, Adjustment, adjust, named_covariance, residuals};
+use crate::bundle::{AdjustOptions, Adjustment, Loss, adjust, named_covariance, residuals};
 use crate::camera::Camera;
-use crate::solve::Step;
+use crate::conic::CommonNoise;
+use crate::solve::{NormalEquations, Step};
 use nalgebra::{DVector, Matrix3, SMatrix};
 
 const ALIKE: Alike = Alike { correlation: 0.7, variance: 1.3 };
@@ -29,7 +30,7 @@ fn tied(loss: Loss, alike: Alike) -> (Model, State) {
     }
     assert!(tie(&mut model, &scene.truth).is_some());
     let ties = model.images.iter_mut().flat_map(|i| &mut i.discs).filter_map(|d| d.tie.as_mut());
-    assert_eq!(ties.map(|t| t.alike = alike).count(), 24);
+    assert_eq!(ties.map(|t| t.set_alike(alike)).count(), 24);
     (model, scene.perturbed_by(4, 0.1))
 }
 
@@ -66,7 +67,7 @@ fn inverse_covariance(model: &Model, pair: [(usize, usize); 2]) -> DMatrix<f64> 
         let columns: Vec<DVector<f64>> = tie((i, d)).columns().map(|c| DVector::from_column_slice(&c[..n])).collect();
         DMatrix::from_columns(&columns)
     });
-    let Alike { correlation, variance } = tie(pair[0]).alike;
+    let Alike { correlation, variance } = tie(pair[0]).alike().unwrap();
     let (n, m) = (u.nrows(), w.nrows());
     let cross = &u * w.transpose() * (variance * correlation);
     let own = |u: &DMatrix<f64>| DMatrix::identity(u.nrows(), u.nrows()) + u * u.transpose() * (variance - 1.0);

@@ -1,0 +1,291 @@
+//! Against the dense covariance of all images of a disc, numerical derivatives, and discs drawn off round.
+
+use super::*;
+use crate::bundle::rig_scene::{
+    Noise, Problem as Reference, SIGMA_PX, Scene, TWO_SIDED_995, band, camera_covariance, camera_numbers, nees,
+};
+use crate::bundle::{AdjustOptions, Loss, Termination, adjust, named_covariance, problem, residuals};
+use crate::camera::Camera;
+use crate::solve::{NormalEquations, Step};
+use nalgebra::{DMatrix, DVector, Matrix3};
+
+/// Two printed discs off round by so much, mm, as every image shows them.
+fn drawn(scene: &Scene, ovals_mm: &[[f64; 2]], seed: u64) -> Model {
+    let (mut noise, mut model) = (Noise::stream(seed, 3), scene.model.clone());
+    for (k, image) in scene.model.images.iter().enumerate() {
+        let seen_image = SeenImage::of(&scene.model, &scene.truth, image).unwrap();
+        for (d, seen) in image.discs.iter().enumerate() {
+            let feet = Feet::of(&seen_image.circle(seen.disc), seen).unwrap();
+            let edge = &mut model.images[k].discs[d].edge;
+            for i in 0..edge.u_px.len() {
+                let (cos, sin) = (feet.direction[0][i], feet.direction[1][i]);
+                let [a, b] = ovals_mm[seen.disc];
+                let moved = feet.px_per_mm[i] * (a * (cos * cos - sin * sin) + b * 2.0 * sin * cos);
+                edge.u_px[i] += moved * feet.normal[0][i] + SIGMA_PX * noise.normal();
+                edge.v_px[i] += moved * feet.normal[1][i] + SIGMA_PX * noise.normal();
+            }
+        }
+    }
+    model
+}
+
+/// Contours that have something in common, sigmas of different size, ovals as unknowns; and a state that is no minimum.
+fn shared() -> (Model, State) {
+    let scene = Scene::build(4, false, true, false);
+    let mut model = drawn(&scene, &[[2e-3, -1e-3], [-1e-3, 3e-3]], 4);
+    for (k, image) in model.images.iter_mut().enumerate() {
+        image.sigma_scale = 1.0 + 0.1 * k as f64;
+        for disc in &mut image.discs {
+            let angle = |i: usize| std::f64::consts::TAU * i as f64 / disc.edge.u_px.len() as f64;
+            let row = |(i, sigma): (usize, &f64)| [1.0 / sigma, angle(i).cos() / sigma, angle(i).sin() / sigma];
+            let rows: Vec<[f64; 3]> = disc.edge.sigma_px.iter().enumerate().map(row).collect();
+            disc.common = CommonNoise::of(&rows, &Matrix3::from_diagonal_element(1e-4));
+        }
+    }
+    let mut state = scene.truth.clone();
+    let found = find(&mut model, &mut state);
+    assert!(found.changed && found.ovality_mm.is_some_and(|tau| (5e-4..2e-2).contains(&tau)), "{found:?}");
+    state = State { ovals_mm: vec![[1e-3, 2e-3], [-5e-4, 1e-3]], ..scene.perturbed_by(4, 0.1) };
+    (model, state)
+}
+
+/// All unknowns moved, one after the other, by a part of their scale.
+fn moved(model: &Model, state: &State, k: usize, part: f64) -> State {
+    let p = problem(model);
+    let mut step: Step = p.scales(state);
+    let all = step.global.iter_mut().chain(step.blocks.iter_mut().flat_map(|b| b.iter_mut()));
+    all.enumerate().for_each(|(i, x)| *x *= if i == k { part } else { 0.0 });
+    p.retract(state, &step).unwrap()
+}
+
+/// Gradient and matrix of equations in the same steps, in one list.
+fn dense(model: &Model, state: &State, e: &NormalEquations) -> (DMatrix<f64>, DVector<f64>) {
+    let scales = problem(model).scales(state);
+    let scale: Vec<f64> = scales.global.iter().chain(scales.blocks.iter().flat_map(|b| b.iter())).copied().collect();
+    let (n, total) = (e.b_g.len(), scale.len());
+    let (mut h, mut b) = (DMatrix::zeros(total, total), DVector::zeros(total));
+    h.view_mut((0, 0), (n, n)).copy_from(&e.h_gg);
+    b.rows_mut(0, n).copy_from(&e.b_g);
+    let mut at = n;
+    for block in &e.blocks {
+        let d = block.b_v.len();
+        h.view_mut((at, at), (d, d)).copy_from(&block.h_vv);
+        h.view_mut((at, 0), (d, n)).copy_from(&block.h_vg);
+        h.view_mut((0, at), (n, d)).copy_from(&block.h_vg.transpose());
+        b.rows_mut(at, d).copy_from(&block.b_v);
+        at += d;
+    }
+    (
+        DMatrix::from_fn(total, total, |i, j| h[(i, j)] * scale[i] * scale[j]),
+        DVector::from_fn(total, |i, _| b[i] * scale[i]),
+    )
+}
+
+/// Whitened distances of all contours of all images, as if discs were round.
+fn distances(model: &Model, state: &State) -> DVector<f64> {
+    let mut out = vec![];
+    for image in &model.images {
+        let all = residuals(model, state, image).unwrap();
+        for (seen, own) in image.discs.iter().zip(&all.discs) {
+            let each = own.edges.distance_px.iter().zip(&seen.edge.sigma_px);
+            let mut rows: Vec<[f64; 1]> = each.map(|(r, s)| [r / (s * image.sigma_scale)]).collect();
+            seen.whiten(&mut rows);
+            out.extend(rows.iter().map(|[r]| *r));
+        }
+    }
+    DVector::from_vec(out)
+}
+
+/// B of all of them: one pair of columns per disc. It is held from the state at which it was formed.
+fn movements(model: &Model, formed: &State) -> DMatrix<f64> {
+    let rows = distances(model, formed).len();
+    let (mut out, mut at) = (DMatrix::zeros(rows, 2 * model.target.disc_count()), 0);
+    for image in &model.images {
+        let seen_image = SeenImage::of(model, formed, image).unwrap();
+        for seen in &image.discs {
+            let harmonic = Harmonic::of(&seen_image.circle(seen.disc), seen).unwrap();
+            for row in &harmonic.rows {
+                (0..2).for_each(|k| out[(at, 2 * seen.disc + k)] = row[k] / image.sigma_scale);
+                at += 1;
+            }
+        }
+    }
+    out
+}
+
+/// With the ovals eliminated, cost, gradient and matrix are those of the covariance that all images of a disc have together, with derivatives by
+/// differences.
+#[test]
+fn images_of_a_disc_are_weighed_by_their_common_covariance() {
+    let (model, state) = shared();
+    let tau = model.target.oval_sigma_mm.unwrap();
+    let b = movements(&model, &Scene::build(4, false, true, false).truth);
+    let covariance = DMatrix::identity(b.nrows(), b.nrows()) + &b * b.transpose() * (tau * tau);
+    let inverse = covariance.cholesky().unwrap().inverse();
+
+    let equations = problem(&model).linearise(&state).unwrap();
+    let cost = problem(&model).cost(&state).unwrap();
+    assert!((cost / equations.cost - 1.0).abs() < 1e-12);
+    let (h, gradient) = dense(&model, &state, &equations);
+    let first = Places::of(&model).ovals.unwrap();
+    let ovals: Vec<usize> = (first..first + b.ncols()).collect();
+    let others: Vec<usize> = (0..h.nrows()).filter(|i| !ovals.contains(i)).collect();
+    let pick = |rows: &[usize], columns: &[usize]| {
+        DMatrix::from_fn(rows.len(), columns.len(), |i, j| h[(rows[i], columns[j])])
+    };
+    let part = |at: &[usize]| DVector::from_fn(at.len(), |i, _| gradient[at[i]]);
+    let own = pick(&ovals, &ovals).cholesky().unwrap();
+    let cross = pick(&ovals, &others);
+    let reduced_h = pick(&others, &others) - cross.tr_mul(&own.solve(&cross));
+    let reduced_b = part(&others) - cross.tr_mul(&own.solve(&part(&ovals)));
+    let reduced_cost = equations.cost - 0.5 * part(&ovals).dot(&own.solve(&part(&ovals)));
+
+    // What is known beforehand has nothing to do with outlines: it is taken off.
+    let mut round = model.clone();
+    (round.target.oval_sigma_mm, round.images) = (None, vec![]);
+    let facts = problem(&round).linearise(&state).unwrap();
+    let (facts_h, facts_b) = dense(&round, &state, &facts);
+    let r = distances(&model, &state);
+    let step = 1e-4;
+    let slope = |k: &usize| {
+        let [before, behind] = [-step, step].map(|x| distances(&model, &moved(&model, &state, *k, x)));
+        (behind - before) / (2.0 * step)
+    };
+    let slopes = DMatrix::from_columns(&others.iter().map(slope).collect::<Vec<_>>());
+    let wanted_h = slopes.tr_mul(&(&inverse * &slopes)) + facts_h;
+    let wanted_b = facts_b - slopes.tr_mul(&(&inverse * &r));
+    let wanted_cost = facts.cost + 0.5 * r.dot(&(&inverse * &r));
+    assert!((reduced_cost / wanted_cost - 1.0).abs() < 1e-9, "{reduced_cost} {wanted_cost}");
+    for i in 0..others.len() {
+        let size = wanted_h[(i, i)].sqrt();
+        let limit = 1e-6 * size * (2.0 * wanted_cost).sqrt();
+        assert!((reduced_b[i] - wanted_b[i]).abs() < limit, "{i}: {} {}", reduced_b[i], wanted_b[i]);
+        for j in 0..others.len() {
+            let limit = 1e-6 * size * wanted_h[(j, j)].sqrt();
+            assert!(
+                (reduced_h[(i, j)] - wanted_h[(i, j)]).abs() <= limit,
+                "{i} {j}: {} {}",
+                reduced_h[(i, j)],
+                wanted_h[(i, j)]
+            );
+        }
+    }
+}
+
+/// With a loss that bends, too.
+#[test]
+fn the_gradient_is_that_of_the_cost() {
+    let (mut model, state) = shared();
+    model.loss = Loss::Huber(2.0);
+    let p = problem(&model);
+    let (h, b) = dense(&model, &state, &p.linearise(&state).unwrap());
+    let part = 1e-6;
+    for k in 0..b.len() {
+        let [before, behind] = [-part, part].map(|x| p.cost(&moved(&model, &state, k, x)).unwrap());
+        let slope = (before - behind) / (2.0 * part);
+        let limit = 1e-5 * h[(k, k)].sqrt() * (2.0 * p.cost(&state).unwrap()).sqrt();
+        assert!((b[k] - slope).abs() < limit, "{k}: {} {slope}", b[k]);
+    }
+}
+
+/// What bends along a step moves ovals as the whitened distances say that every image of a disc has them.
+#[test]
+fn ovals_follow_what_bends() {
+    let (model, state) = shared();
+    let (p, first) = (problem(&model), Places::of(&model).ovals.unwrap());
+    let mut velocity = p.scales(&state);
+    let all = velocity.global.iter_mut().chain(velocity.blocks.iter_mut().flat_map(|b| b.iter_mut()));
+    all.enumerate().for_each(|(i, x)| *x *= 0.3 * (1.3 * i as f64).sin());
+    let bent = p.bend(&state, &velocity).unwrap();
+    // Differences as far as a tenth of the step are its own, too.
+    let h = 0.1;
+    let part = |by: f64| {
+        let blocks = velocity.blocks.iter().map(|b| b * by).collect();
+        distances(&model, &p.retract(&state, &Step { global: &velocity.global * by, blocks }).unwrap())
+    };
+    let second = (part(h) - 2.0 * distances(&model, &state) + part(-h)) / (h * h);
+    let wanted = movements(&model, &Scene::build(4, false, true, false).truth).tr_mul(&second);
+    assert!(wanted.iter().all(|x| *x != 0.0));
+    for k in 0..wanted.len() {
+        let got = bent.global[first + k];
+        assert!((got - wanted[k]).abs() < 1e-6 * wanted.amax(), "{k}: {got} {}", wanted[k]);
+    }
+}
+
+/// Means of squares over variances, of the eight numbers of two cameras (or four of one), and the normalised squares of the eight.
+fn squares(name: &str, tau_mm: f64, runs: u64, cameras: usize) -> (Vec<f64>, f64) {
+    let scene = Reference::of(name).unwrap().parts.scene().with_edge_points(100);
+    let (mut out, mut square) = (vec![0.0; 4 * cameras], 0.0);
+    for seed in 0..runs {
+        let mut noise = Noise::stream(seed, 5);
+        let ovals: Vec<[f64; 2]> = (0..2).map(|_| [tau_mm * noise.normal(), tau_mm * noise.normal()]).collect();
+        let mut model = drawn(&scene, &ovals, seed);
+        model.facts = scene.with_facts_drawn(&mut Noise::stream(seed, 4)).model.facts;
+        let mut start = scene.truth.clone();
+        if cameras == 1 {
+            model.images.retain(|i| i.camera == 0);
+            model.facts.retain(|f| !matches!(f, crate::bundle::Fact::Intrinsic { camera: 1, .. }));
+            model.cameras.truncate(1);
+            start.cameras.truncate(1);
+            start.camera_from_first.truncate(1);
+        }
+        let found = adjust(&model, start, &AdjustOptions::default(), &mut |_| true);
+        assert_eq!(found.termination, Termination::Converged, "seed {seed}: decrement {}", found.decrement);
+        let covariance = named_covariance(&found).unwrap();
+        let numbers = |cameras: &[Camera]| -> Vec<f64> { cameras.iter().flat_map(camera_numbers).collect() };
+        let (own, wanted) = (numbers(&covariance.natural.cameras), numbers(&scene.cameras[..cameras]));
+        let c = camera_covariance(&covariance);
+        let errors: Vec<f64> = own.iter().zip(&wanted).map(|(a, b)| a - b).collect();
+        errors.iter().enumerate().for_each(|(k, e)| out[k] += e * e / c[(k, k)] / runs as f64);
+        if cameras == 2 {
+            square += nees(&errors, &c) / runs as f64;
+        }
+    }
+    println!("{name}, {cameras} camera(s), {tau_mm} mm: {out:.2?}, all together {square:.3}");
+    (out, square)
+}
+
+/// Discs that are round and discs that are not: standard deviations hold, with two cameras and with one.
+#[test]
+fn standard_deviations_hold_where_discs_are_ovals() {
+    const RUNS: u64 = 60;
+    let all = band((8 * RUNS) as f64, TWO_SIDED_995);
+    let one = band(RUNS as f64, TWO_SIDED_995);
+    for tau_mm in [1e-3, 4e-3] {
+        let (each, square) = squares("A", tau_mm, RUNS, 2);
+        assert!((all[0]..all[1]).contains(&square), "{square} outside {all:.3?}");
+        assert!(each.iter().all(|z| *z < 2.0), "{each:?}");
+        let (each, _) = squares("A", tau_mm, RUNS, 1);
+        assert!(each.iter().all(|z| *z < one[1]), "{each:?} outside {one:.3?}");
+    }
+    // Round ones are not known to be so: their sigmas are a little larger than they need be.
+    let (each, square) = squares("A", 0.0, RUNS, 2);
+    assert!((0.6..all[1]).contains(&square), "{square}");
+    assert!(each.iter().all(|z| *z < one[1]), "{each:?}");
+}
+
+/// Bubbles and grids keep their own ways, and round discs no ovals.
+#[test]
+fn who_has_ovals_of_its_own() {
+    let ovals = [[3e-3, 0.0], [0.0, 3e-3]];
+    let scene = Scene::build(4, false, true, false);
+    let (mut model, mut state) = (drawn(&scene, &ovals, 1), scene.truth.clone());
+    let found = find(&mut model, &mut state);
+    assert!(found.changed && found.ovality_mm.is_some());
+    assert_eq!(state.ovals_mm.len(), 2);
+    assert!(model.images.iter().flat_map(|i| &i.discs).all(|d| d.tie.is_some() && d.outline.is_none()));
+    // A model that knows is left as it is.
+    let before = model.clone();
+    assert_eq!(find(&mut model, &mut state), Outlines::default());
+    assert_eq!(model, before);
+    // Without ovals none are shown.
+    let (mut model, mut state) = (drawn(&scene, &[[0.0; 2]; 2], 1), scene.truth.clone());
+    let found = find(&mut model, &mut state);
+    assert!(found.ovality_mm.is_none());
+    assert_eq!(found.changed, model.target.oval_sigma_mm.is_some());
+    assert_eq!(state.ovals_mm.len(), if found.changed { 2 } else { 0 });
+    let bubbles = Scene::build(4, true, true, false);
+    let (mut model, mut state) = (drawn(&bubbles, &ovals, 1), bubbles.truth.clone());
+    assert!(find(&mut model, &mut state).changed);
+    assert!(state.ovals_mm.is_empty() && model.images.iter().flat_map(|i| &i.discs).all(|d| d.tie.is_none()));
+}
