@@ -53,7 +53,16 @@ fn state(model: &Model, start: &State, n: &mut Numbers) -> State {
     };
     let views = model.views.iter().map(|v| view(v, n)).collect();
     let offsets_mm = start.offsets_mm.iter().map(|_| n.some()).collect();
-    State { cameras, camera_from_first, first_from_plane, views, shape_mm, offsets_mm, windows: vec![] }
+    State {
+        cameras,
+        camera_from_first,
+        first_from_plane,
+        views,
+        shape_mm,
+        offsets_mm,
+        ovals_mm: vec![],
+        windows: vec![],
+    }
 }
 
 fn judged(case: &Case, text: &str) -> bool {

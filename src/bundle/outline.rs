@@ -29,7 +29,7 @@ use super::model::{DiscObservation, ImageObservations, Model, TargetShape};
 use super::state::State;
 use super::tie::Tie;
 use crate::conic::CommonNoise;
-use crate::solve::{Problem, evidence, likely_mean};
+use crate::solve::{Problem, evidence, likely_mean, posterior};
 use crate::threads::gathered;
 use nalgebra::{Matrix2, Vector2};
 
@@ -108,6 +108,33 @@ pub(super) fn rms_mm(state: &State) -> Option<f64> {
     let count = 2 * state.ovals_mm.len();
     let squares = state.ovals_mm.iter().flatten().map(|x| x * x).sum::<f64>();
     (count > 0).then(|| (squares / count as f64).sqrt())
+}
+
+/// The model with contours as round discs would have them, for what cannot share unknowns; what is uncertain of their ovality counts as noise of each
+/// contour. `None` where the equations are none.
+pub(super) fn taken_off(model: &Model, state: &State) -> Option<Model> {
+    let mut out = model.clone();
+    let Some(first) = Places::of(model).ovals else { return Some(out) };
+    let covariance = posterior(&Bundle::with_views(model).linearise(state)?).global;
+    for (image, of) in out.images.iter_mut().zip(&model.images) {
+        let seen_image = SeenImage::of(model, state, of)?;
+        for seen in image.discs.iter_mut().filter(|d| d.tie.is_some()) {
+            let circle = seen_image.circle(seen.disc);
+            let (feet, harmonic) = (Feet::of(&circle, seen)?, Harmonic::of(&circle, seen)?);
+            let [a, b] = seen_image.oval_mm(seen.disc);
+            for (i, normal) in feet.normal[0].iter().zip(&feet.normal[1]).enumerate() {
+                let (cos, sin) = (feet.direction[0][i], feet.direction[1][i]);
+                let moved = feet.px_per_mm[i] * (a * (cos * cos - sin * sin) + b * 2.0 * sin * cos);
+                seen.edge.u_px[i] -= moved * normal.0;
+                seen.edge.v_px[i] -= moved * normal.1;
+            }
+            let own = covariance.fixed_view::<2, 2>(first + 2 * seen.disc, first + 2 * seen.disc);
+            seen.outline = CommonNoise::of(&harmonic.rows, &(own / image.sigma_scale.powi(2)));
+            seen.tie = None;
+        }
+    }
+    out.target.oval_sigma_mm = None;
+    Some(out)
 }
 
 /// The harmonics of all contours, each by image and number.

@@ -9,8 +9,8 @@
 //! p   = argmin sum (d_i(p) / s_i)^2        ellipse,   C_p its covariance
 //! F   = q(X(p_0, p_1); i0)                 features: tangents X on the ideal plane, back in real pixels
 //! ```
-//! What the points of a contour have in common (blur and light, ovals of the print), the fit's residuals are whitened for as those of the
-//! contours are.
+//! What the points of a contour have in common (blur and light), the fit's residuals are whitened for as those of the contours are. Ovals of the print,
+//! where contours have told them, are taken off before.
 //!
 //! The features depend on the lens that is sought. Repeating the adjustment with features held converges slowly: they follow
 //! the lens that was assumed. Here their derivative by the lens takes part, so that a round is a Gauss-Newton step of the
@@ -35,6 +35,7 @@
 
 use super::adjust::{AdjustOptions, Adjustment, adjust};
 use super::model::{DiscObservation, LensDependence, Model, PairObservation, TargetShape};
+use super::outline;
 use super::state::State;
 use crate::bitangent::{Bitangents, EXTERNAL_CROSSING, ExternalUse, POINTS, bitangents};
 use crate::camera::{Camera, INTRINSICS};
@@ -232,7 +233,8 @@ pub fn adjust_tangents(
         .into());
     }
     let options = AdjustOptions { rounds: 0, ..*options };
-    let mut state = start;
+    let round = contours.target.oval_sigma_mm.and_then(|_| outline::taken_off(contours, &start));
+    let (contours, mut state) = (round.as_ref().unwrap_or(contours), start);
     let (mut rounds, mut iterations) = (0, 0);
     loop {
         let (model, left_out) = with_features(contours, &state);

@@ -4,7 +4,7 @@ use super::*;
 use crate::bundle::rig_scene::{
     Noise, Problem as Reference, SIGMA_PX, Scene, TWO_SIDED_995, band, camera_covariance, camera_numbers, nees,
 };
-use crate::bundle::{AdjustOptions, Loss, Termination, adjust, named_covariance, problem, residuals};
+use crate::bundle::{AdjustOptions, Loss, Termination, adjust, adjust_tangents, named_covariance, problem, residuals};
 use crate::camera::Camera;
 use crate::solve::{NormalEquations, Step};
 use nalgebra::{DMatrix, DVector, Matrix3};
@@ -262,6 +262,37 @@ fn standard_deviations_hold_where_discs_are_ovals() {
     let (each, square) = squares("A", 0.0, RUNS, 2);
     assert!((0.6..all[1]).contains(&square), "{square}");
     assert!(each.iter().all(|z| *z < one[1]), "{each:?}");
+}
+
+/// Contours without the ovals that are known are those of round discs but for what is not known of them, so that tangents of ellipses find what contours did.
+#[test]
+fn tangents_find_what_contours_did() {
+    let scene = Reference::of("A").unwrap().parts.scene().with_edge_points(100);
+    let model = drawn(&scene, &[[3e-3, -2e-3], [-1e-3, 3e-3]], 6);
+    let contours = adjust(&model, scene.truth.clone(), &AdjustOptions::default(), &mut |_| true);
+    let round = taken_off(&contours.model, &contours.state).unwrap();
+    assert!(round.target.oval_sigma_mm.is_none());
+    let all = |m: &Model| m.images.iter().flat_map(|i| i.discs.clone()).collect::<Vec<_>>();
+    assert!(all(&round).iter().all(|d| d.tie.is_none()));
+    assert!(all(&round).iter().any(|d| !d.outline.is_none()), "what is uncertain of them is their noise");
+    let tangents = adjust_tangents(&contours.model, contours.state.clone(), &AdjustOptions::default(), &mut |_| true);
+    let tangents = tangents.unwrap().adjustment;
+    assert_eq!(tangents.state.ovals_mm, contours.state.ovals_mm);
+    let (a, b) = (named_covariance(&contours).unwrap(), named_covariance(&tangents).unwrap());
+    for camera in ["left", "right"] {
+        for what in ["f_px", "cx_px", "k1"] {
+            let name = format!("{camera}.{what}");
+            let k = usize::from(camera == "right");
+            let at = intrinsic(what);
+            let value = |c: &crate::bundle::NamedCovariance| c.natural.cameras[k].intrinsics().to_array()[at];
+            let (apart, sigma) = (value(&a) - value(&b), a.sigma(&name).unwrap().max(b.sigma(&name).unwrap()));
+            assert!(apart.abs() < 1.5 * sigma, "{name}: {apart} of {sigma}");
+        }
+    }
+}
+
+fn intrinsic(name: &str) -> usize {
+    crate::camera::INTRINSIC_NAMES.iter().position(|n| *n == name).unwrap()
 }
 
 /// Bubbles and grids keep their own ways, and round discs no ovals.
