@@ -223,3 +223,20 @@ pub(crate) fn same_length(name: &str, wanted: usize, lists: &[&[f64]]) -> Result
         .into()),
     }
 }
+
+/// What a reader of files says of types, in words of its users.
+pub(crate) fn in_plain_types(message: &str) -> String {
+    let words = [
+        ("expected f64", "expected a number"),
+        ("expected usize", "expected a whole number"),
+        ("expected u64", "expected a whole number"),
+        ("expected u32", "expected a whole number"),
+        ("expected i64", "expected a whole number"),
+        ("expected a sequence", "expected a list"),
+        ("invalid type: sequence", "invalid type: a list"),
+        ("invalid type: map", "invalid type: a table"),
+        ("missing field", "missing key"),
+        ("unknown field", "unknown key"),
+    ];
+    words.iter().fold(message.to_owned(), |m, (from, to)| m.replace(from, to))
+}

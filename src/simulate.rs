@@ -28,7 +28,7 @@ mod truth;
 
 pub use preset::PRESETS;
 
-use crate::error::{Invalid, Result};
+use crate::error::{Invalid, Result, in_plain_types};
 use crate::image::GrayImage;
 use check::Lines;
 use light::{Smoke, Uneven};
@@ -72,8 +72,13 @@ impl Scene {
     /// ```
     pub fn parse(text: &str, file: &str) -> Result<Self> {
         let lines = Lines::new(text, file)?;
-        let scene: SceneFile = toml::from_str(text)
-            .map_err(|e| syntax(file, check::line_at(text, e.span().map_or(0, |s| s.start)), e.message().trim()))?;
+        let refused = |at: usize, message: &str| syntax(file, check::line_at(text, at), message.trim());
+        let start = |e: &toml::de::Error| e.span().map_or(0, |s| s.start);
+        let reader = toml::Deserializer::parse(text).map_err(|e| refused(start(&e), e.message()))?;
+        let scene: SceneFile = serde_path_to_error::deserialize(reader).map_err(|e| {
+            let (path, words) = (e.path().to_string(), in_plain_types(e.inner().message()));
+            refused(start(e.inner()), &if path == "." { words } else { format!("{path}: {words}") })
+        })?;
         check::check(&scene, &lines)?;
         let setup = Setup::new(&scene, &lines)?;
         Ok(Self { file: scene, setup })

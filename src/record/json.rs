@@ -2,7 +2,7 @@
 
 use super::check;
 use super::schema::{FORMAT, Record, VERSION};
-use crate::error::{Error, Invalid, Result};
+use crate::error::{Error, Invalid, Result, in_plain_types};
 use serde_json::{Map, Value};
 use std::fmt::Write;
 
@@ -58,7 +58,8 @@ impl Record {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let value: Value = serde_json::from_str(text).map_err(|e| syntax(file, text, &e))?;
         check_header(&value, text, file)?;
-        let record: Record = serde_json::from_str(text).map_err(|e| syntax(file, text, &e))?;
+        let mut reader = serde_json::Deserializer::from_str(text);
+        let record: Record = serde_path_to_error::deserialize(&mut reader).map_err(|e| at_key(file, text, &e))?;
         match check::first_fault(&record) {
             None => Ok(record),
             Some(fault) => Err(Invalid::Syntax {
@@ -90,6 +91,16 @@ fn check_header(value: &Value, text: &str, file: &str) -> Result<()> {
     }
 }
 
+/// The message of a value that is missing or of another type, with its key.
+fn at_key(file: &str, text: &str, e: &serde_path_to_error::Error<serde_json::Error>) -> Error {
+    let (full, path) = (e.inner().to_string(), e.path().to_string());
+    let words = full.split(" at line ").next().unwrap_or(&full);
+    let words = words.replace("null, expected f64", "null (a number that was not determined), expected f64");
+    let words = in_plain_types(&words.replace("expected f64", "expected a finite number"));
+    let message = if path == "." { words } else { format!("{path}: {words}") };
+    Invalid::Syntax { file: file.into(), line: check::line_of(text, &path), message }.into()
+}
+
 /// serde_json's message with our file and line, and the text it complains about.
 fn syntax(file: &str, text: &str, e: &serde_json::Error) -> Error {
     let full = e.to_string();
@@ -97,8 +108,7 @@ fn syntax(file: &str, text: &str, e: &serde_json::Error) -> Error {
     let line = e.line();
     let excerpt: String =
         text.lines().nth(line.saturating_sub(1)).map(|l| l.trim().chars().take(60).collect()).unwrap_or_default();
-    let mut message = words.replace("null, expected f64", "null (a number that was not determined), expected f64");
-    message = message.replace("expected f64", "expected a finite number");
+    let mut message = words.to_owned();
     if !excerpt.is_empty() {
         let _ = write!(message, ", in `{excerpt}`");
     }
