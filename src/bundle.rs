@@ -55,6 +55,9 @@ mod focus;
 mod image_map;
 mod influence;
 mod layout;
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod list;
 mod model;
 mod outline;
 mod part;

@@ -1,12 +1,13 @@
 //! Against the dense covariance of all images of a disc, numerical derivatives, and discs drawn off round.
 
 use super::*;
+use crate::bundle::list::List;
 use crate::bundle::rig_scene::{
     Noise, Problem as Reference, SIGMA_PX, Scene, TWO_SIDED_995, band, camera_covariance, camera_numbers, nees,
 };
 use crate::bundle::{AdjustOptions, Loss, Termination, adjust, adjust_tangents, named_covariance, problem, residuals};
 use crate::camera::Camera;
-use crate::solve::{NormalEquations, Step};
+use crate::solve::Step;
 use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// Two printed discs off round by so much, mm, as every image shows them.
@@ -47,38 +48,6 @@ fn shared() -> (Model, State) {
     assert!(found.changed && found.ovality_mm.is_some_and(|tau| (5e-4..2e-2).contains(&tau)), "{found:?}");
     state = State { ovals_mm: vec![[1e-3, 2e-3], [-5e-4, 1e-3]], ..scene.perturbed_by(4, 0.1) };
     (model, state)
-}
-
-/// All unknowns moved, one after the other, by a part of their scale.
-fn moved(model: &Model, state: &State, k: usize, part: f64) -> State {
-    let p = problem(model);
-    let mut step: Step = p.scales(state);
-    let all = step.global.iter_mut().chain(step.blocks.iter_mut().flat_map(|b| b.iter_mut()));
-    all.enumerate().for_each(|(i, x)| *x *= if i == k { part } else { 0.0 });
-    p.retract(state, &step).unwrap()
-}
-
-/// Gradient and matrix of equations in the same steps, in one list.
-fn dense(model: &Model, state: &State, e: &NormalEquations) -> (DMatrix<f64>, DVector<f64>) {
-    let scales = problem(model).scales(state);
-    let scale: Vec<f64> = scales.global.iter().chain(scales.blocks.iter().flat_map(|b| b.iter())).copied().collect();
-    let (n, total) = (e.b_g.len(), scale.len());
-    let (mut h, mut b) = (DMatrix::zeros(total, total), DVector::zeros(total));
-    h.view_mut((0, 0), (n, n)).copy_from(&e.h_gg);
-    b.rows_mut(0, n).copy_from(&e.b_g);
-    let mut at = n;
-    for block in &e.blocks {
-        let d = block.b_v.len();
-        h.view_mut((at, at), (d, d)).copy_from(&block.h_vv);
-        h.view_mut((at, 0), (d, n)).copy_from(&block.h_vg);
-        h.view_mut((0, at), (n, d)).copy_from(&block.h_vg.transpose());
-        b.rows_mut(at, d).copy_from(&block.b_v);
-        at += d;
-    }
-    (
-        DMatrix::from_fn(total, total, |i, j| h[(i, j)] * scale[i] * scale[j]),
-        DVector::from_fn(total, |i, _| b[i] * scale[i]),
-    )
 }
 
 /// Whitened distances of all contours of all images, as if discs were round.
@@ -123,10 +92,11 @@ fn images_of_a_disc_are_weighed_by_their_common_covariance() {
     let covariance = DMatrix::identity(b.nrows(), b.nrows()) + &b * b.transpose() * (tau * tau);
     let inverse = covariance.cholesky().unwrap().inverse();
 
+    let list = List::of(&model, &state);
     let equations = problem(&model).linearise(&state).unwrap();
     let cost = problem(&model).cost(&state).unwrap();
     assert!((cost / equations.cost - 1.0).abs() < 1e-12);
-    let (h, gradient) = dense(&model, &state, &equations);
+    let (h, gradient) = list.dense(&equations);
     let first = Places::of(&model).ovals.unwrap();
     let ovals: Vec<usize> = (first..first + b.ncols()).collect();
     let others: Vec<usize> = (0..h.nrows()).filter(|i| !ovals.contains(i)).collect();
@@ -144,11 +114,11 @@ fn images_of_a_disc_are_weighed_by_their_common_covariance() {
     let mut round = model.clone();
     (round.target.oval_sigma_mm, round.images) = (None, vec![]);
     let facts = problem(&round).linearise(&state).unwrap();
-    let (facts_h, facts_b) = dense(&round, &state, &facts);
+    let (facts_h, facts_b) = List::of(&round, &state).dense(&facts);
     let r = distances(&model, &state);
     let step = 1e-4;
     let slope = |k: &usize| {
-        let [before, behind] = [-step, step].map(|x| distances(&model, &moved(&model, &state, *k, x)));
+        let [before, behind] = [-step, step].map(|x| distances(&model, &list.moved(&state, *k, x)));
         (behind - before) / (2.0 * step)
     };
     let slopes = DMatrix::from_columns(&others.iter().map(slope).collect::<Vec<_>>());
@@ -177,11 +147,11 @@ fn images_of_a_disc_are_weighed_by_their_common_covariance() {
 fn the_gradient_is_that_of_the_cost() {
     let (mut model, state) = shared();
     model.loss = Loss::Huber(2.0);
-    let p = problem(&model);
-    let (h, b) = dense(&model, &state, &p.linearise(&state).unwrap());
+    let (p, list) = (problem(&model), List::of(&model, &state));
+    let (h, b) = list.dense(&p.linearise(&state).unwrap());
     let part = 1e-6;
     for k in 0..b.len() {
-        let [before, behind] = [-part, part].map(|x| p.cost(&moved(&model, &state, k, x)).unwrap());
+        let [before, behind] = [-part, part].map(|x| p.cost(&list.moved(&state, k, x)).unwrap());
         let slope = (before - behind) / (2.0 * part);
         let limit = 1e-5 * h[(k, k)].sqrt() * (2.0 * p.cost(&state).unwrap()).sqrt();
         assert!((b[k] - slope).abs() < limit, "{k}: {} {slope}", b[k]);

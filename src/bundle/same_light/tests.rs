@@ -3,13 +3,13 @@
 use super::*;
 use crate::bundle::assemble;
 use crate::bundle::layout::Places;
+use crate::bundle::list::List;
 use crate::bundle::rig_scene::{
     Noise, Problem as Reference, SIGMA_PX, Scene, TWO_SIDED_995, band, camera_covariance, camera_numbers, nees,
 };
 use crate::bundle::{AdjustOptions, Adjustment, Loss, adjust, named_covariance, residuals};
 use crate::camera::Camera;
 use crate::conic::CommonNoise;
-use crate::solve::{NormalEquations, Step};
 use nalgebra::{DVector, Matrix3, SMatrix};
 
 const ALIKE: Alike = Alike { correlation: 0.7, variance: 1.3 };
@@ -77,61 +77,6 @@ fn inverse_covariance(model: &Model, pair: [(usize, usize); 2]) -> DMatrix<f64> 
     covariance.view_mut((0, n), (n, m)).copy_from(&cross);
     covariance.view_mut((n, 0), (m, n)).copy_from(&cross.transpose());
     covariance.cholesky().unwrap().inverse()
-}
-
-/// All unknowns in one list, in steps up to which the problem is about linear.
-struct List<'a> {
-    bundle: Bundle<'a>,
-    scales: Step,
-}
-
-impl List<'_> {
-    fn len(&self) -> usize {
-        self.scales.global.len() + self.scales.blocks.iter().map(DVector::len).sum::<usize>()
-    }
-    /// The state with unknown `k` moved by a part of its scale.
-    fn moved(&self, state: &State, k: usize, part: f64) -> State {
-        let zeros = self.scales.blocks.iter().map(|b| DVector::zeros(b.len())).collect();
-        let mut step = Step { global: DVector::zeros(self.scales.global.len()), blocks: zeros };
-        let mut at = k;
-        if at < step.global.len() {
-            step.global[at] = part * self.scales.global[at];
-        } else {
-            at -= step.global.len();
-            for (block, scale) in step.blocks.iter_mut().zip(&self.scales.blocks) {
-                if at < block.len() {
-                    block[at] = part * scale[at];
-                    break;
-                }
-                at -= block.len();
-            }
-        }
-        self.bundle.retract(state, &step).unwrap()
-    }
-    fn of<'m>(model: &'m Model, state: &State) -> List<'m> {
-        let bundle = Bundle::with_views(model);
-        let scales = bundle.scales(state);
-        List { bundle, scales }
-    }
-    /// Gradient and matrix of equations in these steps.
-    fn dense(&self, e: &NormalEquations) -> (DMatrix<f64>, DVector<f64>) {
-        let (n, total) = (self.scales.global.len(), self.len());
-        let (mut h, mut b) = (DMatrix::zeros(total, total), DVector::zeros(total));
-        h.view_mut((0, 0), (n, n)).copy_from(&e.h_gg);
-        b.rows_mut(0, n).copy_from(&e.b_g);
-        let mut at = n;
-        for block in &e.blocks {
-            let d = block.b_v.len();
-            h.view_mut((at, at), (d, d)).copy_from(&block.h_vv);
-            h.view_mut((at, 0), (d, n)).copy_from(&block.h_vg);
-            h.view_mut((0, at), (n, d)).copy_from(&block.h_vg.transpose());
-            b.rows_mut(at, d).copy_from(&block.b_v);
-            at += d;
-        }
-        let own = self.scales.global.iter().chain(self.scales.blocks.iter().flat_map(|b| b.iter())).copied();
-        let scale = DVector::from_iterator(total, own);
-        (DMatrix::from_fn(total, total, |i, j| h[(i, j)] * scale[i] * scale[j]), b.component_mul(&scale))
-    }
 }
 
 /// Cost, gradient and matrix of the images are those of the dense covariance, with derivatives by differences.
