@@ -77,5 +77,8 @@ fn the_scale_of_the_rig_is_another_matter() {
     assert!(c.undetermined.iter().any(|w| w.contains("cam_from_rig.tx_mm")), "{:#?}", c.undetermined);
     // The view follows the rig's scale or its own.
     assert!(!lost(&c, 3).is_empty());
+    let own = "place and size of the target of view 3: not determined, and no other number depends on it";
+    assert!(c.undetermined.iter().any(|w| w == own), "{:#?}", c.undetermined);
+    assert_eq!(c.undetermined.iter().filter(|w| w.contains("no other number")).count(), 1);
     assert!(c.sigma("left.f_px").is_some());
 }

@@ -72,8 +72,10 @@ pub struct Adjustment {
     pub equations: Option<NormalEquations>,
     /// Discs set aside.
     pub outliers: Vec<Outlier>,
-    /// Standard deviation of the printed discs' ovality, mm, where their outlines show one.
+    /// Standard deviation of the printed discs' ovality, mm, where their outlines show one; of two discs the root mean square of what is estimated.
     pub ovality_mm: Option<f64>,
+    /// Standard deviation of that ovality which is assumed, mm, where the images do not tell how large it may be.
+    pub ovality_assumed_mm: Option<f64>,
     /// How what the contours of both cameras say of bubbles goes together.
     pub same_light: Option<Alike>,
 }
@@ -313,6 +315,7 @@ pub fn adjust_owned(
         if !changed {
             return Adjustment {
                 ovality_mm: outlines.ovality_mm.map(|tau| outline::rms_mm(&out.state).unwrap_or(tau)),
+                ovality_assumed_mm: outlines.assumed_mm,
                 state: out.state,
                 model,
                 cost: out.cost,
@@ -373,9 +376,12 @@ fn scale_of_camera(
         let unscale = image.sigma_scale * image.sigma_scale;
         for (seen, disc) in image.discs.iter().zip(&r.discs) {
             // Where cameras err alike both pay for what an ellipse may follow, which are all five numbers of the rim.
-            let alike = seen.tie.as_ref().and_then(|tie| tie.alike());
-            let (chi2, numbers, variance) = match (disc.rim_chi2, alike) {
-                (Some(chi2), Some(alike)) => (chi2, 5.0, alike.variance),
+            let (chi2, numbers, variance) = match (disc.rim_chi2, &seen.tie) {
+                (Some(chi2), Some(tie)) => match tie.alike() {
+                    Some(alike) => (chi2, 5.0, alike.variance),
+                    // What ovals pay for.
+                    None => (disc.chi2 + chi2, 5.0, 1.0),
+                },
                 // Ties that were formed since the residuals say nothing of them.
                 _ => (disc.chi2, 3.0, 1.0),
             };

@@ -11,12 +11,13 @@
 //! couple to a plate's pose.
 //!
 //! *Two discs.* Pose and size of each view take most of an ovality to themselves, alike in all views, so that the cameras follow: taken for independent
-//! from image to image, 1 um of it makes errors twice as large as their sigmas with two cameras, six times with one. So (a, b) of either disc are unknowns
-//! of all images, normal about zero by tau; that is the mean over its likelihood with everything else integrated out ([`crate::solve::evidence`]), every
-//! order of magnitude alike beforehand.
+//! from image to image, 1 um of it makes errors up to twice as large as their sigmas with two cameras, six times with one. So (a, b) of either disc are
+//! unknowns of all images, normal about zero by tau; its square is the mean over its likelihood with everything else integrated out
+//! ([`crate::solve::evidence`]), every order of magnitude alike beforehand, up to a hundredth of the radius. Where images do not exclude the largest, a
+//! thousandth is taken, and that is said.
 //!
-//! *Grids, bubbles.* Where centres tell the pose, or every view has discs of its own, contours are whitened by the inverse root of
-//! `k I + tau^2 B B^T`, up to `1 / sqrt k` (see [`CommonNoise`]). tau is estimated from all contours together by moments,
+//! *Grids, bubbles, discs of one size.* Where centres tell the pose, every view has discs of its own, or which disc is which may differ from view to
+//! view, contours are whitened by the inverse root of `k I + tau^2 B B^T`, up to `1 / sqrt k` (see [`CommonNoise`]). tau is estimated from all contours together by moments,
 //! `tau^2 = mean of |x|^2 / 2 - k tr (B^T B)^-1 / 2` with x the least-squares (a, b) of a contour, and taken for zero where it is no
 //! more than chance.
 
@@ -41,6 +42,13 @@ const SHOWN: f64 = 9.0;
 /// Variance of what all contours of a disc say of its ovality, over that by noise, below which it may count as round.
 const LEAST: f64 = 0.1;
 
+/// Radii of two discs further apart than this tell them apart in every view.
+const UNLIKE: f64 = 1.1;
+/// What minus twice the logarithm of the likelihood rises by to the largest tau weighed where images contradict that: two standard deviations.
+const EXCLUDED: f64 = 4.0;
+/// tau that is assumed where they do not, at most, over a radius: 10 um of a disc of 20 mm.
+const ASSUMED: f64 = 1e-3;
+
 /// What is found of outlines.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Outlines {
@@ -48,6 +56,8 @@ pub(super) struct Outlines {
     pub(super) changed: bool,
     /// tau, mm, where ovals show.
     pub(super) ovality_mm: Option<f64>,
+    /// tau, mm, where images do not tell how large ovals may be.
+    pub(super) assumed_mm: Option<f64>,
 }
 
 /// Second harmonic of one contour.
@@ -94,11 +104,12 @@ impl Harmonic {
 /// Looks for ovals in the residuals and lets the model know of them; nothing is changed where outlines are round as far as their noise shows.
 pub(super) fn find(model: &mut Model, state: &mut State) -> Outlines {
     let printed_pair = matches!(model.target.shape, TargetShape::Pair { per_view: false });
-    match printed_pair && model.target.offset_sigma_mm.is_none() {
+    let [_, r0, r1] = state.shape_mm;
+    match printed_pair && model.target.offset_sigma_mm.is_none() && r0.max(r1) > UNLIKE * r0.min(r1) {
         true => of_discs(model, state).unwrap_or_default(),
         false => {
             let ovality_mm = whiten(model, state);
-            Outlines { changed: ovality_mm.is_some(), ovality_mm }
+            Outlines { changed: ovality_mm.is_some(), ovality_mm, assumed_mm: None }
         }
     }
 }
@@ -110,12 +121,16 @@ pub(super) fn rms_mm(state: &State) -> Option<f64> {
     (count > 0).then(|| (squares / count as f64).sqrt())
 }
 
-/// The model with contours as round discs would have them, for what cannot share unknowns; what is uncertain of their ovality counts as noise of each
-/// contour. `None` where the equations are none.
+/// The model with contours as round discs would have them, for what cannot share unknowns. What is uncertain of the ovality of a disc is alike in its N
+/// contours; as noise of each, of N times its covariance, it leaves their mean as uncertain. `None` where the equations are none.
 pub(super) fn taken_off(model: &Model, state: &State) -> Option<Model> {
     let mut out = model.clone();
     let Some(first) = Places::of(model).ovals else { return Some(out) };
     let covariance = posterior(&Bundle::with_views(model).linearise(state)?).global;
+    let tied = |disc: usize| {
+        let of_disc = model.images.iter().flat_map(|i| &i.discs).filter(|d| d.disc == disc && d.tie.is_some());
+        of_disc.count() as f64
+    };
     for (image, of) in out.images.iter_mut().zip(&model.images) {
         let seen_image = SeenImage::of(model, state, of)?;
         for seen in image.discs.iter_mut().filter(|d| d.tie.is_some()) {
@@ -129,7 +144,7 @@ pub(super) fn taken_off(model: &Model, state: &State) -> Option<Model> {
                 seen.edge.v_px[i] -= moved * normal.1;
             }
             let own = covariance.fixed_view::<2, 2>(first + 2 * seen.disc, first + 2 * seen.disc);
-            seen.outline = CommonNoise::of(&harmonic.rows, &(own / image.sigma_scale.powi(2)));
+            seen.outline = CommonNoise::of(&harmonic.rows, &(own * tied(seen.disc) / image.sigma_scale.powi(2)));
             seen.tie = None;
         }
     }
@@ -174,9 +189,18 @@ fn of_discs(model: &mut Model, state: &mut State) -> Option<Outlines> {
     state.ovals_mm = vec![[0.0; 2]; discs];
     let found = likely(model, state, (factor, radius_mm));
     match found {
-        Some((tau, falls)) if tau * tau * information > LEAST => {
-            model.target.oval_sigma_mm = Some(tau);
-            Some(Outlines { changed: true, ovality_mm: (falls > SHOWN).then_some(tau) })
+        Some(Likely { tau_mm, falls, rises }) if tau_mm * tau_mm * information > LEAST => {
+            let told = rises > EXCLUDED;
+            let tau_mm = if told { tau_mm } else { tau_mm.min(ASSUMED * radius_mm) };
+            model.target.oval_sigma_mm = Some(tau_mm);
+            model
+                .images
+                .iter_mut()
+                .flat_map(|i| &mut i.discs)
+                .filter_map(|d| d.tie.as_mut())
+                .for_each(|t| t.ask_loss());
+            let ovality_mm = (told && falls > SHOWN).then_some(tau_mm);
+            Some(Outlines { changed: true, ovality_mm, assumed_mm: (!told).then_some(tau_mm) })
         }
         _ => {
             model.images.iter_mut().flat_map(|i| &mut i.discs).for_each(|d| d.tie = None);
@@ -187,9 +211,17 @@ fn of_discs(model: &mut Model, state: &mut State) -> Option<Outlines> {
     }
 }
 
-/// tau by its likelihood, mm, and by how much minus twice the logarithm of that falls from round discs to the likeliest. The model has ovals of the
-/// standard deviation `radius_mm`.
-fn likely(model: &mut Model, state: &State, (factor, radius_mm): (f64, f64)) -> Option<(f64, f64)> {
+/// What the likelihood says of tau.
+struct Likely {
+    /// Root of the mean of its square.
+    tau_mm: f64,
+    /// By how much minus twice its logarithm falls from round discs to the likeliest, and rises from there to the largest weighed.
+    falls: f64,
+    rises: f64,
+}
+
+/// tau by its likelihood. The model has ovals of the standard deviation `radius_mm`.
+fn likely(model: &mut Model, state: &State, (factor, radius_mm): (f64, f64)) -> Option<Likely> {
     let scaled = |model: &mut Model, by: f64| model.images.iter_mut().for_each(|i| i.sigma_scale *= by);
     scaled(model, factor.sqrt());
     let bundle = Bundle::with_views(model);
@@ -208,10 +240,10 @@ fn likely(model: &mut Model, state: &State, (factor, radius_mm): (f64, f64)) -> 
     let tried: Vec<f64> = (0..WEIGHED).map(|k| radius_mm * LIKELY[0] * (LIKELY[1] / LIKELY[0]).powf(part(k))).collect();
     let values: Vec<f64> = tried.iter().map(|tau| value(*tau)).collect::<Option<_>>()?;
     let least = values.iter().copied().fold(f64::INFINITY, f64::min);
-    let squares: Vec<f64> = tried.iter().map(|tau| tau * tau).collect();
     let mut each = values.iter().copied();
-    let square = likely_mean(&squares, |_| each.next())?;
-    Some((square.sqrt(), values[0] - least))
+    let squares: Vec<f64> = tried.iter().map(|tau| tau * tau).collect();
+    let tau_mm = likely_mean(&squares, |_| each.next())?.sqrt();
+    Some(Likely { tau_mm, falls: values[0] - least, rises: values[WEIGHED - 1] - least })
 }
 
 /// Estimates the ovality from the residuals and whitens every contour for it; its standard deviation tau, mm, or `None`

@@ -179,6 +179,7 @@ pub fn named_covariance(adjustment: &Adjustment) -> Option<NamedCovariance> {
     };
     out.intrinsics = (0..model.cameras.len()).map(|c| knowledge(model, &out, c)).collect();
     out.undetermined = undetermined::words(model, &out);
+    out.undetermined.extend(adjustment.ovality_assumed_mm.map(undetermined::of_ovals));
     Some(out)
 }
 
@@ -333,7 +334,7 @@ fn measured(mut directions: DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> 
 /// Part of the movements of its terms by which a sum may move and yet stand still, and part of what it would feel of large changes: what rounding
 /// makes of a direction.
 const CANCELLED: f64 = 1e-4;
-const ROUNDED: f64 = 1e-6;
+pub(super) const ROUNDED: f64 = 1e-6;
 
 /// Whether the movements of its unknowns cancel in a sum.
 fn cancels(terms: &[(usize, f64)], moved: &DVectorView<'_, f64>) -> bool {

@@ -36,7 +36,8 @@ pub struct DiscResidual {
     pub growth_px: f64,
     /// Chi-square of shift and growth (3 numbers), with scaled sigmas.
     pub chi2: f64,
-    /// Chi-square of the five numbers that its rim says together with the other camera's, with scaled sigmas as the image has them, where it does.
+    /// Chi-square of the numbers that its rim says together with others, with scaled sigmas as the image has them, where it does: five together with the
+    /// other camera's, two less what the ovality of a printed disc explains.
     pub rim_chi2: Option<f64>,
     /// Chi-square of all edge points, with scaled sigmas.
     pub edge_chi2: f64,
@@ -93,8 +94,7 @@ fn disc_residual(image: &SeenImage, seen: &DiscObservation, scale: f64) -> Optio
         b += row * r;
         edge_chi2 += r * r;
     }
-    let light = seen.tie.as_ref().filter(|tie| tie.alike().is_some());
-    let rim_chi2 = light.map(|tie| tie.take(&mut rows).iter().map(|[.., r]| r * r).sum());
+    let rim_chi2 = seen.tie.as_ref().map(|tie| tie.take(&mut rows).iter().map(|[.., r]| r * r).sum());
     let x = n.cholesky().map_or_else(Vector3::zeros, |c| c.solve(&b));
     Some(DiscResidual {
         disc: seen.disc,

@@ -43,8 +43,9 @@ impl Alike {
 enum Link {
     /// The same numbers of the disc's contour in the other camera.
     Light { alike: Alike, second: bool },
-    /// The ovality (a, b) of the printed disc, mm: how many sigmas each of two numbers moves per mm.
-    Oval { root: [[f64; 2]; 2] },
+    /// The ovality (a, b) of the printed disc, mm: how many sigmas each of two numbers moves per mm; and whether the loss is asked: not of numbers that an
+    /// ovality is still to explain.
+    Oval { root: [[f64; 2]; 2], loss: bool },
 }
 
 /// What a contour has in common with others of the same disc.
@@ -76,7 +77,7 @@ impl Tie {
         let (root, inverse) = (power(0.5), power(-0.5));
         let columns: Vec<[f64; 2]> = rows.iter().map(|r| (inverse * Vector2::from(*r)).into()).collect();
         let root = [0, 1].map(|k| [root[(k, 0)], root[(k, 1)]]);
-        Some(Self { columns: CommonNoise::of_orthonormal(&columns), link: Link::Oval { root } })
+        Some(Self { columns: CommonNoise::of_orthonormal(&columns), link: Link::Oval { root, loss: false } })
     }
 
     /// How it goes together with the other camera's; `None` where it is not tied to that.
@@ -93,9 +94,16 @@ impl Tie {
         }
     }
 
+    /// From now on the loss is asked, too.
+    pub(super) fn ask_loss(&mut self) {
+        if let Link::Oval { loss, .. } = &mut self.link {
+            *loss = true;
+        }
+    }
+
     /// Takes what the ovality given, mm, explains of the last column of rows over `scale` times the sigmas.
     pub(super) fn take_oval<const N: usize>(&self, rows: &mut [[f64; N]], oval_mm: [f64; 2], scale: f64) {
-        let Link::Oval { root } = self.link else { return };
+        let Link::Oval { root, .. } = self.link else { return };
         for (column, by_mm) in self.columns().zip(root) {
             let part = (by_mm[0] * oval_mm[0] + by_mm[1] * oval_mm[1]) / scale;
             rows.iter_mut().zip(column).for_each(|(row, u)| row[N - 1] -= part * u);
@@ -127,7 +135,7 @@ impl Tie {
     /// The part of a contour in the right-hand side of the geodesic acceleration of the disc's ovality (see [`super::contour::bend`]); `None` where a
     /// circle has no image. Zero where it is tied to none.
     fn oval_bend(&self, images: &[SeenImage; 3], seen: &DiscObservation, h: f64) -> Option<[f64; 2]> {
-        let Link::Oval { root } = self.link else { return Some([0.0; 2]) };
+        let Link::Oval { root, .. } = self.link else { return Some([0.0; 2]) };
         let distances = |k: usize| Some(Feet::of(&images[k].circle(seen.disc), seen)?.distance_px);
         let (before, here, behind) = (distances(0)?, distances(1)?, distances(2)?);
         let scale = images[1].observations.sigma_scale;
@@ -149,10 +157,10 @@ impl Tie {
         let (scale, oval_mm) = (image.observations.sigma_scale, image.oval_mm(disc));
         numbers.enumerate().map(move |(k, (residual, row))| match self.link {
             Link::Light { alike, second } => Tied { of: (disc, k), to: To::Camera { alike, second }, residual, row },
-            Link::Oval { root } => {
+            Link::Oval { root, loss } => {
                 let by_mm = root[k].map(|x| x / scale);
                 let residual = residual - by_mm[0] * oval_mm[0] - by_mm[1] * oval_mm[1];
-                Tied { of: (disc, k), to: To::Disc { by_mm }, residual, row }
+                Tied { of: (disc, k), to: To::Disc { by_mm, loss }, residual, row }
             }
         })
     }
@@ -169,8 +177,8 @@ pub(super) fn oval_bends(images: &[SeenImage; 3], h: f64) -> Option<Vec<(usize, 
 enum To {
     /// The same number of the other camera.
     Camera { alike: Alike, second: bool },
-    /// The ovality of the disc, which moves it by so many sigmas per mm.
-    Disc { by_mm: [f64; 2] },
+    /// The ovality of the disc, which moves it by so many sigmas per mm, and whether the loss is asked.
+    Disc { by_mm: [f64; 2], loss: bool },
 }
 
 /// One number that a contour has in common with others, with what moves it: nothing, the camera space, or the unknowns of its image.
@@ -266,11 +274,18 @@ impl<R: Clone> Pairs<R> {
     }
 }
 
+fn if_asked(asked: bool, loss: Loss) -> Loss {
+    if asked { loss } else { Loss::None }
+}
+
 impl Pairs<()> {
     /// Cost of what an image of the view completes.
     pub(super) fn cost(&mut self, view: usize, tied: &[Tied<()>], loss: Loss) -> f64 {
-        let of_discs = tied.iter().filter(|t| t.light().is_none());
-        let mut sum = of_discs.map(|t| 0.5 * t.residual * t.residual).sum::<f64>();
+        let of_disc = |t: &Tied<()>| match t.to {
+            To::Disc { loss: asked, .. } => 0.5 * if_asked(asked, loss).apply(t.residual * t.residual).0,
+            To::Camera { .. } => 0.0,
+        };
+        let mut sum = tied.iter().map(of_disc).sum::<f64>();
         self.meet(view, (&[], tied), |(_, first), (_, second)| {
             for [a, b] in first.alike().rows() {
                 let r = a * first.residual + b * second.residual;
@@ -285,11 +300,13 @@ impl Pairs<Vec<f64>> {
     /// Adds what an image of the view completes to the equations.
     pub(super) fn add(&mut self, e: &mut NormalEquations, view: usize, image: &MappedNormal, loss: Loss) {
         for tied in &image.tied {
-            if let (To::Disc { by_mm }, Some(first)) = (tied.to, self.ovals) {
-                let own = image.slots.iter().zip(&tied.row).map(|(slot, x)| (*slot, -x));
-                let of_disc = (0..2).map(|k| (Slot::Global(first + 2 * tied.of.0 + k), -by_mm[k]));
-                add_row(e, view, &own.chain(of_disc).collect::<Vec<_>>(), tied.residual);
-                e.cost += 0.5 * tied.residual * tied.residual;
+            if let (To::Disc { by_mm, loss: asked }, Some(first)) = (tied.to, self.ovals) {
+                let (rho, weight) = if_asked(asked, loss).apply(tied.residual * tied.residual);
+                let root = weight.sqrt();
+                let own = image.slots.iter().zip(&tied.row).map(|(slot, x)| (*slot, -root * x));
+                let of_disc = (0..2).map(|k| (Slot::Global(first + 2 * tied.of.0 + k), -root * by_mm[k]));
+                add_row(e, view, &own.chain(of_disc).collect::<Vec<_>>(), tied.residual * root);
+                e.cost += 0.5 * rho;
             }
         }
         self.meet(view, (&image.slots, &image.tied), |first, second| {

@@ -1,8 +1,9 @@
 //! What is not determined, in words.
 
 use super::model::Model;
-use super::posterior::{NamedCovariance, ParameterKnowledge};
+use super::posterior::{NamedCovariance, ParameterKnowledge, ROUNDED};
 use crate::camera::INTRINSIC_NAMES;
+use nalgebra::DVectorView;
 
 /// Posterior variance over prior variance from which on a number is known from its prior only: nine tenths of its sigma are left.
 pub(crate) const ONLY_PRIOR: f64 = 0.81;
@@ -11,10 +12,16 @@ pub(crate) const MOSTLY_PRIOR: f64 = 0.5;
 
 /// The view that a direction belongs to, where it moves numbers of that view alone; `direction` in the order of the names.
 pub(crate) fn view_of_direction<'a>(names: &[String], direction: impl IntoIterator<Item = &'a f64>) -> Option<usize> {
-    let view = |name: &str| name.strip_prefix("view")?.split_once('.')?.0.parse().ok();
-    let mut moved = names.iter().zip(direction).filter(|(_, d)| **d != 0.0).map(|(n, _)| view(n));
+    let mut moved = names.iter().zip(direction).filter(|(_, d)| **d != 0.0).map(|(n, _)| view_of(n));
     let first = moved.next()??;
     moved.all(|v| v == Some(first)).then_some(first)
+}
+
+/// The view that a number belongs to; cameras may have any name.
+fn view_of(name: &str) -> Option<usize> {
+    let (view, what) = name.strip_prefix("view")?.split_once('.')?;
+    let own = ["rig_from_target.", "plane_z_mm", "spacing_mm", "radius", "step_mm"];
+    own.iter().any(|o| what.starts_with(o)).then(|| view.parse().ok())?
 }
 
 /// Undetermined and prior-dominated parameters.
@@ -37,13 +44,18 @@ pub(super) fn words(model: &Model, covariance: &NamedCovariance) -> Vec<String> 
     let of_intrinsic =
         |n: &str| model.cameras.iter().any(|c| INTRINSIC_NAMES.iter().any(|i| n == format!("{}.{i}", c.name)));
     let by_themselves = views_by_themselves(covariance);
-    let of_view = |n: &str| by_themselves.iter().any(|(_, names)| names.iter().any(|own| own == n));
-    let other =
-        covariance.names.iter().zip(&covariance.determined).filter(|(n, d)| !**d && !of_intrinsic(n) && !of_view(n));
-    out.extend(other.map(|(n, _)| format!("{n} is not determined")));
+    let directions = &covariance.null_directions;
+    let shared = |i: usize| {
+        let mut others = directions.column_iter().filter(|d| view_of_direction(&covariance.names, d.iter()).is_none());
+        others.any(|d| moves(covariance, &d, i))
+    };
+    let of_view = |i: usize| by_themselves.iter().any(|(_, own)| own.contains(&i)) && !shared(i);
+    let names = &covariance.names;
+    let other = (0..names.len()).filter(|i| !covariance.determined[*i] && !of_intrinsic(&names[*i]) && !of_view(*i));
+    out.extend(other.map(|i| format!("{} is not determined", names[i])));
     let mut open: Vec<(String, Vec<usize>)> = vec![];
-    for (v, names) in &by_themselves {
-        let what = open_of_target(names);
+    for (v, own) in &by_themselves {
+        let what = open_of_target(&own.iter().map(|i| names[*i].clone()).collect::<Vec<_>>());
         match open.iter_mut().find(|(other, _)| *other == what) {
             Some((_, views)) => views.push(*v),
             None => open.push((what, vec![*v])),
@@ -57,20 +69,23 @@ pub(super) fn words(model: &Model, covariance: &NamedCovariance) -> Vec<String> 
     out
 }
 
-/// Views with directions of their own, each with the numbers that no other direction leaves undetermined.
-fn views_by_themselves(covariance: &NamedCovariance) -> Vec<(usize, Vec<String>)> {
-    let directions: Vec<_> = covariance.null_directions.column_iter().collect();
-    let own: Vec<Option<usize>> = directions.iter().map(|d| view_of_direction(&covariance.names, d.iter())).collect();
-    let shared = |i: usize| directions.iter().zip(&own).any(|(d, own)| own.is_none() && d[i] != 0.0);
-    let mut views: Vec<usize> = own.iter().flatten().copied().collect();
-    views.dedup();
-    let names = |v: usize| {
-        let prefix = format!("view{v}.");
-        let all =
-            covariance.names.iter().enumerate().filter(|(i, n)| n.starts_with(&prefix) && !covariance.determined[*i]);
-        all.filter(|(i, _)| !shared(*i)).map(|(_, n)| n.clone()).collect()
-    };
-    views.into_iter().map(|v| (v, names(v))).collect()
+/// Views with directions of their own, each with the numbers that move along these.
+fn views_by_themselves(covariance: &NamedCovariance) -> Vec<(usize, Vec<usize>)> {
+    let mut out: Vec<(usize, Vec<usize>)> = vec![];
+    for d in covariance.null_directions.column_iter() {
+        let Some(view) = view_of_direction(&covariance.names, d.iter()) else { continue };
+        let moves = (0..d.len()).filter(|i| moves(covariance, &d, *i));
+        match out.iter_mut().find(|(v, _)| *v == view) {
+            Some((_, numbers)) => numbers.extend(moves),
+            None => out.push((view, moves.collect())),
+        }
+    }
+    out
+}
+
+/// Whether a direction moves a number by more than rounding.
+fn moves(covariance: &NamedCovariance, direction: &DVectorView<'_, f64>, i: usize) -> bool {
+    direction[i].abs() > ROUNDED * covariance.scale[i]
 }
 
 /// What one view leaves open by itself, from the names of those numbers.
@@ -81,6 +96,15 @@ fn open_of_target(names: &[String]) -> String {
     let size = any("spacing") || any("radius") || any(".step");
     let parts = [(place, "place"), (turn, "direction"), (size, "size")];
     listed(&parts.iter().filter(|p| p.0).map(|p| p.1.to_owned()).collect::<Vec<_>>())
+}
+
+/// How round two printed discs are, where images do not tell.
+pub(super) fn of_ovals(assumed_mm: f64) -> String {
+    format!(
+        "how round the two printed discs are is not determined: they are taken for ovals of {:.0} um (standard deviation), which the standard deviations of \
+         all numbers hold; views tilted about other axes, or a second camera, would tell",
+        1000.0 * assumed_mm
+    )
 }
 
 /// A list in words.

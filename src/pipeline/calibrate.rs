@@ -96,11 +96,12 @@ fn run(
     let mut refits = None;
     if job.solve.observations == Observations::Bitangent {
         let outliers = std::mem::take(&mut adjustment.outliers);
+        let (ovality_mm, ovality_assumed_mm) = (adjustment.ovality_mm, adjustment.ovality_assumed_mm);
         let tangents = adjust_tangents(&contours, adjustment.state, &options.adjust, &mut observe)?;
         if tangents.adjustment.termination == Termination::Cancelled {
             return Err(Unusable::Cancelled.into());
         }
-        adjustment = Adjustment { outliers, ..tangents.adjustment };
+        adjustment = Adjustment { outliers, ovality_mm, ovality_assumed_mm, ..tangents.adjustment };
         refits = Some((tangents.rounds, tangents.left_out));
     }
     let covariance =

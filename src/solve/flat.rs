@@ -28,12 +28,16 @@ pub(super) struct Held {
     pub(super) flat: Vec<DMatrix<f64>>,
 }
 
-/// S (lower triangle) and right-hand side of the global unknowns, over the directions that the blocks determine; `None` where a block is
-/// indefinite or holds `NaN`.
+/// S (lower triangle) and right-hand side of the global unknowns, over the directions that the blocks determine; `None` where a block
+/// holds `NaN`.
 pub(super) fn over_determined(equations: &NormalEquations) -> Option<(DMatrix<f64>, DVector<f64>, Held)> {
-    let none = || equations.blocks.iter().map(|b| DMatrix::zeros(b.b_v.len(), 0)).collect();
+    // Nothing sees a view that was left out: it is flat as a whole, and no other way round leads to that.
+    let unseen = || {
+        let of = |b: &Block| DMatrix::identity(b.b_v.len(), if is_unseen(b) { b.b_v.len() } else { 0 });
+        equations.blocks.iter().map(of).collect()
+    };
     match eliminate(equations, &Ridge::Relative(0.0)) {
-        Some((s, rhs, blocks)) if !blocks.doubtful(equations) => Some((s, rhs, Held { blocks, flat: none() })),
+        Some((s, rhs, blocks)) if !blocks.doubtful(equations) => Some((s, rhs, Held { blocks, flat: unseen() })),
         _ => {
             let (blocks, flat): (Vec<Block>, Vec<_>) =
                 equations.blocks.iter().map(held).collect::<Option<Vec<_>>>()?.into_iter().unzip();
@@ -43,6 +47,11 @@ pub(super) fn over_determined(equations: &NormalEquations) -> Option<(DMatrix<f6
             Some((s, rhs, Held { blocks, flat }))
         }
     }
+}
+
+/// Whether nothing sees any unknown of a block.
+pub(super) fn is_unseen(block: &Block) -> bool {
+    block.h_vv.diagonal().iter().all(|h| *h <= 0.0)
 }
 
 /// A block held along its flat directions, and those.

@@ -8,7 +8,7 @@
 
 use super::NormalEquations;
 use super::factor::{Cholesky, symmetric_eigen};
-use super::flat::{DETERMINED, FLAT, over_determined};
+use super::flat::{DETERMINED, FLAT, is_unseen, over_determined};
 use super::reduced::{EliminatedBlock, Ridge, eliminate};
 use nalgebra::{DMatrix, DVector};
 
@@ -77,7 +77,7 @@ impl Posterior {
 /// not every direction is determined.
 pub fn global_covariance(equations: &NormalEquations) -> Option<DMatrix<f64>> {
     let (mut s, _, blocks) = eliminate(equations, &Ridge::Relative(0.0))?;
-    if blocks.doubtful(equations) {
+    if blocks.doubtful(equations) || equations.blocks.iter().any(is_unseen) {
         return None;
     }
     let n = s.nrows();

@@ -7,7 +7,7 @@
 //! `H_vv^-1 H_vg = L^-T Y` itself is formed only where the covariance asks for it.
 
 use super::factor::{Cholesky, backward, factorise, forward, take_product};
-use super::flat::DETERMINED;
+use super::flat::{DETERMINED, is_unseen};
 use super::tiles::{FEW, Take};
 use super::{Block, Gradient, NormalEquations, Step};
 use crate::lanes::{self, GROUP, Kernel, Lanes};
@@ -140,14 +140,15 @@ impl Eliminated {
         })
     }
 
-    /// Whether a block may be flat in a direction by itself: the trace of its scaled inverse is too large, or nothing sees an unknown.
+    /// Whether a block may be flat in some directions by itself: the trace of its scaled inverse is too large, or nothing sees an unknown.
     pub(super) fn doubtful(&self, equations: &NormalEquations) -> bool {
         let trace = |(own, block): (EliminatedBlock<'_>, &Block)| -> f64 {
             let seen = block.h_vv.diagonal();
             let scaled = own.inverse().diagonal().component_mul(&seen);
             if seen.iter().all(|h| *h > 0.0) { scaled.sum() } else { f64::INFINITY }
         };
-        !self.blocks().zip(&equations.blocks).map(trace).all(|t| t < DETERMINED)
+        let seen = self.blocks().zip(&equations.blocks).filter(|(_, block)| !is_unseen(block));
+        !seen.map(trace).all(|t| t < DETERMINED)
     }
 }
 

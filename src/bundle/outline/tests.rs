@@ -265,6 +265,67 @@ fn intrinsic(name: &str) -> usize {
     crate::camera::INTRINSIC_NAMES.iter().position(|n| *n == name).unwrap()
 }
 
+/// A glint on one rim hardly moves what all images say, where the loss is one that bends.
+#[test]
+fn a_bad_arc_is_not_taken_for_an_oval() {
+    let ovals = [[2e-3, -1e-3], [-1e-3, 2e-3]];
+    let scene = Reference::of("A").unwrap().parts.scene().with_edge_points(100);
+    let estimate = |bad: bool| {
+        let mut model = drawn(&scene, &ovals, 8);
+        model.loss = Loss::Huber(2.0);
+        let edge = &mut model.images[3].discs[0].edge;
+        // A tenth of the rim, 50 sigmas off.
+        (0..if bad { 10 } else { 0 }).for_each(|i| edge.u_px[i] += 50.0 * SIGMA_PX);
+        let found = adjust(&model, scene.truth.clone(), &AdjustOptions::default(), &mut |_| true);
+        assert_eq!(found.termination, Termination::Converged);
+        let sigma = named_covariance(&found).unwrap().sigma("left.f_px").unwrap();
+        (found.state.ovals_mm.clone(), found.state.cameras[0].f_px, sigma)
+    };
+    let ((clean, f, sigma), (bad, moved_f, _)) = (estimate(false), estimate(true));
+    println!("{clean:?} {bad:?}, f {f} {moved_f} +- {sigma}");
+    for (a, b) in clean.iter().flatten().zip(bad.iter().flatten()) {
+        assert!((a - b).abs() < 3e-4, "{a} {b}");
+    }
+    assert!((f - moved_f).abs() < 2.0 * sigma, "{f} {moved_f} {sigma}");
+}
+
+/// One view of one camera does not tell how large ovals are: what is assumed is said. Six of two cameras tell.
+#[test]
+fn what_images_do_not_tell_is_assumed_in_words() {
+    let scene = Reference::of("A").unwrap().parts.scene().with_edge_points(100);
+    let model = drawn(&scene, &[[1e-3, 0.0], [0.0, 1e-3]], 9);
+    let told = adjust(&model, scene.truth.clone(), &AdjustOptions::default(), &mut |_| true);
+    assert!(told.ovality_assumed_mm.is_none());
+    let (mut few, mut start) = (model, scene.truth.clone());
+    few.images.retain(|i| i.camera == 0 && i.view == 0);
+    few.views.truncate(1);
+    start.views.truncate(1);
+    few.facts.retain(|f| !matches!(f, crate::bundle::Fact::Intrinsic { camera: 1, .. }));
+    few.cameras.truncate(1);
+    start.cameras.truncate(1);
+    start.camera_from_first.truncate(1);
+    few.cameras[0].free = [false; 10];
+    few.cameras[0].free[0] = true;
+    let found = adjust(&few, start, &AdjustOptions::default(), &mut |_| true);
+    let assumed = found.ovality_assumed_mm.unwrap();
+    assert!((1e-4..2e-2).contains(&assumed), "{assumed}");
+    let words = named_covariance(&found).unwrap().undetermined;
+    assert!(words.iter().any(|w| w.starts_with("how round the two printed discs are is not determined")), "{words:?}");
+}
+
+/// Which of two discs of one size is the first may differ from view to view: each contour counts by itself.
+#[test]
+fn discs_of_one_size_share_nothing() {
+    let mut parts = Reference::of("A").unwrap().parts;
+    parts.shape_mm[2] = parts.shape_mm[1];
+    parts.views.iter_mut().for_each(|v| v.shape_mm = parts.shape_mm);
+    let scene = parts.scene();
+    let (mut model, mut state) = (drawn(&scene, &[[3e-3, 0.0], [0.0, 3e-3]], 1), scene.truth.clone());
+    assert!(find(&mut model, &mut state).changed);
+    assert!(state.ovals_mm.is_empty() && model.target.oval_sigma_mm.is_none());
+    assert!(model.images.iter().flat_map(|i| &i.discs).all(|d| d.tie.is_none() && !d.outline.is_none()));
+}
+
 /// Bubbles and grids keep their own ways, and round discs no ovals.
 #[test]
 fn who_has_ovals_of_its_own() {
