@@ -121,16 +121,12 @@ pub(super) fn rms_mm(state: &State) -> Option<f64> {
     (count > 0).then(|| (squares / count as f64).sqrt())
 }
 
-/// The model with contours as round discs would have them, for what cannot share unknowns. What is uncertain of the ovality of a disc is alike in its N
-/// contours; as noise of each, of N times its covariance, it leaves their mean as uncertain. `None` where the equations are none.
+/// The model with contours as round discs would have them, for what cannot share unknowns. What is uncertain of the ovality of a disc counts as noise of
+/// each of its contours, though it is alike in all: too little where one camera tells little of it. `None` where the equations are none.
 pub(super) fn taken_off(model: &Model, state: &State) -> Option<Model> {
     let mut out = model.clone();
     let Some(first) = Places::of(model).ovals else { return Some(out) };
     let covariance = posterior(&Bundle::with_views(model).linearise(state)?).global;
-    let tied = |disc: usize| {
-        let of_disc = model.images.iter().flat_map(|i| &i.discs).filter(|d| d.disc == disc && d.tie.is_some());
-        of_disc.count() as f64
-    };
     for (image, of) in out.images.iter_mut().zip(&model.images) {
         let seen_image = SeenImage::of(model, state, of)?;
         for seen in image.discs.iter_mut().filter(|d| d.tie.is_some()) {
@@ -144,7 +140,7 @@ pub(super) fn taken_off(model: &Model, state: &State) -> Option<Model> {
                 seen.edge.v_px[i] -= moved * normal.1;
             }
             let own = covariance.fixed_view::<2, 2>(first + 2 * seen.disc, first + 2 * seen.disc);
-            seen.outline = CommonNoise::of(&harmonic.rows, &(own * tied(seen.disc) / image.sigma_scale.powi(2)));
+            seen.outline = CommonNoise::of(&harmonic.rows, &(own / image.sigma_scale.powi(2)));
             seen.tie = None;
         }
     }
