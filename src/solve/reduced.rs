@@ -142,17 +142,38 @@ impl Eliminated {
 
     /// Whether a block may be flat in some directions by itself: the trace of its scaled inverse is too large, or nothing sees an unknown.
     pub(super) fn doubtful(&self, equations: &NormalEquations) -> bool {
-        let trace = |(own, block): (EliminatedBlock<'_>, &Block)| -> f64 {
-            let seen = block.h_vv.diagonal();
-            let scaled = own.inverse().diagonal().component_mul(&seen);
-            if seen.iter().all(|h| *h > 0.0) { scaled.sum() } else { f64::INFINITY }
-        };
-        let seen = self.blocks().zip(&equations.blocks).filter(|(_, block)| !is_unseen(block));
-        !seen.map(trace).all(|t| t < DETERMINED)
+        let mut row = vec![0.0; self.sizes.iter().copied().max().unwrap_or(0)];
+        let mut blocks = self.blocks().zip(&equations.blocks);
+        !blocks.all(|(own, block)| own.trace(block, &mut row) < DETERMINED || is_unseen(block))
     }
 }
 
 impl EliminatedBlock<'_> {
+    /// Trace of the inverse of the block scaled by its diagonal, `sum_j h_jj |L^-1 e_j|^2`; infinite where nothing sees an unknown. `x` for scratch.
+    fn trace(&self, block: &Block, x: &mut [f64]) -> f64 {
+        let (d, l, h) = (self.own.len(), self.factor, block.h_vv.as_slice());
+        let mut sum = 0.0;
+        for j in 0..d {
+            let seen = h[j * d + j];
+            if !(seen > 0.0) {
+                return f64::INFINITY;
+            }
+            x[j..d].fill(0.0);
+            x[j] = 1.0;
+            let mut squares = 0.0;
+            for m in j..d {
+                let column = &l[m * d..(m + 1) * d];
+                let own = x[m] / column[m];
+                squares += own * own;
+                for k in m + 1..d {
+                    x[k] -= column[k] * own;
+                }
+            }
+            sum += seen * squares;
+        }
+        sum
+    }
+
     /// Column k of Y transposed.
     fn column(&self, k: usize) -> &[f64] {
         &self.coupled[k * stride(self.global)..][..self.global]
