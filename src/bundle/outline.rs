@@ -7,12 +7,18 @@
 //! ```text
 //! r = noise + B (a, b),   Cov(noise) = k I,   B_i = (mm of outline -> px) / sigma_i * (cos 2 phi_i, sin 2 phi_i)
 //! ```
+//! | symbol | identifier | shape | unit | meaning |
+//! |---|---|---|---|---|
+//! | a, b | `ovals_mm` | 2 per disc | mm | ovality of a disc, in the target frame |
+//! | phi | `direction` | points | rad | foot of an edge point on its circle, from the target's x axis to its y axis |
+//! | tau | `oval_sigma_mm` | 1 | mm | standard deviation of a and b |
+//! | B | `rows` | points x 2 | 1/mm | movement of whitened edge points by a and b |
+//!
 //! B is formed once, from the feet of the first solution, and held: the cost stays one of least squares, its derivatives exact. Higher harmonics do not
 //! couple to a plate's pose.
 //!
-//! *Two discs.* Pose and size of each view take most of an ovality to themselves, alike in all views, so that the cameras follow: taken for independent
-//! from image to image, 1 um of it makes errors up to twice as large as their sigmas with two cameras, six times with one. So (a, b) of either disc are
-//! unknowns of all images, normal about zero by tau; its square is the mean over its likelihood with everything else integrated out
+//! *Two discs.* Pose and size of each view take most of an ovality to themselves, alike in all views, so that the cameras follow: it must not be taken for
+//! independent from image to image (docs/measurements.md says what came of that). So (a, b) of either disc are unknowns of all images, normal about zero by tau; its square is the mean over its likelihood with everything else integrated out
 //! ([`crate::solve::evidence`]), every order of magnitude alike beforehand, up to a hundredth of the radius. Where images do not exclude the largest, a
 //! thousandth is taken, and that is said.
 //!
@@ -20,6 +26,8 @@
 //! view, contours are whitened by the inverse root of `k I + tau^2 B B^T`, up to `1 / sqrt k` (see [`CommonNoise`]). tau is estimated from all contours together by moments,
 //! `tau^2 = mean of |x|^2 / 2 - k tr (B^T B)^-1 / 2` with x the least-squares (a, b) of a contour, and taken for zero where it is no
 //! more than chance.
+//!
+//! Source: components of variance with all unknowns integrated out after Patterson and Thompson (1971), as in [`crate::solve::evidence`].
 
 use super::adjust::Bundle;
 use super::assemble::{SeenImage, threaded};
@@ -76,9 +84,8 @@ impl Harmonic {
     fn of(circle: &SeenCircle, seen: &DiscObservation) -> Option<Self> {
         let (edge, feet) = (&seen.edge, Feet::of(circle, seen)?);
         let row = |i: usize| {
-            let (cos, sin) = (feet.direction[0][i], feet.direction[1][i]);
-            let (iw, px_per_mm) = (1.0 / edge.sigma_px[i], feet.px_per_mm[i]);
-            [(cos * cos - sin * sin) * px_per_mm * iw, 2.0 * sin * cos * px_per_mm * iw, feet.distance_px[i] * iw]
+            let ([a, b], iw) = (px_per_mm(&feet, i), 1.0 / edge.sigma_px[i]);
+            [a * iw, b * iw, feet.distance_px[i] * iw]
         };
         let mut all: Vec<[f64; 3]> = (0..edge.u_px.len()).map(row).collect();
         seen.common.apply(&mut all);
@@ -99,6 +106,12 @@ impl Harmonic {
     fn noise(&self, ratio: f64) -> CommonNoise {
         CommonNoise::of(&self.rows, &Matrix2::from_diagonal_element(ratio))
     }
+}
+
+/// Movement of an edge point along its normal by the ovality (a, b) of its disc, px per mm.
+fn px_per_mm(feet: &Feet, i: usize) -> [f64; 2] {
+    let (cos, sin, px) = (feet.direction[0][i], feet.direction[1][i], feet.px_per_mm[i]);
+    [px * (cos * cos - sin * sin), px * 2.0 * sin * cos]
 }
 
 /// Looks for ovals in the residuals and lets the model know of them; nothing is changed where outlines are round as far as their noise shows.
@@ -134,8 +147,8 @@ pub(super) fn taken_off(model: &Model, state: &State) -> Option<Model> {
             let (feet, harmonic) = (Feet::of(&circle, seen)?, Harmonic::of(&circle, seen)?);
             let [a, b] = seen_image.oval_mm(seen.disc);
             for (i, normal) in feet.normal[0].iter().zip(&feet.normal[1]).enumerate() {
-                let (cos, sin) = (feet.direction[0][i], feet.direction[1][i]);
-                let moved = feet.px_per_mm[i] * (a * (cos * cos - sin * sin) + b * 2.0 * sin * cos);
+                let [by_a, by_b] = px_per_mm(&feet, i);
+                let moved = a * by_a + b * by_b;
                 seen.edge.u_px[i] -= moved * normal.0;
                 seen.edge.v_px[i] -= moved * normal.1;
             }

@@ -140,24 +140,28 @@ impl Eliminated {
         })
     }
 
-    /// Whether a block may be flat in some directions by itself: the trace of its scaled inverse is too large, or nothing sees an unknown.
+    /// Whether a block may be flat in some directions by itself. Blocks that nothing sees at all are no question.
     pub(super) fn doubtful(&self, equations: &NormalEquations) -> bool {
-        let mut row = vec![0.0; self.sizes.iter().copied().max().unwrap_or(0)];
+        let mut x = vec![0.0; self.sizes.iter().copied().max().unwrap_or(0)];
         let mut blocks = self.blocks().zip(&equations.blocks);
-        !blocks.all(|(own, block)| own.trace(block, &mut row) < DETERMINED || is_unseen(block))
+        !blocks.all(|(own, block)| own.is_determined(block, &mut x) || is_unseen(block))
     }
 }
 
 impl EliminatedBlock<'_> {
-    /// Trace of the inverse of the block scaled by its diagonal, `sum_j h_jj |L^-1 e_j|^2`; infinite where nothing sees an unknown. `x` for scratch.
-    fn trace(&self, block: &Block, x: &mut [f64]) -> f64 {
+    /// Whether no eigenvalue of the block scaled by its diagonal is below ten times [`super::flat::FLAT`]. These have the mean one, so that the least is at
+    /// least `det / e`, which mostly tells; else the trace of the inverse does, `sum_j h_jj |L^-1 e_j|^2`. `x` for scratch.
+    fn is_determined(&self, block: &Block, x: &mut [f64]) -> bool {
         let (d, l, h) = (self.own.len(), self.factor, block.h_vv.as_slice());
-        let mut sum = 0.0;
+        let shares = (0..d).map(|k| l[k * (d + 1)].powi(2) / h[k * (d + 1)]);
+        if (0..d).any(|k| !(h[k * (d + 1)] > 0.0)) {
+            return false;
+        }
+        if shares.product::<f64>() * DETERMINED > std::f64::consts::E {
+            return true;
+        }
+        let mut trace = 0.0;
         for j in 0..d {
-            let seen = h[j * d + j];
-            if !(seen > 0.0) {
-                return f64::INFINITY;
-            }
             x[j..d].fill(0.0);
             x[j] = 1.0;
             let mut squares = 0.0;
@@ -165,13 +169,11 @@ impl EliminatedBlock<'_> {
                 let column = &l[m * d..(m + 1) * d];
                 let own = x[m] / column[m];
                 squares += own * own;
-                for k in m + 1..d {
-                    x[k] -= column[k] * own;
-                }
+                x[m + 1..d].iter_mut().zip(&column[m + 1..]).for_each(|(x, l)| *x -= l * own);
             }
-            sum += seen * squares;
+            trace += h[j * (d + 1)] * squares;
         }
-        sum
+        trace < DETERMINED
     }
 
     /// Column k of Y transposed.
