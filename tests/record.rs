@@ -262,6 +262,7 @@ fn wrong_types_and_missing_keys_are_refused_with_their_line() {
     );
     for (whole, words) in [
         ("", "EOF"),
+        ("[package]", "not a whole calibration.json"),
         ("[1, 2]", "not a calibration"),
         ("{}", "no key \"format\""),
         (r#"{"format": "dice", "version": 1}"#, "expected \"spivcal-calibration\""),

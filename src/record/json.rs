@@ -108,7 +108,8 @@ fn syntax(file: &str, text: &str, e: &serde_json::Error) -> Error {
     let line = e.line();
     let excerpt: String =
         text.lines().nth(line.saturating_sub(1)).map(|l| l.trim().chars().take(60).collect()).unwrap_or_default();
-    let mut message = words.to_owned();
+    let mut message =
+        format!("this is not a whole calibration.json as spivcal calibrate writes it (not valid JSON: {words})");
     if !excerpt.is_empty() {
         let _ = write!(message, ", in `{excerpt}`");
     }
