@@ -27,7 +27,7 @@ fn lost(c: &NamedCovariance, v: usize) -> Vec<&str> {
 fn it_is_said_of_the_view_and_harms_nothing_else() {
     let parts = Problem::of("B").unwrap().parts;
     let lone = covariance(&parts, &[3, 5]);
-    assert_eq!(lone.nullity, 2);
+    assert_eq!((lone.nullity, lone.shared_nullity()), (2, 0));
     for v in [3, 5] {
         let names = ["rig_from_target.tz_mm", "spacing_mm", "radius0_mm", "radius1_mm"];
         let found = lost(&lone, v);
@@ -72,7 +72,7 @@ fn the_scale_of_the_rig_is_another_matter() {
     let mut parts = Problem::of("B").unwrap().parts;
     parts.facts.clear();
     let c = covariance(&parts, &[3]);
-    assert_eq!(c.nullity, 2);
+    assert_eq!((c.nullity, c.shared_nullity()), (2, 1));
     assert!(c.sigma("right.cam_from_rig.tx_mm").is_none() && c.sigma("view4.spacing_mm").is_none());
     assert!(c.undetermined.iter().any(|w| w.contains("cam_from_rig.tx_mm")), "{:#?}", c.undetermined);
     // The view follows the rig's scale or its own.

@@ -91,6 +91,11 @@ impl NamedCovariance {
             Some(i) => self.determined[i].then(|| self.matrix[(i, i)].max(0.0).sqrt()),
         }
     }
+    /// Number of undetermined directions that move what views share.
+    pub fn shared_nullity(&self) -> usize {
+        let shared = |d: &DVectorView<'_, f64>| undetermined::view_of_direction(&self.names, d.iter()).is_none();
+        self.null_directions.column_iter().filter(shared).count()
+    }
     /// True where a linear function of named parameters, a (name, coefficient) list, stands still along every undetermined
     /// direction: the angle of the sheet to the baseline may be known where neither sheet nor baseline is.
     pub fn is_determined(&self, row: &[(String, f64)]) -> bool {

@@ -293,7 +293,7 @@ fn fit(s: &Solved, fits: &[ImageFit], findings: &Findings) -> Fit {
     let degrees_of_freedom = (observations + facts).saturating_sub(unknowns);
     let adjustment = s.adjustment;
     let mut flags = vec![];
-    let shared = covariance(s).shared_nullity();
+    let shared = s.covariance.shared_nullity();
     if shared > 0 {
         flags.push(format!(
             "{shared} direction(s) of the calibration are determined by nothing; see what is not determined"
