@@ -19,6 +19,7 @@ mod diagnosis;
 mod geometry;
 mod json;
 mod number;
+mod place;
 mod provenance;
 mod residuals;
 mod schema;

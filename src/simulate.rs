@@ -36,6 +36,7 @@ use nalgebra::Vector2;
 use particles::Particles;
 use render::Figure;
 use scene::{Kind, SceneFile, syntax};
+use serde::Deserialize;
 use setup::Setup;
 
 /// A scene that has been read and found possible.
@@ -75,9 +76,11 @@ impl Scene {
         let refused = |at: usize, message: &str| syntax(file, check::line_at(text, at), message.trim());
         let start = |e: &toml::de::Error| e.span().map_or(0, |s| s.start);
         let reader = toml::Deserializer::parse(text).map_err(|e| refused(start(&e), e.message()))?;
-        let scene: SceneFile = serde_path_to_error::deserialize(reader).map_err(|e| {
-            let (path, words) = (e.path().to_string(), in_plain_types(e.inner().message()));
-            refused(start(e.inner()), &if path == "." { words } else { format!("{path}: {words}") })
+        let scene = SceneFile::deserialize(reader).map_err(|mut e| {
+            let at = start(&e);
+            // Without its text the reader tells the key instead.
+            e.set_input(None);
+            refused(at, &in_plain_types(&e.to_string()).replace("\nin `", ", in `"))
         })?;
         check::check(&scene, &lines)?;
         let setup = Setup::new(&scene, &lines)?;

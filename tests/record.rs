@@ -279,6 +279,23 @@ fn wrong_types_and_missing_keys_are_refused_with_their_line() {
     json.as_object_mut().unwrap().remove("sheet");
     let error = Record::from_json(&json.to_string(), "c.json").unwrap_err().to_string();
     assert!(error.contains("missing key `sheet`"), "{error}");
+    for (pointer, value, words) in [
+        ("/cameras/1", serde_json::json!({ "name": "right" }), "cameras[1]: missing key"),
+        (
+            "/cameras/1/cam_from_rig/rotation/1",
+            serde_json::json!([0.0, 1.0]),
+            "cameras[1].cam_from_rig.rotation[1]: invalid length 2, expected a list of length 3",
+        ),
+        ("/cameras/0/image_size_px", Value::from(7), "cameras[0].image_size_px: invalid type: integer `7`"),
+        (
+            "/fit/iterations",
+            Value::from("many"),
+            "fit.iterations: invalid type: string \"many\", expected a whole number",
+        ),
+    ] {
+        let (line, message) = refusal(pointer, value);
+        assert!(line > 1 && message.contains(words), "{pointer}: line {line}: {message}");
+    }
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Between a [`Record`] and the text of `calibration.json`.
 
-use super::check;
 use super::schema::{FORMAT, Record, VERSION};
+use super::{check, place};
 use crate::error::{Error, Invalid, Result, in_plain_types};
 use serde_json::{Map, Value};
 use std::fmt::Write;
@@ -58,13 +58,12 @@ impl Record {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let value: Value = serde_json::from_str(text).map_err(|e| syntax(file, text, &e))?;
         check_header(&value, text, file)?;
-        let mut reader = serde_json::Deserializer::from_str(text);
-        let record: Record = serde_path_to_error::deserialize(&mut reader).map_err(|e| at_key(file, text, &e))?;
+        let record: Record = serde_json::from_str(text).map_err(|e| at_key(file, text, &e))?;
         match check::first_fault(&record) {
             None => Ok(record),
             Some(fault) => Err(Invalid::Syntax {
                 file: file.into(),
-                line: check::line_of(text, &fault.path),
+                line: place::line_of(text, &fault.path),
                 message: format!("{}: {}", fault.path, fault.message),
             }
             .into()),
@@ -74,7 +73,7 @@ impl Record {
 
 fn check_header(value: &Value, text: &str, file: &str) -> Result<()> {
     let fault = |key: &str, message: String| -> Result<()> {
-        Err(Invalid::Syntax { file: file.into(), line: check::line_of(text, key), message }.into())
+        Err(Invalid::Syntax { file: file.into(), line: place::line_of(text, key), message }.into())
     };
     let Value::Object(map) = value else {
         return fault("", format!("this is not a calibration: expected an object with \"format\": \"{FORMAT}\""));
@@ -92,13 +91,13 @@ fn check_header(value: &Value, text: &str, file: &str) -> Result<()> {
 }
 
 /// The message of a value that is missing or of another type, with its key.
-fn at_key(file: &str, text: &str, e: &serde_path_to_error::Error<serde_json::Error>) -> Error {
-    let (full, path) = (e.inner().to_string(), e.path().to_string());
+fn at_key(file: &str, text: &str, e: &serde_json::Error) -> Error {
+    let (full, path) = (e.to_string(), place::path_at(text, e.line(), e.column()));
     let words = full.split(" at line ").next().unwrap_or(&full);
     let words = words.replace("null, expected f64", "null (a number that was not determined), expected f64");
     let words = in_plain_types(&words.replace("expected f64", "expected a finite number"));
-    let message = if path == "." { words } else { format!("{path}: {words}") };
-    Invalid::Syntax { file: file.into(), line: check::line_of(text, &path), message }.into()
+    let message = if path.is_empty() { words } else { format!("{path}: {words}") };
+    Invalid::Syntax { file: file.into(), line: place::line_of(text, &path), message }.into()
 }
 
 /// serde_json's message with our file and line, and the text it complains about.

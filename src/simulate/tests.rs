@@ -367,3 +367,13 @@ fn every_key_is_in_the_documentation() {
     }
     assert!(known > 60, "{known} keys");
 }
+
+#[test]
+fn a_value_of_another_type_is_told_by_its_key() {
+    let text = preset_text("paper-table1").unwrap();
+    let wrong = text.replacen("spacing_mm = 26.0", "spacing_mm = '14 mm'", 1);
+    let message = Scene::parse(&wrong, "s.toml").unwrap_err().to_string();
+    let line = 1 + wrong.lines().position(|l| l.contains("14 mm")).expect("the preset has this key");
+    let expected = format!("s.toml:{line}: invalid type: string \"14 mm\", expected a number, in `target.spacing_mm`");
+    assert_eq!(message, expected);
+}
