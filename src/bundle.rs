@@ -86,9 +86,10 @@ pub use facts::{Fact, PriorOf};
 pub use focus::Focus;
 pub use influence::{ViewsLeftOut, named_rows, natural_of, predicted_with_all_views, readjusted_without_views};
 pub use model::{
-    CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, PairObservation,
-    PlanePosition, PointObservations, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
+    CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, OvalDependence,
+    PairObservation, PlanePosition, PointObservations, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
 };
+pub(crate) use outline::with_round_discs;
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use reach::{Numbers, Observe, Reach};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};

@@ -14,7 +14,7 @@ from pathlib import Path
 ALLOWED = {"libc.so.6", "libm.so.6", "libgcc_s.so.1", "ld-linux-x86-64.so.2", "ld-linux-aarch64.so.1", "libpthread.so.0", "libdl.so.2"}
 
 # A tenth more than the library had when it was measured last (docs/measurements.md).
-MOST_BYTES = 11_000_000
+MOST_BYTES = 12_000_000
 
 
 def forbidden(sources):

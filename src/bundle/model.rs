@@ -218,6 +218,8 @@ pub struct PairObservation {
     pub whitening: DMatrix<f64>,
     /// For features that were found through a lens: how they follow it. `None`: the pixels stay where they are.
     pub lens: Option<LensDependence>,
+    /// For features of discs that are not quite round: how they follow what is taken off as ovality. `None`: the contours are what they are of.
+    pub ovals: Option<OvalDependence>,
 }
 
 /// How features move with the lens through which they were found (see [`super::pair_features`]).
@@ -226,6 +228,15 @@ pub struct LensDependence {
     /// Intrinsics at which they were found, in the order of [`crate::camera::INTRINSIC_NAMES`].
     pub intrinsics: [f64; INTRINSICS],
     /// Derivative of the pixels by the intrinsics, 2 kept x 10.
+    pub derivative: DMatrix<f64>,
+}
+
+/// How features move with the ovality of their discs, which was taken off the contours that they are of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OvalDependence {
+    /// Ovality (a, b) of either disc at which they were found, mm.
+    pub ovals_mm: [[f64; 2]; 2],
+    /// Derivative of the pixels by (a, b) of the first disc and of the second, px/mm, 2 kept x 4.
     pub derivative: DMatrix<f64>,
 }
 

@@ -114,6 +114,12 @@ fn px_per_mm(feet: &Feet, i: usize) -> [f64; 2] {
     [px * (cos * cos - sin * sin), px * 2.0 * sin * cos]
 }
 
+/// How far the ovality of a disc moves the edge points of a contour along its normal, px.
+pub(super) fn moved_px(feet: &Feet, [a, b]: [f64; 2]) -> Vec<f64> {
+    let each = (0..feet.px_per_mm.len()).map(|i| px_per_mm(feet, i));
+    each.map(|[by_a, by_b]| a * by_a + b * by_b).collect()
+}
+
 /// Looks for ovals in the residuals and lets the model know of them; nothing is changed where outlines are round as far as their noise shows.
 pub(super) fn find(model: &mut Model, state: &mut State) -> Outlines {
     let printed_pair = matches!(model.target.shape, TargetShape::Pair { per_view: false });
@@ -134,27 +140,35 @@ pub(super) fn rms_mm(state: &State) -> Option<f64> {
     (count > 0).then(|| (squares / count as f64).sqrt())
 }
 
-/// The model with contours as round discs would have them, for what cannot share unknowns. What is uncertain of the ovality of a disc counts as noise of
-/// each of its contours, though it is alike in all: too little where one camera tells little of it. `None` where the equations are none.
-pub(super) fn taken_off(model: &Model, state: &State) -> Option<Model> {
+/// A contour without the ovality of its disc, and how far its points move as more of a and of b is taken off, px per mm.
+pub(super) type Round = (DiscObservation, Vec<[Vector2<f64>; 2]>);
+
+/// A contour as a round disc would have it; `None` where the circle has no image.
+pub(super) fn round(image: &SeenImage, seen: &DiscObservation) -> Option<Round> {
+    let feet = Feet::of(&image.circle(seen.disc), seen)?;
+    let ([a, b], mut out) = (image.oval_mm(seen.disc), DiscObservation { tie: None, ..seen.clone() });
+    let move_by = |i: usize| px_per_mm(&feet, i).map(|px| -px * Vector2::new(feet.normal[0][i], feet.normal[1][i]));
+    let moves: Vec<[Vector2<f64>; 2]> = (0..feet.px_per_mm.len()).map(move_by).collect();
+    for (i, [by_a, by_b]) in moves.iter().enumerate() {
+        out.edge.u_px[i] += a * by_a.x + b * by_b.x;
+        out.edge.v_px[i] += a * by_a.y + b * by_b.y;
+    }
+    Some((out, moves))
+}
+
+/// The model with contours as round discs would have them, for what looks at single views. What is uncertain of the ovality of a disc counts as noise of
+/// each of its contours, though it is alike in all. `None` where the equations are none.
+pub(crate) fn with_round_discs(model: &Model, state: &State) -> Option<Model> {
     let mut out = model.clone();
     let Some(first) = Places::of(model).ovals else { return Some(out) };
     let covariance = posterior(&Bundle::with_views(model).linearise(state)?).global;
     for (image, of) in out.images.iter_mut().zip(&model.images) {
         let seen_image = SeenImage::of(model, state, of)?;
         for seen in image.discs.iter_mut().filter(|d| d.tie.is_some()) {
-            let circle = seen_image.circle(seen.disc);
-            let (feet, harmonic) = (Feet::of(&circle, seen)?, Harmonic::of(&circle, seen)?);
-            let [a, b] = seen_image.oval_mm(seen.disc);
-            for (i, normal) in feet.normal[0].iter().zip(&feet.normal[1]).enumerate() {
-                let [by_a, by_b] = px_per_mm(&feet, i);
-                let moved = a * by_a + b * by_b;
-                seen.edge.u_px[i] -= moved * normal.0;
-                seen.edge.v_px[i] -= moved * normal.1;
-            }
+            let harmonic = Harmonic::of(&seen_image.circle(seen.disc), seen)?;
             let own = covariance.fixed_view::<2, 2>(first + 2 * seen.disc, first + 2 * seen.disc);
+            *seen = round(&seen_image, seen)?.0;
             seen.outline = CommonNoise::of(&harmonic.rows, &(own / image.sigma_scale.powi(2)));
-            seen.tie = None;
         }
     }
     out.target.oval_sigma_mm = None;

@@ -33,16 +33,21 @@ pub(super) fn part(model: &Model) -> Option<Model> {
     (sum(&out) as f64 <= WORTH * sum(model) as f64).then_some(out)
 }
 
-/// The model with no more than some hundred observations of each image; `None` where tangents are among them.
+/// The model with no more than some hundred observations of each image, all of them where images share the ovality of their few discs; `None` where
+/// tangents are among them.
 pub(super) fn with_few_observations(model: &Model) -> Option<Model> {
     if model.images.iter().any(|i| !i.pairs.is_empty()) {
         return None;
+    }
+    // What an ovality takes from the cameras is as much with some points of a contour as with all.
+    if model.target.oval_sigma_mm.is_some() {
+        return Some(model.clone());
     }
     let images = model.images.iter().map(thinned).collect();
     let Model { cameras, target, views, facts, loss, .. } = model;
     let (cameras, mut target, views) = (cameras.clone(), target.clone(), views.clone());
     // Discs stay where the start has them: few of them are seen, and views are eliminated sooner than discs.
-    (target.offset_sigma_mm, target.oval_sigma_mm) = (None, None);
+    target.offset_sigma_mm = None;
     Some(Model { cameras, target, views, facts: facts.clone(), images, loss: *loss })
 }
 

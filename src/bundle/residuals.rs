@@ -8,6 +8,7 @@
 use super::assemble::{SeenImage, threaded};
 use super::edges::Feet;
 use super::model::{DiscObservation, ImageObservations, Model};
+use super::outline;
 use super::state::State;
 use crate::threads::gathered;
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -15,7 +16,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 /// Residuals of the edge points of one disc, structure of arrays.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct EdgeResidual {
-    /// Signed orthogonal distance of the edge point from the predicted contour, px; positive outside.
+    /// Signed orthogonal distance of the edge point from the predicted contour, ovality of the disc included, px; positive outside.
     pub distance_px: Vec<f64>,
     /// Outward unit normal of the predicted contour.
     pub normal_u: Vec<f64>,
@@ -76,7 +77,11 @@ pub(super) fn of_each_image(model: &Model, state: &State) -> Vec<Option<ImageRes
 fn disc_residual(image: &SeenImage, seen: &DiscObservation, scale: f64) -> Option<DiscResidual> {
     let circle = image.circle(seen.disc);
     let start = circle.start()?;
-    let Feet { distance_px, normal: [normal_u, normal_v], .. } = Feet::of(&circle, seen)?;
+    let feet = Feet::of(&circle, seen)?;
+    let oval_mm = image.oval_mm(seen.disc);
+    let by_oval = if oval_mm == [0.0; 2] { vec![] } else { outline::moved_px(&feet, oval_mm) };
+    let Feet { mut distance_px, normal: [normal_u, normal_v], .. } = feet;
+    distance_px.iter_mut().zip(by_oval).for_each(|(distance, moved)| *distance -= moved);
     let edges = EdgeResidual { distance_px, normal_u, normal_v };
     let row = |i: usize| {
         let w = 1.0 / (seen.edge.sigma_px[i] * scale);
@@ -84,9 +89,6 @@ fn disc_residual(image: &SeenImage, seen: &DiscObservation, scale: f64) -> Optio
     };
     let mut rows: Vec<_> = (0..seen.edge.u_px.len()).map(row).collect();
     seen.whiten(&mut rows);
-    if let Some(tie) = &seen.tie {
-        tie.take_oval(&mut rows, image.oval_mm(seen.disc), scale);
-    }
     let (mut n, mut b, mut edge_chi2) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
     for &[u, v, grow, r] in &rows {
         let row = Vector3::new(u, v, grow);

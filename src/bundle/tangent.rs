@@ -2,7 +2,8 @@
 //!
 //! `r = W (f + G (i - i0) - image of F(c0, r0, c1, r1))`, W the whitening of the features' rank-10 covariance, so that r has
 //! unit variance; F in closed form ([`crate::bitangent::circle_features`]), its derivative by the shape of the target through
-//! those of centres and radii; G how features found through the lens i0 follow another lens i ([`super::refit`]). Equal
+//! those of centres and radii; G how features found through the lens i0 follow another lens i ([`super::refit`]), and in the same way how they follow
+//! what is taken off their contours as ovality of the discs. Equal
 //! radii have no external crossing: a state with them is refused where that point was kept. The robust loss sees the pair as one,
 //! with a threshold grown by the root of its rank.
 //!
@@ -11,7 +12,8 @@
 
 use super::assemble::{ImageNormal, LOCAL, SPACE, SeenImage};
 use super::edges::{Columns, allows};
-use super::model::{Loss, PairObservation};
+use super::model::{Loss, OvalDependence, PairObservation};
+use super::tie::Tied;
 use crate::bitangent::{EXTERNAL_CROSSING, FROM_BEHIND, POINTS, circle_features};
 use crate::camera::{Camera, INTRINSICS, LaneCamera};
 use crate::lanes::{self, GROUP, Kernel, Lanes, splats};
@@ -153,6 +155,10 @@ fn gaps(image: &SeenImage, pair: &PairObservation, columns: Option<&Columns>, sc
         let change = SVector::<f64, INTRINSICS>::from_fn(|i, _| now[i] - lens.intrinsics[i]);
         (0..2 * n).for_each(|j| gap[j] += lens.derivative.row(j).iter().zip(&change).map(|(d, c)| d * c).sum::<f64>());
     }
+    if let Some(ovals) = &pair.ovals {
+        let change = oval_change(image, pair, ovals);
+        (0..2 * n).for_each(|j| gap[j] += ovals.derivative.row(j).iter().zip(&change).map(|(d, c)| d * c).sum::<f64>());
+    }
     let Some(columns) = columns else { return Some(()) };
     let by_shape = features.jacobian * circles_by_shape(image, pair.discs);
     let in_plane: Matrix3x2<f64> = motion.rotation.fixed_columns::<2>(0).into_owned();
@@ -175,6 +181,12 @@ fn gaps(image: &SeenImage, pair: &PairObservation, columns: Option<&Columns>, sc
         rows[j][columns.list().len()] = gap[j];
     }
     Some(())
+}
+
+/// Ovality (a, b) of both discs less that which was taken off, mm.
+fn oval_change(image: &SeenImage, pair: &PairObservation, ovals: &OvalDependence) -> [f64; 4] {
+    let now = pair.discs.map(|disc| image.oval_mm(disc));
+    std::array::from_fn(|k| now[k / 2][k % 2] - ovals.ovals_mm[k / 2][k % 2])
 }
 
 /// Cost of one pair; `None` where it has no image.
@@ -201,10 +213,43 @@ pub(super) fn linearise(
     gaps(image, pair, Some(columns), scratch)?;
     let (loss, scale) = (image.model.loss, image.observations.sigma_scale);
     let (list, rows) = (columns.list(), &scratch.rows);
+    if let (Some(ovals), Some(_)) = (&pair.ovals, image.model.target.oval_sigma_mm) {
+        return rows_with_ovals(pair, ovals, (loss, scale), (list, rows), out);
+    }
     match list.len() < NARROW {
         true => lanes::run(Product::<NARROW> { pair, loss, scale, list, rows, out }),
         false => lanes::run(Product::<WIDE> { pair, loss, scale, list, rows, out }),
     }
+}
+
+/// Whitened rows, one by one: they move ovals as well, which are unknowns of all images.
+fn rows_with_ovals(
+    pair: &PairObservation,
+    ovals: &OvalDependence,
+    (loss, scale): (Loss, f64),
+    (list, rows): (&[usize], &[[f64; WIDE]; 2 * POINTS]),
+    out: &mut ImageNormal<LOCAL>,
+) -> Option<()> {
+    let white = |w: nalgebra::RowDVector<f64>| {
+        let (mut row, mut by_mm, mut residual) = (SVector::<f64, LOCAL>::zeros(), [0.0; 4], 0.0);
+        for (j, w) in w.iter().enumerate() {
+            let factor = w / scale;
+            list.iter().zip(&rows[j]).filter(|(k, _)| **k < LOCAL).for_each(|(k, x)| row[*k] += factor * x);
+            (0..4).for_each(|k| by_mm[k] -= factor * ovals.derivative[(j, k)]);
+            residual += factor * rows[j][list.len()];
+        }
+        (residual, row, by_mm)
+    };
+    let all: Vec<_> = pair.whitening.row_iter().map(|w| white(w.into_owned())).collect();
+    let square = all.iter().map(|(r, _, _)| r * r).sum();
+    let (rho, weight) = pair_loss(loss, all.len()).apply(square);
+    let root = weight.sqrt();
+    let weighed = |(r, row, by_mm): (f64, SVector<f64, LOCAL>, [f64; 4])| {
+        Tied::of_pair(pair.discs, by_mm.map(|x| root * x), root * r, root * row)
+    };
+    out.tied.extend(all.into_iter().map(weighed));
+    out.cost += 0.5 * rho;
+    rho.is_finite().then_some(())
 }
 
 /// Whitens the rows and adds their products, `W` numbers of each.

@@ -101,15 +101,6 @@ impl Tie {
         }
     }
 
-    /// Takes what the ovality given, mm, explains of the last column of rows over `scale` times the sigmas.
-    pub(super) fn take_oval<const N: usize>(&self, rows: &mut [[f64; N]], oval_mm: [f64; 2], scale: f64) {
-        let Link::Oval { root, .. } = self.link else { return };
-        for (column, by_mm) in self.columns().zip(root) {
-            let part = (by_mm[0] * oval_mm[0] + by_mm[1] * oval_mm[1]) / scale;
-            rows.iter_mut().zip(column).for_each(|(row, u)| row[N - 1] -= part * u);
-        }
-    }
-
     /// Columns of U.
     #[inline(always)]
     pub(super) fn columns(&self) -> impl Iterator<Item = &[f64]> {
@@ -179,6 +170,8 @@ enum To {
     Camera { alike: Alike, second: bool },
     /// The ovality of the disc, which moves it by so many sigmas per mm, and whether the loss is asked.
     Disc { by_mm: [f64; 2], loss: bool },
+    /// The ovality of two discs, of a row that has its weight and whose cost is counted.
+    Pair { discs: [usize; 2], by_mm: [f64; 4] },
 }
 
 /// One number that a contour has in common with others, with what moves it: nothing, the camera space, or the unknowns of its image.
@@ -192,6 +185,11 @@ pub(super) struct Tied<R> {
 }
 
 impl<const L: usize> Tied<SVector<f64, L>> {
+    /// A row of a pair of discs, weighed, whose cost is counted already; `by_mm` as it moves by (a, b) of the first disc and of the second.
+    pub(super) fn of_pair(discs: [usize; 2], by_mm: [f64; 4], residual: f64, row: SVector<f64, L>) -> Self {
+        Self { of: (discs[0], 0), to: To::Pair { discs, by_mm }, residual, row }
+    }
+
     /// In other coordinates, of which `map` is the derivative of its own.
     pub(super) fn moved_by<const M: usize>(&self, map: &SMatrix<f64, L, M>) -> Tied<SVector<f64, M>> {
         self.with(map.tr_mul(&self.row))
@@ -224,7 +222,7 @@ impl<R> Tied<R> {
     fn light(&self) -> Option<(Alike, bool)> {
         match self.to {
             To::Camera { alike, second } => Some((alike, second)),
-            To::Disc { .. } => None,
+            To::Disc { .. } | To::Pair { .. } => None,
         }
     }
 }
@@ -283,7 +281,7 @@ impl Pairs<()> {
     pub(super) fn cost(&mut self, view: usize, tied: &[Tied<()>], loss: Loss) -> f64 {
         let of_disc = |t: &Tied<()>| match t.to {
             To::Disc { loss: asked, .. } => 0.5 * if_asked(asked, loss).apply(t.residual * t.residual).0,
-            To::Camera { .. } => 0.0,
+            To::Camera { .. } | To::Pair { .. } => 0.0,
         };
         let mut sum = tied.iter().map(of_disc).sum::<f64>();
         self.meet(view, (&[], tied), |(_, first), (_, second)| {
@@ -299,15 +297,8 @@ impl Pairs<()> {
 impl Pairs<Vec<f64>> {
     /// Adds what an image of the view completes to the equations.
     pub(super) fn add(&mut self, e: &mut NormalEquations, view: usize, image: &MappedNormal, loss: Loss) {
-        for tied in &image.tied {
-            if let (To::Disc { by_mm, loss: asked }, Some(first)) = (tied.to, self.ovals) {
-                let (rho, weight) = if_asked(asked, loss).apply(tied.residual * tied.residual);
-                let root = weight.sqrt();
-                let own = image.slots.iter().zip(&tied.row).map(|(slot, x)| (*slot, -root * x));
-                let of_disc = (0..2).map(|k| (Slot::Global(first + 2 * tied.of.0 + k), -root * by_mm[k]));
-                add_row(e, view, &own.chain(of_disc).collect::<Vec<_>>(), tied.residual * root);
-                e.cost += 0.5 * rho;
-            }
+        if let Some(first) = self.ovals {
+            image.tied.iter().for_each(|tied| add_with_ovals(e, view, (&image.slots, tied), first, loss));
         }
         self.meet(view, (&image.slots, &image.tied), |first, second| {
             for [a, b] in first.1.alike().rows() {
@@ -326,4 +317,22 @@ impl Pairs<Vec<f64>> {
             }
         });
     }
+}
+
+/// Adds a number that ovals move, whose places among the unknowns begin at `first`, to the equations.
+fn add_with_ovals(e: &mut NormalEquations, view: usize, (slots, tied): Of<'_, Vec<f64>>, first: usize, loss: Loss) {
+    let place = |disc: usize, k: usize| Slot::Global(first + 2 * disc + k);
+    let (ovals, rho, weight): (Vec<(Slot, f64)>, f64, f64) = match tied.to {
+        To::Camera { .. } => return,
+        To::Disc { by_mm, loss: asked } => {
+            let (rho, weight) = if_asked(asked, loss).apply(tied.residual * tied.residual);
+            ((0..2).map(|k| (place(tied.of.0, k), by_mm[k])).collect(), rho, weight)
+        }
+        To::Pair { discs, by_mm } => ((0..4).map(|k| (place(discs[k / 2], k % 2), by_mm[k])).collect(), 0.0, 1.0),
+    };
+    let root = weight.sqrt();
+    let own = slots.iter().copied().zip(tied.row.iter().copied());
+    let row: Vec<(Slot, f64)> = own.chain(ovals).map(|(slot, x)| (slot, -root * x)).collect();
+    add_row(e, view, &row, tied.residual * root);
+    e.cost += 0.5 * rho;
 }

@@ -513,6 +513,7 @@ fn pair(a: &DiscObservation, b: &DiscObservation, external: ExternalUse) -> Pair
         pixels_px: (0..2 * kept.len()).map(|j| tangents.points[at(j)]).collect(),
         whitening: DMatrix::from_fn(whitening.rank, 2 * kept.len(), |i, j| whitening.matrix[(i, at(j))]),
         lens: None,
+        ovals: None,
         kept,
     }
 }
