@@ -8,7 +8,7 @@ mod scene;
 use roxmltree::{Document, ParsingOptions};
 use scene::pictures;
 use spivcal::image::GrayImage;
-use spivcal::record::{Diagnosis, KeyQuantity, Known, OutlierReason, Record, ResidualTable, ViewInfluence};
+use spivcal::record::{Diagnosis, KeyQuantity, Known, OutlierReason, Prior, Record, ResidualTable, ViewInfluence};
 use spivcal::report::{self, Level, OverlayInput, OverlayShapes};
 
 fn parse(html: &str) -> Document<'_> {
@@ -399,6 +399,54 @@ fn the_verdict_follows_the_record() {
     assert!(!v.headline.contains("directions"), "{}", v.headline);
     assert!(!v.next.iter().any(|s| s.contains("a parallel shift does not help")), "{:?}", v.next);
     assert!(v.next.iter().any(|s| s.contains("View 1: what is open there harms nothing else")), "{:?}", v.next);
+}
+
+/// What is known already is not asked for.
+#[test]
+fn few_views_are_told_what_else_would_help() {
+    let mut record = scene::record();
+    record.views.truncate(3);
+    record.fit.diagnosis = None;
+    let advice =
+        |record: &Record| report::verdict(record).next.iter().find(|s| s.contains("parallel shift")).cloned().unwrap();
+    assert!(advice(&record).starts_with("3 views can hardly be checked against each other"), "{}", advice(&record));
+    let both = "A known focal length or the focus relation ([focus] in the rig file) helps as well.";
+    assert!(advice(&record).ends_with(both), "{}", advice(&record));
+    let mut stated = |name: &str| {
+        let (name, unit, words) = (name.into(), "%".into(), "agrees".into());
+        let [prior, prior_sigma, estimate, sigma_ratio, images_alone, images_alone_sigma, z] = [0.0; 7];
+        let conflict = false;
+        let own = Prior {
+            name,
+            stated: true,
+            unit,
+            prior,
+            prior_sigma,
+            estimate,
+            sigma_ratio,
+            images_alone,
+            images_alone_sigma,
+            z,
+            conflict,
+            words,
+        };
+        record.fit.diagnosis.get_or_insert_default().priors.push(own);
+        advice(&record)
+    };
+    let advised = stated("distance of the sheet from the plane of focus, camera left");
+    assert!(advised.ends_with(" A known focal length helps as well."), "{advised}");
+    let advised = stated("focal length f of camera left");
+    assert!(advised.ends_with("a parallel shift does not help."), "{advised}");
+}
+
+/// The truth of a simulated scene is no estimate of anybody.
+#[test]
+fn the_truth_is_called_so() {
+    let scene = spivcal::simulate::Scene::preset("printed").unwrap();
+    let record = Record::from_json(&scene.truth_json().unwrap(), "truth.json").unwrap();
+    let v = report::verdict(&record);
+    assert!(v.headline.starts_with("The true values of a simulated scene"), "{}", v.headline);
+    assert!(v.open.iter().any(|s| s.contains("was chosen")) && v.level == Level::Care, "{:?}", v.open);
 }
 
 #[test]

@@ -17,6 +17,8 @@ const CONTRADICTED_SIGMAS: f64 = 10.0;
 const VIEW_MISFIT: f64 = 2.0;
 /// Views in fewer positions than this leave the cameras weak.
 const FEW_VIEWS: usize = 4;
+/// Why nothing was adjusted where a scene was simulated.
+const TRUTH: &str = "truth";
 /// More pixels about the discs of an image than this part, equal to the largest, are told.
 const SATURATED: f64 = 0.02;
 
@@ -53,7 +55,9 @@ pub fn verdict(record: &Record) -> Verdict {
     let next = next_steps(record);
     let headline = headline(record, level);
     if imported(record) {
-        open.push("Standard deviations: none are known, of the cameras nor of what follows from them.".into());
+        let truth = "Nothing: what is true in a simulated scene was chosen, and has no standard deviations.";
+        let other = "Standard deviations: none are known, of the cameras nor of what follows from them.";
+        open.push(if record.fit.termination == TRUTH { truth } else { other }.into());
     }
     if open.is_empty() {
         open.push("Nothing: the images determine every number that was estimated.".into());
@@ -100,6 +104,9 @@ fn headline(r: &Record, level: Level) -> String {
             "Do not use this calibration: the adjustment stopped before its minimum ({}).",
             if f.termination.is_empty() { "no reason given" } else { &f.termination }
         ),
+        Level::Care if imported(r) && f.termination == TRUTH => {
+            "The true values of a simulated scene: nothing was measured.".into()
+        }
         Level::Care if imported(r) => {
             "Cameras as another program found them: how certain they are is not known, for no image was looked at."
                 .into()
@@ -290,6 +297,27 @@ const NOTHING: &str = "Nothing has to be done.";
 const BY_ITSELF: &str = "Nothing has to be done for displacements: what is not determined is counted in the uncertainties of u, v and w. Where one \
                          of those numbers is needed by itself, record further views, tilted about other axes, or give it a prior in the rig file.";
 
+/// What further views would help, and what else that is not known beforehand.
+fn more_views(r: &Record) -> Option<String> {
+    let used = r.views.iter().filter(|v| v.used).count();
+    let what = "a printed target, or the sheet itself, tilted by a few degrees in one or more further views; a parallel shift does not help.";
+    let mut out = match shared_nullity(r) {
+        0 if used >= FEW_VIEWS => return None,
+        0 => format!("{} can hardly be checked against each other: record {what}", count(used, "view")),
+        _ => format!("Record {what}"),
+    };
+    let priors = r.fit.diagnosis.iter().flat_map(|d| &d.priors).filter(|p| p.stated);
+    let stated: Vec<&str> = priors.map(|p| p.name.as_str()).collect();
+    let known = |words: &str| stated.iter().any(|name| name.contains(words));
+    out += match (known("focal length"), known("plane of focus")) {
+        (false, false) => " A known focal length or the focus relation ([focus] in the rig file) helps as well.",
+        (true, false) => " The focus relation ([focus] in the rig file) helps as well.",
+        (false, true) => " A known focal length helps as well.",
+        (true, true) => "",
+    };
+    Some(out)
+}
+
 /// What helps views that keep an undetermined direction to themselves.
 fn loose_views(r: &Record) -> Option<String> {
     let views = r.covariance.loose_views();
@@ -349,14 +377,7 @@ fn next_steps(r: &Record) -> Vec<String> {
     }
     out.extend(r.cameras.iter().flat_map(|c| bad_views(r, &c.name)));
     out.extend(saturated(r));
-    let tilted = r.views.iter().filter(|v| v.used).count();
-    if shared_nullity(r) > 0 || tilted < FEW_VIEWS {
-        out.push(
-            "Record a printed target, or the sheet itself, tilted by a few degrees in one or more further views; a parallel \
-             shift does not help. A known focal length or the focus relation ([focus] in the rig file) helps as well."
-                .into(),
-        );
-    }
+    out.extend(more_views(r));
     out.extend(loose_views(r));
     if r.sheet.is_none() {
         out.push("To get the sheet, record one view of the target in the light sheet and mark it sheet = true.".into());
