@@ -221,6 +221,12 @@ fn impossible_values_are_refused_with_line_and_expectation() {
         ("/rig/sigma/baseline_mm", Value::from(-1e-4), "expected 0 or more"),
         ("/cameras/1/sigma/effective/cx_px", Value::from(-1e-4), "expected 0 or more"),
         ("/cameras/0/pixel_pitch_mm", Value::from(0.0), "expected a number above 0"),
+        ("/cameras/0/image_size_px/1", Value::from(0), "a side of 0 px: expected width and height"),
+        (
+            "/cameras/0/image_size_px/0",
+            Value::from(1_000_000_000),
+            "a side of 1000000000 px: expected width and height",
+        ),
         ("/cameras/0/name", Value::from("../evil"), "cannot be part of the name of a file"),
         ("/cameras/0/name", Value::from("left\n"), "\"left\\n\" cannot be part of the name of a file"),
         ("/target/kind", Value::from("disks"), "expected one of two-discs, "),

@@ -126,6 +126,9 @@ pub(super) struct Check {
     /// Images of the first and of the second camera: two patterns with * and ?, in quotes; sorted by name they are pairs
     #[arg(long, required = true, num_args = 2, value_names = ["L*.tif", "R*.tif"])]
     pub(super) pairs: Vec<String>,
+    /// What a shell makes of patterns without quotes
+    #[arg(hide = true)]
+    pub(super) unquoted: Vec<String>,
     /// Folder for the results, made where it is missing
     #[arg(short, long, value_name = "DIR")]
     pub(super) output: PathBuf,

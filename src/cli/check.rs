@@ -8,7 +8,7 @@ use super::progress::Bar;
 use super::threads;
 use crate::diagnosis::mapping_of_record;
 use crate::disparity::{CheckOptions, ParticlePair, check_sheet, sheet_of_view};
-use crate::error::{Error, Result};
+use crate::error::{Error, Invalid, Result};
 use crate::frames::{Rig, Sheet};
 use crate::image::GrayImage;
 use crate::record::{CamerasRefined, Record, SheetCheck};
@@ -18,12 +18,8 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar) -> Result<Done> {
-    let text = read_text(&command.calibration, "a calibration.json")?;
-    let mut record = Record::from_json(&text, &command.calibration.display().to_string())?;
-    if record.cameras.len() != 2 {
-        let what = format!("the check needs two cameras, but this calibration holds {}", record.cameras.len());
-        return Err(fault(&command.calibration, what));
-    }
+    quoted(command)?;
+    let mut record = of_two_cameras(&command.calibration)?;
     let mut reference_mm = [0.0; 2];
     if let Some(view) = command.plane_of_view {
         let sheet = sheet_of_view(&record, view)?;
@@ -103,6 +99,25 @@ fn spared(command: &Check) -> Result<()> {
     can_write(&command.output)?;
     let written: &[&str] = if command.refine { &["calibration.json"] } else { &[] };
     spares(&command.output, written, &[&command.calibration])
+}
+
+/// The calibration, of two cameras.
+fn of_two_cameras(file: &Path) -> Result<Record> {
+    let text = read_text(file, "a calibration.json")?;
+    let record = Record::from_json(&text, &file.display().to_string())?;
+    match record.cameras.len() {
+        2 => Ok(record),
+        n => Err(fault(file, format!("the check needs two cameras, but this calibration holds {n}"))),
+    }
+}
+
+/// Patterns without quotes are replaced by a shell, and come as more names than two.
+fn quoted(command: &Check) -> Result<()> {
+    let Some(first) = command.unquoted.first() else { return Ok(()) };
+    Err(Invalid::Contradiction(format!(
+        "--pairs takes two patterns, and \"{first}\" is one more; a shell puts names in the place of patterns that are not in quotes: write --pairs \"L*.tif\" \"R*.tif\""
+    ))
+    .into())
 }
 
 /// The files of each pair.

@@ -7,6 +7,8 @@ use std::f64::consts::FRAC_PI_2;
 
 /// How far a rotation matrix may be from orthonormal; files written with 8 digits pass.
 const ROTATION_TOLERANCE: f64 = 1e-6;
+/// No camera has more pixels along a side; maps over an image take as many.
+const LARGEST_SIDE_PX: usize = 100_000;
 
 /// What is impossible, and where.
 pub(super) struct Fault {
@@ -90,8 +92,9 @@ fn check_camera(c: &Camera, at: &str) -> Check {
         );
         return fault(format!("{at}.name"), message);
     }
-    if c.image_size_px.contains(&0) {
-        return fault(format!("{at}.image_size_px"), "a size of 0: expected width and height in px");
+    if let Some(side) = c.image_size_px.iter().find(|side| !(1..=LARGEST_SIDE_PX).contains(*side)) {
+        let message = format!("a side of {side} px: expected width and height, 1 to {LARGEST_SIDE_PX} px");
+        return fault(format!("{at}.image_size_px"), message);
     }
     positive(format!("{at}.f_px"), c.f_px)?;
     positive(format!("{at}.aspect"), c.aspect)?;
