@@ -142,20 +142,27 @@ fn images_of_a_disc_are_weighed_by_their_common_covariance() {
     }
 }
 
+/// Gradient and cost of the equations against the cost and its slopes.
+fn gradient_is_that_of_the_cost(model: &Model, state: &State) {
+    let (p, list) = (problem(model), List::of(model, state));
+    let (equations, cost) = (p.linearise(state).unwrap(), p.cost(state).unwrap());
+    assert!((equations.cost / cost - 1.0).abs() < 1e-12, "{} {cost}", equations.cost);
+    let (h, b) = list.dense(&equations);
+    let part = 1e-6;
+    for k in 0..b.len() {
+        let [before, behind] = [-part, part].map(|x| p.cost(&list.moved(state, k, x)).unwrap());
+        let slope = (before - behind) / (2.0 * part);
+        let limit = 1e-5 * h[(k, k)].sqrt() * (2.0 * cost).sqrt();
+        assert!((b[k] - slope).abs() < limit, "{:?}, {k}: {} {slope}", model.loss, b[k]);
+    }
+}
+
 /// With a loss that bends, too.
 #[test]
 fn the_gradient_is_that_of_the_cost() {
     let (mut model, state) = shared();
     model.loss = Loss::Huber(2.0);
-    let (p, list) = (problem(&model), List::of(&model, &state));
-    let (h, b) = list.dense(&p.linearise(&state).unwrap());
-    let part = 1e-6;
-    for k in 0..b.len() {
-        let [before, behind] = [-part, part].map(|x| p.cost(&list.moved(&state, k, x)).unwrap());
-        let slope = (before - behind) / (2.0 * part);
-        let limit = 1e-5 * h[(k, k)].sqrt() * (2.0 * p.cost(&state).unwrap()).sqrt();
-        assert!((b[k] - slope).abs() < limit, "{k}: {} {slope}", b[k]);
-    }
+    gradient_is_that_of_the_cost(&model, &state);
 }
 
 /// What bends along a step moves ovals as the whitened distances say that every image of a disc has them.
@@ -290,17 +297,7 @@ fn tangents_follow_ovals() {
     for loss in [Loss::None, Loss::Huber(0.8)] {
         let model = Model { loss, ..tangents.model.clone() };
         let state = State { ovals_mm: ovals_mm(1e-3), ..scene.perturbed_by(3, 0.05) };
-        let (p, list) = (problem(&model), List::of(&model, &state));
-        let equations = p.linearise(&state).unwrap();
-        assert!((equations.cost / p.cost(&state).unwrap() - 1.0).abs() < 1e-12);
-        let (h, b) = list.dense(&equations);
-        let part = 1e-6;
-        for k in 0..b.len() {
-            let [before, behind] = [-part, part].map(|x| p.cost(&list.moved(&state, k, x)).unwrap());
-            let slope = (before - behind) / (2.0 * part);
-            let limit = 1e-5 * h[(k, k)].sqrt() * (2.0 * p.cost(&state).unwrap()).sqrt();
-            assert!((b[k] - slope).abs() < limit, "{loss:?}, {k}: {} {slope}", b[k]);
-        }
+        gradient_is_that_of_the_cost(&model, &state);
     }
 }
 
