@@ -89,7 +89,6 @@ pub use model::{
     CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, OvalDependence,
     PairObservation, PlanePosition, PointObservations, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
 };
-pub(crate) use outline::with_round_discs;
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use reach::{Numbers, Observe, Reach};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};

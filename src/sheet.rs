@@ -24,6 +24,7 @@
 //! leaves the tilt out, worth 2.2 px of transfer error at the paper's geometry; here points go through both cameras whole.
 //! Not valid for a plane through a projection centre.
 
+mod features;
 mod gain;
 mod homography;
 mod joint;
@@ -32,11 +33,11 @@ mod parameter;
 mod recorded;
 mod rows;
 
+pub use features::PairFeatures;
 pub use gain::{PointUncertainty, RESPONSES, Response, SheetUncertainty, StereoSheet};
 pub(crate) use gain::{gain_row, in_plane_scale_row, unit};
 pub use homography::{
-    HeldCameras, Homography, PairFeatures, fit_homography, fit_placed_homography, transfer_residuals,
-    triangulated_plane,
+    HeldCameras, Homography, fit_homography, fit_placed_homography, transfer_residuals, triangulated_plane,
 };
 pub use joint::{joint_sheet, placed_joint_sheet};
 pub(crate) use parameter::{Parameter, SHEET, STEP_NAMES, stepped_camera, stepped_motion, stepped_window};

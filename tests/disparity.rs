@@ -176,7 +176,10 @@ fn the_program_writes_report_check_and_calibration() {
     let (code, said) = run(&["check", &corrected, "--pairs", &l, &r, "-o", &at("again")]);
     assert!(code == 0 && !said.contains("--refine"), "{said}");
     let (code, said) = run(&["check", &c, "--pairs", &l, &r, "one_more.png", "-o", &o]);
-    assert!(code == 2 && said.contains("\"one_more.png\" is one more") && said.contains("in quotes"), "{said}");
+    assert!(
+        code == 2 && said.contains("\"one_more.png\" is one name too many") && said.contains("in quotes"),
+        "{said}"
+    );
     let (code, said) = run(&["check", &c, "--pairs", &at("q*.png"), &r, "-o", &o]);
     assert!(code == 2 && said.contains("no file matches"), "{said}");
     std::fs::remove_file(at("p02_right.png")).unwrap();

@@ -61,14 +61,60 @@ fn with_right_cameras_the_sheet_scatters_by_its_sigmas() {
     let exact = found(&held, &scene, &abc);
     assert!(exact.transfer_rms_px < 1e-6, "{}", exact.transfer_rms_px);
     assert!((exact.estimate.abc_per_mm - abc).norm() < 1e-9 * abc.norm());
+    let mut scatters = vec![];
     let mut z = vec![vec![]; 4];
     for seed in 0..1000 {
-        let e = found(&held, &scene.with_noise(seed), &abc).estimate;
+        let sheet = found(&held, &scene.with_noise(seed), &abc);
+        let e = sheet.estimate;
+        scatters.push(sheet.scatter);
         z[0].push((e.distance_mm - 1.0 / abc.norm()) / e.sigmas[0]);
         (0..3).for_each(|k| z[1 + k].push((e.abc_per_mm[k] - abc[k]) / e.sigmas[3 + k]));
     }
     for (name, z) in ["distance", "a", "b", "c"].iter().zip(&z) {
         is_true(name, z, 4);
+    }
+    hardly_ever_scattered(&scatters);
+}
+
+/// Right sigmas are left as they are, but for three standard deviations of chance.
+fn hardly_ever_scattered(scatters: &[f64]) {
+    let often = scatters.iter().filter(|s| **s != 1.0).count();
+    println!("{often} of {} told to scatter", scatters.len());
+    assert!(often as f64 <= 0.02 * scatters.len() as f64, "{often}");
+}
+
+/// Contours that say less of their scatter than there is (a plate that is not flat) are found out by what is left in the sheet.
+#[test]
+fn what_scatters_more_than_is_said_makes_sigmas_larger() {
+    const SAID: f64 = 1.0 / 3.0;
+    let (parts, abc) = (parts(), true_abc(&parts()));
+    let scene = parts.scene();
+    let held = HeldCameras::new(
+        [parts.cameras[0], parts.cameras[1]],
+        parts.cam_from_rig,
+        ["left", "right"],
+        &[],
+        &DMatrix::zeros(0, 0),
+    );
+    let (mut scatters, mut z) = (vec![], vec![vec![]; 4]);
+    for seed in 0..400 {
+        let mut scene = scene.with_noise(seed);
+        let discs = scene.model.images.iter_mut().flat_map(|i| &mut i.discs);
+        discs.flat_map(|d| &mut d.edge.sigma_px).for_each(|s| *s *= SAID);
+        let sheet = found(&held, &scene, &abc);
+        let e = sheet.estimate;
+        scatters.push(sheet.scatter);
+        z[0].push((e.distance_mm - 1.0 / abc.norm()) / e.sigmas[0]);
+        (0..3).for_each(|k| z[1 + k].push((e.abc_per_mm[k] - abc[k]) / e.sigmas[3 + k]));
+    }
+    let square = scatters.iter().map(|s| s * s * SAID * SAID).sum::<f64>() / scatters.len() as f64;
+    println!("variance over that which is there: {square:.3}");
+    assert!((0.93..1.07).contains(&square), "{square}");
+    for (name, z) in ["distance", "a", "b", "c"].iter().zip(&z) {
+        // The scatter is itself known from few numbers: a Student t has a little more than 1, and what was said gave 9.
+        let mean = z.iter().map(|z| z * z).sum::<f64>() / z.len() as f64;
+        println!("{name}: mean z^2 {mean:.3}");
+        assert!((0.8..1.4).contains(&mean), "{name}: {mean}");
     }
 }
 
@@ -105,7 +151,7 @@ fn what_is_measured_in_a_sheet_found_alone_has_true_sigmas() {
     let beside = Problem::made_of("beside the sheet", beside);
     let names = ["distance", "disparity", "u per u", "v per v", "w per w", "w per u", "u per w", "gain"];
     let mut z = vec![vec![]; names.len()];
-    let mut alone_over_joint = vec![];
+    let (mut alone_over_joint, mut scatters) = (vec![], vec![]);
     for seed in 0..SEEDS {
         let Draw { scene, .. } = beside.draw(seed);
         let out = adjust(&scene.model, scene.truth.clone(), &given_sigmas(), &mut |_| true);
@@ -113,6 +159,7 @@ fn what_is_measured_in_a_sheet_found_alone_has_true_sigmas() {
         assert_eq!(covariance.nullity, 0);
         let held = HeldCameras::of(&covariance, ["left", "right"]);
         let sheet = found(&held, &whole.with_noise(10_000 + seed), &abc);
+        scatters.push(sheet.scatter);
         let record = recorded(&covariance, &held, &sheet);
         let middle = mapping_of_record(&record, None).expect("known").0.middle;
         let second: Motion<Cam, Rig> = covariance.natural.cam_from_rig[1];
@@ -140,6 +187,7 @@ fn what_is_measured_in_a_sheet_found_alone_has_true_sigmas() {
         }
         alone_over_joint.push(mapping_of_record(&apart, None).expect("known").0.middle.displacement[2][2] / d[2][2]);
     }
+    hardly_ever_scattered(&scatters);
     alone_over_joint.sort_by(f64::total_cmp);
     println!("w per w as if they had nothing in common: {:.1} times", alone_over_joint[alone_over_joint.len() / 2]);
     assert!(alone_over_joint[alone_over_joint.len() / 2] > 2.0, "the test says nothing about what they have in common");

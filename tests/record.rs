@@ -293,6 +293,9 @@ fn wrong_types_and_missing_keys_are_refused_with_their_line() {
             "cameras[1].cam_from_rig.rotation[1]: invalid length 2, expected a list of length 3",
         ),
         ("/cameras/0/image_size_px", Value::from(7), "cameras[0].image_size_px: invalid type: integer `7`"),
+        ("/cameras/0/f_px", serde_json::json!([1500.0]), "cameras[0].f_px: invalid type: a list"),
+        ("/cameras/1/name", serde_json::json!({}), "cameras[1].name: invalid type: a table"),
+        ("/views", serde_json::json!({}), "views: invalid type: a table"),
         (
             "/fit/iterations",
             Value::from("many"),

@@ -407,6 +407,9 @@ fn few_views_are_told_what_else_would_help() {
     let mut record = scene::record();
     record.views.truncate(3);
     record.fit.diagnosis = None;
+    let mut one = record.clone();
+    one.views.truncate(1);
+    assert!(report::verdict(&one).next.iter().any(|s| s.starts_with("One view can be checked against nothing")));
     let advice =
         |record: &Record| report::verdict(record).next.iter().find(|s| s.contains("parallel shift")).cloned().unwrap();
     assert!(advice(&record).starts_with("3 views can hardly be checked against each other"), "{}", advice(&record));
@@ -436,6 +439,8 @@ fn few_views_are_told_what_else_would_help() {
     let advised = stated("distance of the sheet from the plane of focus, camera left");
     assert!(advised.ends_with(" A known focal length helps as well."), "{advised}");
     let advised = stated("focal length f of camera left");
+    assert!(advised.ends_with(" A known focal length helps as well."), "one camera of two: {advised}");
+    let advised = stated("focal length f of camera right");
     assert!(advised.ends_with("a parallel shift does not help."), "{advised}");
 }
 
@@ -447,6 +452,12 @@ fn the_truth_is_called_so() {
     let v = report::verdict(&record);
     assert!(v.headline.starts_with("The true values of a simulated scene"), "{}", v.headline);
     assert!(v.open.iter().any(|s| s.contains("was chosen")) && v.level == Level::Care, "{:?}", v.open);
+    assert_eq!(v.next, ["Nothing has to be done."]);
+    // What another program found could be known better.
+    let mut other = record.clone();
+    other.fit.termination = "imported".into();
+    let next = report::verdict(&other).next;
+    assert!(next.iter().any(|s| s.starts_with("To know how certain they are")), "{next:?}");
 }
 
 #[test]

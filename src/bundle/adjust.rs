@@ -276,8 +276,9 @@ pub fn adjust_owned(
     observe: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Adjustment {
     let mut start = start;
-    if model.target.oval_sigma_mm.is_some() {
-        start.ovals_mm.resize(model.target.disc_count(), [0.0; 2]);
+    match model.target.oval_sigma_mm {
+        Some(_) => start.ovals_mm.resize(model.target.disc_count(), [0.0; 2]),
+        None => start.ovals_mm.clear(),
     }
     let (mut state, damping, wanted) = first_start(&model, start, options, observe);
     let mut observe = |i: &Iteration| wanted && observe(i);
@@ -314,7 +315,7 @@ pub fn adjust_owned(
         };
         if !changed {
             return Adjustment {
-                ovality_mm: outlines.ovality_mm.map(|tau| outline::rms_mm(&out.state).unwrap_or(tau)),
+                ovality_mm: outlines.ovality_mm.map(|tau| out.state.ovality_rms_mm().unwrap_or(tau)),
                 ovality_assumed_mm: outlines.assumed_mm,
                 state: out.state,
                 model,

@@ -38,7 +38,7 @@ use super::model::{DiscObservation, ImageObservations, Model, TargetShape};
 use super::state::State;
 use super::tie::Tie;
 use crate::conic::CommonNoise;
-use crate::solve::{Problem, evidence, likely_mean, posterior};
+use crate::solve::{Problem, evidence, likely_mean};
 use crate::threads::gathered;
 use nalgebra::{Matrix2, Vector2};
 
@@ -133,13 +133,6 @@ pub(super) fn find(model: &mut Model, state: &mut State) -> Outlines {
     }
 }
 
-/// Root mean square of the ovality that is estimated, mm.
-pub(super) fn rms_mm(state: &State) -> Option<f64> {
-    let count = 2 * state.ovals_mm.len();
-    let squares = state.ovals_mm.iter().flatten().map(|x| x * x).sum::<f64>();
-    (count > 0).then(|| (squares / count as f64).sqrt())
-}
-
 /// A contour without the ovality of its disc, and how far its points move as more of a and of b is taken off, px per mm.
 pub(super) type Round = (DiscObservation, Vec<[Vector2<f64>; 2]>);
 
@@ -154,25 +147,6 @@ pub(super) fn round(image: &SeenImage, seen: &DiscObservation) -> Option<Round> 
         out.edge.v_px[i] += a * by_a.y + b * by_b.y;
     }
     Some((out, moves))
-}
-
-/// The model with contours as round discs would have them, for what looks at single views. What is uncertain of the ovality of a disc counts as noise of
-/// each of its contours, though it is alike in all. `None` where the equations are none.
-pub(crate) fn with_round_discs(model: &Model, state: &State) -> Option<Model> {
-    let mut out = model.clone();
-    let Some(first) = Places::of(model).ovals else { return Some(out) };
-    let covariance = posterior(&Bundle::with_views(model).linearise(state)?).global;
-    for (image, of) in out.images.iter_mut().zip(&model.images) {
-        let seen_image = SeenImage::of(model, state, of)?;
-        for seen in image.discs.iter_mut().filter(|d| d.tie.is_some()) {
-            let harmonic = Harmonic::of(&seen_image.circle(seen.disc), seen)?;
-            let own = covariance.fixed_view::<2, 2>(first + 2 * seen.disc, first + 2 * seen.disc);
-            *seen = round(&seen_image, seen)?.0;
-            seen.outline = CommonNoise::of(&harmonic.rows, &(own / image.sigma_scale.powi(2)));
-        }
-    }
-    out.target.oval_sigma_mm = None;
-    Some(out)
 }
 
 /// The harmonics of all contours, each by image and number.

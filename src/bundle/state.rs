@@ -44,4 +44,11 @@ impl State {
     pub fn window(&self, camera: usize) -> Option<&Window> {
         self.windows.get(camera)?.as_ref()
     }
+
+    /// Root mean square of the ovality of printed discs, mm; `None` where it is not estimated.
+    pub fn ovality_rms_mm(&self) -> Option<f64> {
+        let count = 2 * self.ovals_mm.len();
+        let squares = self.ovals_mm.iter().flatten().map(|x| x * x).sum::<f64>();
+        (count > 0).then(|| (squares / count as f64).sqrt())
+    }
 }

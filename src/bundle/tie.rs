@@ -3,7 +3,7 @@
 //! Columns U of a contour, orthonormal over its whitened edge points, tell numbers `p = U^T r` that do not stand for themselves: what is left of the
 //! contour, `(1 - U U^T) r`, is independent of them. They are taken out of an image's equations, and brought together where all images are at hand:
 //! with those of the other camera's image of the same moment ([`super::same_light`]), or with the ovality of the printed disc, which is an unknown of
-//! its own ([`super::outline`]).
+//! its own ([`super::outline`]). Bitangent features follow the ovality of both discs ([`super::tangent`]): they come as whole rows, weighed, their cost counted.
 
 use super::assemble::SeenImage;
 use super::edges::Feet;

@@ -115,7 +115,7 @@ fn of_two_cameras(file: &Path) -> Result<Record> {
 fn quoted(command: &Check) -> Result<()> {
     let Some(first) = command.unquoted.first() else { return Ok(()) };
     Err(Invalid::Contradiction(format!(
-        "--pairs takes two patterns, and \"{first}\" is one more; a shell puts names in the place of patterns that are not in quotes: write --pairs \"L*.tif\" \"R*.tif\""
+        "\"{first}\" is one name too many: --pairs takes two patterns, and a shell puts names in the place of patterns that are not in quotes; write --pairs \"L*.tif\" \"R*.tif\""
     ))
     .into())
 }

@@ -101,6 +101,7 @@ fn run(
         if tangents.adjustment.termination == Termination::Cancelled {
             return Err(Unusable::Cancelled.into());
         }
+        let ovality_mm = ovality_mm.map(|tau| tangents.adjustment.state.ovality_rms_mm().unwrap_or(tau));
         adjustment = Adjustment { outliers, ovality_mm, ovality_assumed_mm, ..tangents.adjustment };
         refits = Some((tangents.rounds, tangents.left_out));
     }

@@ -347,7 +347,14 @@ fn output(
     let mut sheet = homography.estimate.to_record("homography", (first..first + views.len()).collect());
     sheet.disparity_rms_px = Some(homography.transfer_rms_px);
     record.sheet = Some(sheet);
-    record.provenance.options.insert("sheet".into(), format!("homography with the cameras held, from {}", job.file));
+    let scatter = match homography.scatter {
+        1.0 => String::new(),
+        by => {
+            format!("; its features scatter {by:.1} times as much as their contours say, and its sigmas allow for it")
+        }
+    };
+    let told = format!("homography with the cameras held, from {}{scatter}", job.file);
+    record.provenance.options.insert("sheet".into(), told);
     record.provenance.images.extend(images.iter().map(|i| i.file(job)));
     let mut flags = flags(job, views, homography, &images);
     if let Some(covariance) = homography.with_sheet(held, &record.covariance) {

@@ -1,7 +1,7 @@
 //! The laser sheet of a calibration: jointly, and by the paper's homography beside it.
 
 use super::calibrate::Solved;
-use crate::bundle::{DiscObservation, Model, with_round_discs};
+use crate::bundle::DiscObservation;
 use crate::camera::Camera;
 use crate::error::{Invalid, Result};
 use crate::frames::{Rig, Sheet as SheetFrame};
@@ -31,10 +31,7 @@ pub(super) fn sheet_part(s: &Solved) -> Result<Option<Sheet>> {
     let mut sheet = joint.to_record("joint", views.clone());
     if let [first, second] = names[..] {
         let held = HeldCameras::of(s.covariance, [first, second]);
-        let round = with_round_discs(s.contours, &s.adjustment.state);
-        let contours = round.as_ref().unwrap_or(s.contours);
-        let mut features: Vec<PairFeatures> =
-            views.iter().flat_map(|v| features_of_view(s, contours, &held, *v)).collect();
+        let mut features: Vec<PairFeatures> = views.iter().flat_map(|v| features_of_view(s, &held, *v)).collect();
         if held.on_opposite_sides(&joint.abc_per_mm) {
             features.iter_mut().for_each(|f| *f = f.on_both_sides());
         }
@@ -108,8 +105,8 @@ pub(super) fn homography_of(h: &crate::sheet::Homography) -> Homography {
     }
 }
 
-fn features_of_view(s: &Solved, contours: &Model, held: &HeldCameras, view: usize) -> Vec<PairFeatures> {
-    let image = |camera: usize| contours.images.iter().find(|i| i.view == view && i.camera == camera);
+fn features_of_view(s: &Solved, held: &HeldCameras, view: usize) -> Vec<PairFeatures> {
+    let image = |camera: usize| s.contours.images.iter().find(|i| i.view == view && i.camera == camera);
     let (Some(first), Some(second)) = (image(0), image(1)) else { return vec![] };
     let seen = [first, second].map(|i| i.discs.iter().map(|d| (s.built.labels[d.disc], d)).collect::<Vec<_>>());
     let scales = [first, second].map(|image| image.sigma_scale);

@@ -15,12 +15,12 @@ pub(super) fn line_of(text: &str, path: &str) -> usize {
     found.unwrap_or(1)
 }
 
-/// Path of the innermost value of valid JSON text that a reader was in when it had taken `column` bytes of `line` (from 1).
+/// Path of the innermost value of valid JSON text that a reader was in, or stood before, when it had taken `column` bytes of `line` (from 1).
 pub(super) fn path_at(text: &str, line: usize, column: usize) -> String {
     let before: usize = text.split_inclusive('\n').take(line.saturating_sub(1)).map(str::len).sum();
     let (byte, mut found) = (before + column, None);
     each_value(text, &mut |path, bytes, _| {
-        if bytes.start < byte && byte <= bytes.end {
+        if (bytes.start..=bytes.end).contains(&byte) {
             found.get_or_insert_with(|| path.to_owned());
         }
     });
@@ -133,6 +133,9 @@ mod tests {
             (3, "\"c\": [] }", "list[1]"),
             (4, "-3e4", "a_"),
             (5, "}", ""),
+            // Where a list is refused before it is read.
+            (3, "\"c\": ", "list[1].c"),
+            (3, "[", "list[0]"),
         ] {
             let row = TEXT.lines().nth(line - 1).unwrap();
             let column = row.find(end).unwrap() + end.len();

@@ -3,7 +3,7 @@
 use super::number::{count, plain, with_unit};
 use super::tables;
 use crate::frames::{Cam, Rig};
-use crate::record::{Record, SHEET_ALONE, View};
+use crate::record::{Known, Record, SHEET_ALONE, View};
 
 /// Residuals this many times the noise they were given say that the model or the noise is wrong.
 const MISFIT: f64 = 1.5;
@@ -299,17 +299,24 @@ const BY_ITSELF: &str = "Nothing has to be done for displacements: what is not d
 
 /// What further views would help, and what else that is not known beforehand.
 fn more_views(r: &Record) -> Option<String> {
+    if imported(r) {
+        let advice = "To know how certain they are, calibrate from images of a target (spivcal calibrate).";
+        return (r.fit.termination != TRUTH).then(|| advice.into());
+    }
     let used = r.views.iter().filter(|v| v.used).count();
     let what = "a printed target, or the sheet itself, tilted by a few degrees in one or more further views; a parallel shift does not help.";
     let mut out = match shared_nullity(r) {
         0 if used >= FEW_VIEWS => return None,
+        0 if used == 1 => format!("One view can be checked against nothing: record {what}"),
         0 => format!("{} can hardly be checked against each other: record {what}", count(used, "view")),
         _ => format!("Record {what}"),
     };
     let priors = r.fit.diagnosis.iter().flat_map(|d| &d.priors).filter(|p| p.stated);
     let stated: Vec<&str> = priors.map(|p| p.name.as_str()).collect();
-    let known = |words: &str| stated.iter().any(|name| name.contains(words));
-    out += match (known("focal length"), known("plane of focus")) {
+    let held = |c: &str| r.fit.parameters.iter().any(|p| p.name == format!("{c}.f_px") && p.known == Known::Fixed);
+    let f_known = |c: &str| held(c) || stated.iter().any(|name| *name == format!("focal length f of camera {c}"));
+    let focus = stated.iter().any(|name| name.contains("plane of focus"));
+    out += match (r.cameras.iter().all(|c| f_known(&c.name)), focus) {
         (false, false) => " A known focal length or the focus relation ([focus] in the rig file) helps as well.",
         (true, false) => " The focus relation ([focus] in the rig file) helps as well.",
         (false, true) => " A known focal length helps as well.",

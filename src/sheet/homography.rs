@@ -1,13 +1,18 @@
 //! The paper's step alone: cameras known, three unknowns (a, b, c) from the transfer of one camera's features to the other.
 //!
 //! A feature q1 of the first camera goes back along its ray r to the plane, `p = r / (abc . r)`, and on into the second camera; the
-//! residual is `q2 - image(p)`. Tilt and distortion stay in both cameras. Features are those of ellipses fitted in the undistorted
-//! image (the distorted one biases them by 0.04 to 0.55 px) and mapped back to real pixels.
+//! residual is `q2 - image(p)`. Tilt and distortion stay in both cameras.
 //!
 //! Sigmas: `C = N^-1 (J^T S J + G C_cameras G^T) N^-1` with `N = J^T J`, S the covariance of the residuals, and G the change of
 //! `J^T r` by the cameras' parameters. Without the second part they would be 5 to 1000 times too small. Where a parameter of
 //! the cameras is not determined, no sigma of the sheet exists. The eight points of a pair hold ten numbers (two ellipses): with
 //! T = dq/dq1 the transfer's derivative, `S = S_2 + T S_1 T^T`, both by the covariances of the fits.
+//!
+//! Where features scatter by more than S and the cameras explain (a plate that is not flat), S grows to what they show:
+//! ```text
+//! E |r|^2 = tr(P S) + tr(K),   K = C_cameras D^T P D,   P = 1 - J N^-1 J^T,   D the change of r by the cameras' parameters
+//! scale^2 = (|r|^2 - tr(K)) / tr(P S)   where |r|^2 - E |r|^2 > 3 (2 tr(S^2) + 2 tr(K^2))^(1/2), or else 1
+//! ```
 //!
 //! The sheet moves with the cameras it was found with: left steps (w, v) of its frame are `-L N^-1 G` times the cameras' errors (L: w and v
 //! by abc), and have that much in common with them ([`Homography::with_sheet`]).
@@ -15,42 +20,17 @@
 //! Start: the features of both cameras meet near points p (middle of the shortest line between their rays); `abc . p = 1` is
 //! linear in abc.
 
+use super::features::{PairCovariance, PairFeatures, TOUCHING, derivative};
 use super::parameter::{Parameter, stepped_camera, stepped_motion, stepped_window};
 use super::rows::with_sheet;
 use super::{Placement, SheetEstimate, plane_geometry, sigmas};
-use crate::bitangent::{FROM_BEHIND, bitangents};
-use crate::bundle::{DiscObservation, NamedCovariance};
+use crate::bundle::NamedCovariance;
 use crate::camera::Camera;
-use crate::conic::fit_geometric;
 use crate::error::{Insufficient, Result};
 use crate::frames::{Cam, Rig};
 use crate::record::Covariance;
 use crate::rigid::Motion;
-use nalgebra::{DMatrix, Dyn, Matrix2, Matrix3, Matrix6, OMatrix, SMatrix, U6, Vector2, Vector3};
-
-/// Tangency points of a pair of discs.
-const TOUCHING: usize = 8;
-/// Covariance of the tangency points of a pair in one image, u and v of each in turn, px^2.
-type PairCovariance = SMatrix<f64, { 2 * TOUCHING }, { 2 * TOUCHING }>;
-
-/// Features of the same pair of discs in both cameras, real (distorted) pixels.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PairFeatures {
-    /// In the first camera, px.
-    pub first_px: Vec<Vector2<f64>>,
-    /// In the second camera, px.
-    pub second_px: Vec<Vector2<f64>>,
-    /// Of both, px^2.
-    covariance_px2: [PairCovariance; 2],
-}
-
-impl PairFeatures {
-    /// The same with edge points in both images that scatter so many times as much as they say.
-    pub(crate) fn scaled(mut self, by: [f64; 2]) -> Self {
-        self.covariance_px2.iter_mut().zip(by).for_each(|(covariance, by)| *covariance *= by * by);
-        self
-    }
-}
+use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Matrix6, OMatrix, SMatrix, U6, Vector2, Vector3};
 
 /// Result of [`fit_homography`].
 #[derive(Debug, Clone, PartialEq)]
@@ -59,6 +39,8 @@ pub struct Homography {
     pub estimate: SheetEstimate,
     /// Root mean square transfer error, px.
     pub transfer_rms_px: f64,
+    /// How many times as much as their contours say the features scatter, beyond what the cameras' uncertainty explains; 1 where that is no more than chance.
+    pub scatter: f64,
     /// Left steps of the sheet by the cameras' numbers, and their covariance; none where the cameras are not determined.
     steps: Option<(OMatrix<f64, U6, Dyn>, Matrix6<f64>)>,
 }
@@ -70,67 +52,6 @@ impl Homography {
         let rows: Option<Vec<usize>> = held.names.iter().map(|n| covariance.index(n)).collect();
         Some(with_sheet(covariance, &rows?, by_number, own))
     }
-}
-
-impl PairFeatures {
-    /// Tangency points of two discs from their contours in both cameras; `None` where an image does not give two separated
-    /// ellipses, or a camera looks through a window, behind which circles have no ellipses as images.
-    pub fn of(cameras: [&Camera; 2], contours: [[&DiscObservation; 2]; 2]) -> Option<Self> {
-        let (first_px, first) = tangency_points(cameras[0], contours[0])?;
-        let (second_px, second) = tangency_points(cameras[1], contours[1])?;
-        Some(Self { first_px, second_px, covariance_px2: [first, second] })
-    }
-
-    /// The same discs where the second camera sees the other side of their plane: left and right change places in its image.
-    pub fn on_both_sides(&self) -> Self {
-        let second_px = (0..self.second_px.len()).map(|i| self.second_px[FROM_BEHIND[i]]).collect();
-        let [first, second] = &self.covariance_px2;
-        let place = |i: usize| 2 * FROM_BEHIND[i / 2] + i % 2;
-        let second = PairCovariance::from_fn(|i, j| second[(place(i), place(j))]);
-        Self { first_px: self.first_px.clone(), second_px, covariance_px2: [*first, second] }
-    }
-}
-
-/// The eight tangency points in real pixels and their covariance.
-fn tangency_points(camera: &Camera, contours: [&DiscObservation; 2]) -> Option<(Vec<Vector2<f64>>, PairCovariance)> {
-    if camera.window().is_some() {
-        return None;
-    }
-    let e = camera.effective_pinhole();
-    let turn = camera.cam_from_pinhole();
-    let straight = |seen: &DiscObservation| {
-        let (edge, mut u, mut v) = (&seen.edge, vec![], vec![]);
-        for i in 0..edge.u_px.len() {
-            let xy = camera.ideal_of_pixel(&Vector2::new(edge.u_px[i], edge.v_px[i])).ok()?;
-            let p = turn.transpose() * xy.push(1.0);
-            u.push(e.cx_px + e.f_px * p.x / p.z);
-            v.push(e.cy_px + e.f_px * p.y / p.z);
-        }
-        fit_geometric(&u, &v, &edge.sigma_px).ok()?.with_common([&u, &v, &edge.sigma_px], &seen.common)
-    };
-    let fits = [straight(contours[0])?, straight(contours[1])?];
-    let b = bitangents(&fits[0].ellipse, &fits[1].ellipse).ok()?;
-    let covariance = b.covariance([&fits[0].covariance, &fits[1].covariance]);
-    let real = |q: Vector2<f64>| {
-        let ray = turn * Vector3::new((q.x - e.cx_px) / e.f_px, (q.y - e.cy_px) / e.f_px, 1.0);
-        camera.project_xyz(&(ray * (100.0 / ray.z))).ok()
-    };
-    let mut points = vec![];
-    let mut by_straight = PairCovariance::zeros();
-    for k in 0..TOUCHING {
-        let q = b.point(k)?;
-        points.push(real(q)?);
-        by_straight.fixed_view_mut::<2, 2>(2 * k, 2 * k).copy_from(&derivative(&q, real)?);
-    }
-    let straight = covariance.fixed_view::<{ 2 * TOUCHING }, { 2 * TOUCHING }>(0, 0);
-    Some((points, by_straight * straight * by_straight.transpose()))
-}
-
-/// Derivative of a smooth map of pixels.
-fn derivative(q: &Vector2<f64>, map: impl Fn(Vector2<f64>) -> Option<Vector2<f64>>) -> Option<Matrix2<f64>> {
-    let h = 1e-2;
-    let by = |step: Vector2<f64>| Some((map(q + step)? - map(q - step)?) / (2.0 * h));
-    Some(Matrix2::from_columns(&[by(Vector2::new(h, 0.0))?, by(Vector2::new(0.0, h))?]))
 }
 
 /// Cameras as the transfer sees them.
@@ -342,6 +263,7 @@ pub fn fit_placed_homography(
     let turn = seven_by_abc(&geometry.estimate.normal, geometry.estimate.distance_mm);
     // Seven numbers (w, n . v, centre) by abc; the cameras' share by finite change of the normal equations.
     let mut by_camera = DMatrix::<f64>::zeros(7, held.parameters.len());
+    let mut moved = DMatrix::<f64>::zeros(2 * count as usize, held.parameters.len());
     let mut determined = true;
     for (k, parameter) in held.parameters.iter().enumerate() {
         let Some(sigma) = held.sigma(k) else {
@@ -353,15 +275,20 @@ pub fn fit_placed_homography(
         let g = |x: &Pair| normals(x, &abc, features).map(|v| v.1);
         let (gp, gm) = g(&p).zip(g(&m)).ok_or_else(degenerate)?;
         let dabc = -(inverse * (gp - gm) / (2.0 * h));
+        let left = |x: &Pair| residuals(x, &abc, features);
+        let (rp, rm) = left(&p).zip(left(&m)).ok_or_else(degenerate)?;
+        moved.set_column(k, &((rp - rm) / (2.0 * h)));
         by_camera.fixed_view_mut::<4, 1>(0, k).copy_from(&(turn * dabc));
         by_camera.fixed_view_mut::<3, 1>(4, k).copy_from(&((center(&p) - center(&m)) / (2.0 * h)));
     }
     let mut estimate = geometry.estimate;
-    let mut steps = None;
+    let (mut steps, mut scatter) = (None, 1.0);
     if determined {
+        let expected = Expected::of(pair, &abc, features).ok_or_else(degenerate)?;
+        scatter = expected.scatter(sum, &inverse, &moved, &held.covariance);
         let cameras = &by_camera * &held.covariance * by_camera.transpose();
         let mut seven = SMatrix::<f64, 7, 7>::from_fn(|i, j| cameras[(i, j)]);
-        let noise = inverse * feature_part(pair, &abc, features).ok_or_else(degenerate)? * inverse;
+        let noise = inverse * expected.by_features * inverse * (scatter * scatter);
         let own = turn * noise * turn.transpose();
         let mut corner = seven.fixed_view_mut::<4, 4>(0, 0);
         corner += own;
@@ -370,7 +297,7 @@ pub fn fit_placed_homography(
         let own = by_four * seven.fixed_view::<4, 4>(0, 0) * by_four.transpose();
         steps = Some((by_four * by_camera.rows(0, 4), own));
     }
-    Ok(Homography { estimate, transfer_rms_px: (sum / count).sqrt(), steps })
+    Ok(Homography { estimate, transfer_rms_px: (sum / count).sqrt(), scatter, steps })
 }
 
 /// Left step of the sheet by turn w and shift n . v, its origin moving along the normal alone: `v = P [t]x w + n (n . v)`.
@@ -383,21 +310,60 @@ fn step_by_four(sheet: &SheetEstimate) -> SMatrix<f64, 6, 4> {
     out
 }
 
-/// `J^T S J`; `None` where a feature does not transfer.
-fn feature_part(pair: &Pair, abc: &Vector3<f64>, features: &[PairFeatures]) -> Option<Matrix3<f64>> {
-    let mut out = Matrix3::zeros();
-    for f in features {
-        let mut j = SMatrix::<f64, { 2 * TOUCHING }, 3>::zeros();
-        let mut by_first = PairCovariance::zeros();
-        for (k, (q1, q2)) in f.first_px.iter().zip(&f.second_px).enumerate() {
-            j.fixed_view_mut::<2, 3>(2 * k, 0).copy_from(&transfer(pair, abc, q1, q2)?.1);
-            let t = derivative(q1, |q| transfer(pair, abc, &q, q2).map(|r| r.0))?;
-            by_first.fixed_view_mut::<2, 2>(2 * k, 2 * k).copy_from(&t);
+/// Standard deviations of the sum of squares by which it has to be larger than expected before features are taken to scatter more than they say.
+const MORE_THAN_CHANCE: f64 = 3.0;
+
+/// What residuals are expected to be by the covariance S of the features.
+struct Expected {
+    /// J, rows as the residuals.
+    by_abc: DMatrix<f64>,
+    /// J^T S J.
+    by_features: Matrix3<f64>,
+    /// Traces of S and of its square.
+    trace: f64,
+    trace_of_square: f64,
+}
+
+impl Expected {
+    /// `None` where a feature does not transfer.
+    fn of(pair: &Pair, abc: &Vector3<f64>, features: &[PairFeatures]) -> Option<Self> {
+        let by_abc = DMatrix::zeros(2 * TOUCHING * features.len(), 3);
+        let mut out = Self { by_abc, by_features: Matrix3::zeros(), trace: 0.0, trace_of_square: 0.0 };
+        for (i, f) in features.iter().enumerate() {
+            let mut j = SMatrix::<f64, { 2 * TOUCHING }, 3>::zeros();
+            let mut by_first = PairCovariance::zeros();
+            for (k, (q1, q2)) in f.first_px.iter().zip(&f.second_px).enumerate() {
+                j.fixed_view_mut::<2, 3>(2 * k, 0).copy_from(&transfer(pair, abc, q1, q2)?.1);
+                let t = derivative(q1, |q| transfer(pair, abc, &q, q2).map(|r| r.0))?;
+                by_first.fixed_view_mut::<2, 2>(2 * k, 2 * k).copy_from(&t);
+            }
+            let [first, second] = &f.covariance_px2;
+            let s = second + by_first * first * by_first.transpose();
+            out.by_abc.fixed_view_mut::<{ 2 * TOUCHING }, 3>(2 * TOUCHING * i, 0).copy_from(&j);
+            out.by_features += j.tr_mul(&(s * j));
+            out.trace += s.trace();
+            out.trace_of_square += s.norm_squared();
         }
-        let [first, second] = &f.covariance_px2;
-        out += j.tr_mul(&((second + by_first * first * by_first.transpose()) * j));
+        Some(out)
     }
-    Some(out)
+
+    /// How many times as much the features scatter, from the sum of squares, `N^-1`, the change of the residuals by the cameras' parameters, and their
+    /// covariance.
+    fn scatter(&self, sum: f64, inverse: &Matrix3<f64>, moved: &DMatrix<f64>, covariance: &DMatrix<f64>) -> f64 {
+        let projected = moved - &self.by_abc * (inverse * self.by_abc.tr_mul(moved));
+        let cameras = covariance * moved.tr_mul(&projected);
+        let features = self.trace - (inverse * self.by_features).trace();
+        let chance = 2.0 * (self.trace_of_square + (&cameras * &cameras).trace());
+        let more = sum - cameras.trace() - features;
+        if more > MORE_THAN_CHANCE * chance.sqrt() { (1.0 + more / features).sqrt() } else { 1.0 }
+    }
+}
+
+/// Transfer errors in the order of the features, u and v of each; `None` where a feature does not transfer.
+fn residuals(pair: &Pair, abc: &Vector3<f64>, features: &[PairFeatures]) -> Option<DVector<f64>> {
+    let each = features.iter().flat_map(|f| f.first_px.iter().zip(&f.second_px));
+    let all: Option<Vec<Vector2<f64>>> = each.map(|(q1, q2)| Some(transfer(pair, abc, q1, q2)?.0)).collect();
+    Some(DVector::from_vec(all?.iter().flat_map(|r| [r.x, r.y]).collect()))
 }
 
 /// Turn w (perpendicular to n) and shift n . v by abc: `dn = d P dabc`, `w = n x dn`, `dd = -d^2 n . dabc`.

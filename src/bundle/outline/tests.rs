@@ -245,21 +245,23 @@ fn standard_deviations_hold_where_discs_are_ovals() {
     assert!(each.iter().all(|z| *z < one[1]), "{each:?}");
 }
 
-/// Contours without the ovals that are known are those of round discs but for what is not known of them.
+/// Residuals beside the ovals that were estimated are the noise, and those of contours without them.
 #[test]
-fn round_discs_are_what_is_left_without_ovals() {
+fn residuals_are_told_beside_the_ovals() {
     let scene = Reference::of("A").unwrap().parts.scene().with_edge_points(100);
     let model = drawn(&scene, &[[3e-3, -2e-3], [-1e-3, 3e-3]], 6);
-    let contours = adjust(&model, scene.truth.clone(), &AdjustOptions::default(), &mut |_| true);
-    let round = with_round_discs(&contours.model, &contours.state).unwrap();
-    assert!(round.target.oval_sigma_mm.is_none());
-    let bare = State { ovals_mm: vec![], ..contours.state.clone() };
-    for (image, before) in round.images.iter().zip(&contours.model.images) {
-        assert!(image.discs.iter().all(|d| d.tie.is_none() && !d.outline.is_none()));
-        let left = residuals(&round, &bare, image).unwrap();
-        let shown = residuals(&contours.model, &contours.state, before).unwrap();
+    let found = adjust(&model, scene.truth.clone(), &AdjustOptions::default(), &mut |_| true);
+    let bare = State { ovals_mm: vec![], ..found.state.clone() };
+    for image in &found.model.images {
+        let shown = residuals(&found.model, &found.state, image).unwrap();
+        let of_image = SeenImage::of(&found.model, &found.state, image).unwrap();
+        let mut without = image.clone();
+        for seen in &mut without.discs {
+            *seen = round(&of_image, seen).unwrap().0;
+            assert!(seen.tie.is_none());
+        }
+        let left = residuals(&found.model, &bare, &without).unwrap();
         for (a, b) in left.discs.iter().zip(&shown.discs) {
-            // As the residuals are told beside the ovals that were estimated.
             let each = a.edges.distance_px.iter().zip(&b.edges.distance_px);
             let worst = each.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert!(worst < 0.02 * SIGMA_PX, "{worst} px");
