@@ -19,7 +19,7 @@ fn printed() -> (String, String) {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/printed/rig.toml");
     let job = RigDescription::parse(&std::fs::read_to_string(&file).unwrap(), "rig.toml").unwrap();
     let load = |view: usize, camera: usize| {
-        load_image(&image_path(&file, None, job.views[view].images[camera].as_ref().unwrap()))
+        load_image(&image_path(&file, None, job.views[view].images[camera].as_ref().unwrap())).map(std::sync::Arc::new)
     };
     let options = CalibrateOptions { threads: 1, ..CalibrateOptions::default() };
     let found = calibrate(&job, &load, &options, &mut |_| true).unwrap();

@@ -21,6 +21,7 @@ use spivcal::report::residuals_csv;
 use spivcal::rig_file::RigDescription;
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 const ROUNDS: usize = 21;
@@ -80,8 +81,8 @@ impl Work {
         Self { images, job, to }
     }
 
-    fn load(&self, view: usize, camera: usize) -> Result<GrayImage> {
-        load_image(&self.images[view][camera])
+    fn load(&self, view: usize, camera: usize) -> Result<Arc<GrayImage>> {
+        load_image(&self.images[view][camera]).map(Arc::new)
     }
 
     /// From images to files; what passes until the last image has been searched, until all is computed, until the files are there.
@@ -124,7 +125,7 @@ fn main() {
 
 fn measure(work: &Work) {
     let wanted: Vec<(usize, usize)> = (0..work.job.views.len()).flat_map(|v| [(v, 0), (v, 1)]).collect();
-    let decode = || wanted.iter().map(|(v, c)| work.load(*v, *c).unwrap()).collect::<Vec<GrayImage>>();
+    let decode = || wanted.iter().map(|(v, c)| work.load(*v, *c).unwrap()).collect::<Vec<Arc<GrayImage>>>();
     let options = DetectOptions { polarity: work.job.target.polarity, ..DetectOptions::default() };
     let memory = DetectMemory::default();
     let origin = Instant::now();

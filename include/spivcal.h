@@ -12,7 +12,8 @@
 
    HANDLES  Objects are named by numbers, not by pointers. 0 names none. A handle that was destroyed, is of another type, or never was
      one gives an error code, never a crash. Handles stay below 2^52. Every object belongs to the context it was made in and ends with
-     it. An object that is destroyed while another thread uses it ends when that call returns; a context waits for such calls.
+     it. An object that is destroyed while another thread uses it ends when that call returns; a context waits for such calls (by their
+     first argument: an object of another context may be a further argument, and lives until the call returns).
 
    STATUS  Every function but spivcal_abi_version returns one: 0 done, negative: error, positive: done with a warning.
      After an error spivcal_error_text(handle) says why, with numbers and what to do next; handle is the FIRST argument of the call
@@ -22,9 +23,9 @@
      threads are needed _MEMORY. Others are named by their function.
 
    POINTERS  The caller owns all memory; nothing that the library gives has to be freed. No input is looked at after its call has
-     returned. Arrays that are written must not overlap those that are read. Pointers may have any alignment. A pointer must not be
-     NULL unless its function says so. Arrays and buffers must have the stated number of elements: that is the one thing that the
-     library cannot check. Texts are UTF-8 with a closing zero.
+     returned. Arrays that are written must not overlap those that are read, nor each other where both results are wanted. Pointers may
+     have any alignment. A pointer must not be NULL unless its function says so. Arrays and buffers must have the stated number of
+     elements: that is the one thing that the library cannot check. Texts are UTF-8 with a closing zero.
 
    BUFFERS  (buffer, capacity, needed): capacity and needed count elements (bytes of a text, with its zero). capacity 0 asks for needed
      alone. Too small: SPIVCAL_ERROR_BUFFER_TOO_SMALL, needed is written, buffer is not.
@@ -45,7 +46,8 @@
      spivcal_detection_run, ..._dewarp          anything                               until it is done
      spivcal_job_wait                           anything                               until the job ends or the time is over
      The library keeps no global state but the table of handles. Threads that it starts for a call have ended when the call returns;
-     the thread of a job has ended when the job is destroyed. Results do not depend on the number of threads, to the bit. It never
+     the thread of a job has ended when the job is destroyed: neither may be done where threads cannot end, as in DllMain and in the
+     destructors of global objects of a DLL. Results do not depend on the number of threads, to the bit. It never
      prints, ends the process, or changes locale, signals, folder or floating-point mode. Floating-point exceptions must be masked in the
      threads that call it, as C leaves them (not Delphi, nor feenableexcept): it computes with NaN and infinity. Numbers in files
      always use '.'.
@@ -158,8 +160,8 @@
 #define SPIVCAL_ERROR_POISONED -12
 
 /**
- * A defect of the library. The object is poisoned, all others are as they were. A context is not poisoned: what was to be made in it
- * was not made, and the call may be tried again with other input.
+ * A defect of the library. A rig or a detection is poisoned, all other objects are as they were. A context, an image and a calibration, which
+ * never change, are not: what was to be made was not made, and the call may be tried again with other input. Of a job only its result is lost.
  */
 #define SPIVCAL_ERROR_PANIC -13
 
@@ -902,6 +904,32 @@
 #define SPIVCAL_RIG_CAMERA_WINDOW_TILT_SIGMA_DEG 3
 
 /**
+ * Index: camera. From the drawing of the rig, with pixel pitch and focal length a start for image distance and tilts: distance from the lens to
+ * the sheet along the lens axis, mm.
+ */
+#define SPIVCAL_RIG_CAMERA_DESIGN_OBJECT_DISTANCE_MM 4
+
+/**
+ * Index: camera. The same: angle between lens axis and sheet normal along image x, degrees; positive: what is right in the image is nearer.
+ */
+#define SPIVCAL_RIG_CAMERA_DESIGN_VIEWING_ANGLE_DEG 5
+
+/**
+ * Index: camera. The same along image y; positive: what is low in the image is nearer; default 0.
+ */
+#define SPIVCAL_RIG_CAMERA_DESIGN_VIEWING_ANGLE_VERTICAL_DEG 6
+
+/**
+ * Index: camera. The drawing is also known to hold: relative standard deviation of the image distance f.
+ */
+#define SPIVCAL_RIG_CAMERA_DESIGN_F_SIGMA 7
+
+/**
+ * Index: camera. The same: standard deviation of the tilts, degrees.
+ */
+#define SPIVCAL_RIG_CAMERA_DESIGN_TILT_SIGMA_DEG 8
+
+/**
  * Two discs: distance of the centres; grid: pitch; plate: pitch on one level, mm.
  */
 #define SPIVCAL_RIG_TARGET_SPACING_MM 11
@@ -932,6 +960,11 @@
 #define SPIVCAL_RIG_TARGET_STEP_MM 16
 
 /**
+ * Standard deviation of SPIVCAL_RIG_TARGET_SPACING_MM, mm; 0: exact (default). The spacing has to be set before.
+ */
+#define SPIVCAL_RIG_TARGET_SPACING_SIGMA_MM 17
+
+/**
  * The sheet is where the cameras are focused: tolerance of its tilt, degrees.
  */
 #define SPIVCAL_RIG_FOCUS_TILT_SIGMA_DEG 21
@@ -950,6 +983,52 @@
  * Index: view. Known position along a traverse, mm.
  */
 #define SPIVCAL_RIG_VIEW_PLANE_Z_MM 32
+
+/**
+ * Index: view. Standard deviation of that position, mm; 0: as SPIVCAL_SCALE_TRAVERSE says, else exact (default). The position has to be set before.
+ */
+#define SPIVCAL_RIG_VIEW_PLANE_Z_SIGMA_MM 33
+
+/**
+ * Index: view. 1: parallel to the sheet at a position that nobody has read; 0: no longer so.
+ */
+#define SPIVCAL_RIG_VIEW_PLANE_Z_UNKNOWN 34
+
+/**
+ * Index: 0, 1, 2 for x, y, z, in this order. The origin of the sheet frame is this point of the rig frame, dropped onto the sheet, mm. Default:
+ * where the axis of the first camera meets the sheet. Of this and a disc the one that was set last counts.
+ */
+#define SPIVCAL_RIG_SHEET_ORIGIN_MM 41
+
+/**
+ * The origin of the sheet frame is a disc or mark of the target, dropped onto the sheet: as it stands in this view.
+ */
+#define SPIVCAL_RIG_SHEET_ORIGIN_VIEW 42
+
+/**
+ * Its column; default 0. Two discs are columns 0 and 1 of row 0.
+ */
+#define SPIVCAL_RIG_SHEET_ORIGIN_COLUMN 43
+
+/**
+ * Its row; default 0.
+ */
+#define SPIVCAL_RIG_SHEET_ORIGIN_ROW 44
+
+/**
+ * Its level: 0 front (default), 1 back.
+ */
+#define SPIVCAL_RIG_SHEET_ORIGIN_LEVEL 45
+
+/**
+ * The x axis of the sheet frame runs along the target's x axis in this view, laid into the sheet. Default: along the rig's x axis.
+ */
+#define SPIVCAL_RIG_SHEET_X_AXIS_VIEW 46
+
+/**
+ * 1: x and y of the sheet frame turned over; z (and so w) stays towards the first camera. 0: not (default).
+ */
+#define SPIVCAL_RIG_SHEET_FLIP_X 47
 
 /**
  * two-discs, bubbles, dot-grid or two-level-plate.
@@ -1269,9 +1348,8 @@ int32_t spivcal_detection_destroy(uint64_t detection);
 /**
  * Makes an empty rig description, to be filled by the functions below.
  *
- * It needs cameras, a target, one length in mm (of the target, or spivcal_rig_set_scale), views and their images. What a rig file may say
- * besides, spivcal_rig_parse takes as a text: the standard deviation of the pitch of a grid or plate, design values of a camera, the frame of
- * the sheet, and views whose plane_z_mm is unknown or has a standard deviation of its own.
+ * It needs cameras, a target, one length in mm (of the target, or spivcal_rig_set_scale), views and their images. Error texts name lines and keys
+ * of the text that spivcal_rig_text_copy gives; what was set can be replaced, and a description without it is made anew or from an edited text.
  * `rig`: receives the handle.
  */
 int32_t spivcal_rig_create(uint64_t context,
@@ -1341,9 +1419,13 @@ int32_t spivcal_rig_set_number(uint64_t rig,
 /**
  * Sets a word of the description.
  *
- * `key`: one of the text keys SPIVCAL_RIG_*, which list the words. `index`: 0. `text_utf8`: zero-terminated.
+ * `key`: one of the text keys SPIVCAL_RIG_*, which list the words and say what `index` counts. `index`: 0 where nothing is counted.
+ * `text_utf8`: zero-terminated.
  */
-int32_t spivcal_rig_set_text(uint64_t rig, int32_t key, uint64_t index, const char *text_utf8);
+int32_t spivcal_rig_set_text(uint64_t rig,
+                             int32_t key,
+                             uint64_t index,
+                             const char *text_utf8);
 
 /**
  * States what is known of a parameter of a camera beforehand.
@@ -1383,7 +1465,8 @@ int32_t spivcal_rig_set_image(uint64_t rig,
 /**
  * Names the file of the image that a camera saw in a view; it is read when a calibration asks for it.
  *
- * `view`, `camera`: from 0. `path_utf8`: the file, zero-terminated; a relative path begins at the folder of the images.
+ * `view`, `camera`: from 0. `path_utf8`: the file, zero-terminated; a relative path begins at the folder of the images,
+ * which of spivcal_rig_create is the current one of the process.
  */
 int32_t spivcal_rig_set_image_file(uint64_t rig,
                                    uint64_t view,
@@ -1396,11 +1479,14 @@ int32_t spivcal_rig_set_image_file(uint64_t rig,
 int32_t spivcal_rig_check(uint64_t rig);
 
 /**
- * The description as the text of a rig file (TOML).
+ * The description as the text of a rig file (TOML). An image from memory has the name that results and error texts give it, and is no file.
  *
  * `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy.
  */
-int32_t spivcal_rig_text_copy(uint64_t rig, char *buffer, uint64_t capacity, uint64_t *needed);
+int32_t spivcal_rig_text_copy(uint64_t rig,
+                              char *buffer,
+                              uint64_t capacity,
+                              uint64_t *needed);
 
 /**
  * Destroys a rig description. Jobs that were started with it go on.
@@ -1463,8 +1549,8 @@ int32_t spivcal_job_poll(uint64_t job,
 int32_t spivcal_job_wait(uint64_t job, int32_t timeout_ms, int32_t *state);
 
 /**
- * Asks a job to stop; returns at once. It ends after the images that are just searched, or the iteration that just runs;
- * the diagnosis of a finished adjustment is not interrupted.
+ * Asks a job to stop; returns at once. It ends after the images that are just searched, the iteration that just runs, or the part of the
+ * diagnosis that is at work; finding the sheet alone is not interrupted once its images are searched.
  */
 int32_t spivcal_job_cancel(uint64_t job);
 

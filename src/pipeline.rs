@@ -26,9 +26,10 @@ pub use workers::{MOST_THREADS, Workers};
 
 use crate::error::Result;
 use crate::image::GrayImage;
+use std::sync::Arc;
 
-/// Gives the image of a view and camera of the rig file; called from several threads.
-pub type Source<'a> = dyn Fn(usize, usize) -> Result<GrayImage> + Sync + 'a;
+/// Gives the image of a view and camera of the rig file; called from several threads. What somebody else keeps is shared, not copied.
+pub type Source<'a> = dyn Fn(usize, usize) -> Result<Arc<GrayImage>> + Sync + 'a;
 
 /// What long work tells about itself.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -80,7 +80,10 @@ impl Scene {
             let at = start(&e);
             // Without its text the reader tells the key instead.
             e.set_input(None);
-            refused(at, &in_plain_types(&e.to_string()).replace("\nin `", ", in `"))
+            let told = e.to_string();
+            let (words, path) = told.split_once("\nin `").unwrap_or((&told, ""));
+            let (words, path) = (in_plain_types(words), path.trim().trim_end_matches('`'));
+            refused(at, &if path.is_empty() { words } else { format!("{path}: {words}") })
         })?;
         check::check(&scene, &lines)?;
         let setup = Setup::new(&scene, &lines)?;

@@ -41,7 +41,7 @@ fn calibrated(pupil_ratio: f64, extra: &str) -> (Record, Record) {
     let job = RigDescription::parse(&rig, "rig.toml").unwrap_or_else(|e| panic!("{e}\n{rig}"));
     let image = |view: usize, camera: usize| {
         let name = job.views[view].images[camera].as_ref().unwrap();
-        Ok(simulation.images.iter().find(|(n, _)| n == name).unwrap().1.clone())
+        Ok(std::sync::Arc::new(simulation.images.iter().find(|(n, _)| n == name).unwrap().1.clone()))
     };
     let out = calibrate(&job, &image, &CalibrateOptions::default(), &mut |_| true);
     (out.unwrap_or_else(|e| panic!("{e}")).record, Record::from_json(&simulation.truth_json, "truth.json").unwrap())

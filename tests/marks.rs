@@ -44,7 +44,7 @@ fn a_larger_dot_tells_the_axes_and_nothing_else() {
         let job = RigDescription::parse(&simulation.rig_toml, "rig.toml").unwrap();
         let image = |view: usize, camera: usize| {
             let name = job.views[view].images[camera].as_ref().unwrap();
-            Ok(simulation.images.iter().find(|(n, _)| n == name).unwrap().1.clone())
+            Ok(std::sync::Arc::new(simulation.images.iter().find(|(n, _)| n == name).unwrap().1.clone()))
         };
         let out =
             calibrate(&job, &image, &CalibrateOptions::default(), &mut |_| true).unwrap_or_else(|e| panic!("{e}"));

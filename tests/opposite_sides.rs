@@ -189,7 +189,7 @@ fn calibrated(made: &Simulation, flip_right: bool) -> Result<[Record; 3]> {
     let load = |view: usize, camera: usize| {
         let name = job.views[view].images[camera].as_deref().unwrap();
         let image = &made.images.iter().find(|(n, _)| n == name).unwrap().1;
-        Ok(if flip_right && camera == 1 { flipped(image) } else { image.clone() })
+        Ok(std::sync::Arc::new(if flip_right && camera == 1 { flipped(image) } else { image.clone() }))
     };
     let record = calibrate(&job, &load, &CalibrateOptions::default(), &mut |_| true)?.record;
     let again = find_sheet(&job, &load, &record, &SheetOptions::default(), &mut |_| true)?.record;

@@ -138,7 +138,7 @@ fn the_work_is_stopped_up_to_its_last_word() {
     let job = RigDescription::parse(&made.rig_toml, "rig.toml").unwrap();
     let load = |view: usize, camera: usize| {
         let name = job.views[view].images[camera].as_deref().unwrap();
-        Ok(made.images.iter().find(|(n, _)| n == name).unwrap().1.clone())
+        Ok(std::sync::Arc::new(made.images.iter().find(|(n, _)| n == name).unwrap().1.clone()))
     };
     let options = CalibrateOptions { threads: 1, ..CalibrateOptions::default() };
     let mut all = 0;

@@ -30,6 +30,7 @@ fn run_as(name: &str, images: Option<&Path>, observations: Observations) -> Reco
     job.solve.observations = observations;
     let load = |view: usize, camera: usize| {
         load_image(&image_path(&file, images, job.views[view].images[camera].as_deref().unwrap()))
+            .map(std::sync::Arc::new)
     };
     calibrate(&job, &load, &CalibrateOptions::default(), &mut |_| true).unwrap_or_else(|e| panic!("{name}: {e}")).record
 }

@@ -16,6 +16,7 @@ fn run(sheet: &str) -> Record {
     let job = RigDescription::parse(&text, "rig.toml").unwrap_or_else(|e| panic!("{e}"));
     let load = |view: usize, camera: usize| {
         load_image(&image_path(&file, None, job.views[view].images[camera].as_deref().unwrap()))
+            .map(std::sync::Arc::new)
     };
     calibrate(&job, &load, &CalibrateOptions::default(), &mut |_| true).unwrap_or_else(|e| panic!("{e}")).record
 }

@@ -6,6 +6,7 @@ use crate::image::GrayImage;
 use crate::pipeline::{has_further_pages, load_image};
 use crate::rig_file::{RigDescription, image_path};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 pub(super) use crate::pipeline::{Output, can_write, read_text, spares};
 
@@ -28,10 +29,10 @@ impl NamedImages<'_> {
         names.map(|name| image_path(self.rig, self.folder, name)).collect()
     }
     /// One of them; the library asks only for images that the rig file names.
-    pub(super) fn load(&self, view: usize, camera: usize) -> Result<GrayImage> {
+    pub(super) fn load(&self, view: usize, camera: usize) -> Result<Arc<GrayImage>> {
         let name = self.job.views[view].images[camera].as_deref().unwrap_or_default();
         let path = image_path(self.rig, self.folder, name);
-        load_image(&path).map_err(|e| match e {
+        load_image(&path).map(Arc::new).map_err(|e| match e {
             Error::Invalid(Invalid::File { path: at, message }) if !path.exists() => {
                 fault(at.as_ref(), format!("{message} (that of the rig file, or the one given by --images)"))
             }

@@ -42,8 +42,8 @@ pub const SPIVCAL_ERROR_RUNNING: i32 = -10;
 pub const SPIVCAL_ERROR_CANCELLED: i32 = -11;
 /// An earlier call on this object ended in SPIVCAL_ERROR_PANIC; it can only be destroyed and asked for its error text.
 pub const SPIVCAL_ERROR_POISONED: i32 = -12;
-/// A defect of the library. The object is poisoned, all others are as they were. A context is not poisoned: what was to be made in it
-/// was not made, and the call may be tried again with other input.
+/// A defect of the library. A rig or a detection is poisoned, all other objects are as they were. A context, an image and a calibration, which
+/// never change, are not: what was to be made was not made, and the call may be tried again with other input. Of a job only its result is lost.
 pub const SPIVCAL_ERROR_PANIC: i32 = -13;
 /// A file, a key or a number of the job is wrong: it is the caller's turn.
 pub const SPIVCAL_ERROR_INVALID_INPUT: i32 = -20;
@@ -114,7 +114,9 @@ fn words(status: i32) -> &'static str {
         SPIVCAL_ERROR_RUNNING => "the job has not ended yet",
         SPIVCAL_ERROR_CANCELLED => "the work was stopped",
         SPIVCAL_ERROR_POISONED => "an internal error damaged this object earlier; destroy it",
-        SPIVCAL_ERROR_PANIC => "internal error; unless it is a context, the object can only be destroyed",
+        SPIVCAL_ERROR_PANIC => {
+            "internal error; a rig or detection can only be destroyed then, a context, an image and a calibration are as they were"
+        }
         SPIVCAL_ERROR_INVALID_INPUT => "a file, a key or a number is wrong",
         SPIVCAL_ERROR_INSUFFICIENT => "not enough or degenerate data",
         SPIVCAL_ERROR_UNUSABLE => "the result cannot be used",

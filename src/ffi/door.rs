@@ -122,10 +122,14 @@ fn run(object: &Arc<Object>, call: impl FnOnce(&Object) -> Outcome) -> i32 {
             fault.status
         }
         Err(payload) => {
-            // A context never changes: what was half done is the object that was to be made in it, and that is gone.
-            let whole = matches!(object.body, Body::Context(_));
+            // These never change: what was half done is what was to be made of them, and that is gone.
+            let whole = matches!(object.body, Body::Context(_) | Body::Image(_) | Body::Calibration(_));
             object.poisoned.store(!whole, Ordering::Release);
-            let left = if whole { "nothing was made" } else { "this object can only be destroyed now" };
+            let left = match object.body {
+                Body::Context(_) => "nothing was made",
+                _ if whole => "this object is as it was",
+                _ => "this object can only be destroyed now",
+            };
             *lock(&object.error) = panic_text(&*payload, left);
             SPIVCAL_ERROR_PANIC
         }

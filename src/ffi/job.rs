@@ -255,8 +255,8 @@ pub unsafe extern "C" fn spivcal_job_wait(job: u64, timeout_ms: i32, state: *mut
     })
 }
 
-/// Asks a job to stop; returns at once. It ends after the images that are just searched, or the iteration that just runs;
-/// the diagnosis of a finished adjustment is not interrupted.
+/// Asks a job to stop; returns at once. It ends after the images that are just searched, the iteration that just runs, or the part of the
+/// diagnosis that is at work; finding the sheet alone is not interrupted once its images are searched.
 #[unsafe(no_mangle)]
 pub extern "C" fn spivcal_job_cancel(job: u64) -> i32 {
     on(job, |shared| {

@@ -223,7 +223,9 @@ impl<const N: usize, const M: usize> Lists<'_, N, M> {
         for (read, argument) in from {
             let read = || (bytes(read, n), argument);
             to.into_iter().try_for_each(|(list, name)| apart(read(), (bytes(list, n), name)))?;
-            apart(read(), (bytes(status, n), "point_status"))?;
+            if !status.is_null() {
+                apart(read(), (bytes(status, n), "point_status"))?;
+            }
         }
         // SAFETY: the contract of this function.
         unsafe {

@@ -35,13 +35,13 @@ pub(super) struct Task {
 
 impl Task {
     /// Gives the image of a view and camera.
-    pub(super) fn image(&self, view: usize, camera: usize) -> Loaded<GrayImage> {
+    pub(super) fn image(&self, view: usize, camera: usize) -> Loaded<Arc<GrayImage>> {
         if let Some(image) = self.images.get(&(view as u64, camera as u64)) {
-            return Ok(GrayImage::clone(image));
+            return Ok(Arc::clone(image));
         }
         // The library asks only for images that the description names.
         let name = self.job.views[view].images[camera].as_deref().unwrap_or_default();
-        load_image(&image_path(&self.file, self.images_dir.as_deref(), name))
+        load_image(&image_path(&self.file, self.images_dir.as_deref(), name)).map(Arc::new)
     }
 }
 
@@ -96,9 +96,8 @@ unsafe fn folder(path: *const c_char) -> Result<Option<PathBuf>, Fault> {
 
 /// Makes an empty rig description, to be filled by the functions below.
 ///
-/// It needs cameras, a target, one length in mm (of the target, or spivcal_rig_set_scale), views and their images. What a rig file may say
-/// besides, spivcal_rig_parse takes as a text: the standard deviation of the pitch of a grid or plate, design values of a camera, the frame of
-/// the sheet, and views whose plane_z_mm is unknown or has a standard deviation of its own.
+/// It needs cameras, a target, one length in mm (of the target, or spivcal_rig_set_scale), views and their images. Error texts name lines and keys
+/// of the text that spivcal_rig_text_copy gives; what was set can be replaced, and a description without it is made anew or from an edited text.
 /// `rig`: receives the handle.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_rig_create(context: u64, rig: *mut u64) -> i32 {
@@ -215,7 +214,8 @@ pub extern "C" fn spivcal_rig_set_number(rig: u64, key: i32, index: u64, value: 
 
 /// Sets a word of the description.
 ///
-/// `key`: one of the text keys SPIVCAL_RIG_*, which list the words. `index`: 0. `text_utf8`: zero-terminated.
+/// `key`: one of the text keys SPIVCAL_RIG_*, which list the words and say what `index` counts. `index`: 0 where nothing is counted.
+/// `text_utf8`: zero-terminated.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_rig_set_text(rig: u64, key: i32, index: u64, text_utf8: *const c_char) -> i32 {
     on(rig, |state| {
@@ -267,7 +267,8 @@ pub extern "C" fn spivcal_rig_set_image(rig: u64, view: u64, camera: u64, image:
 
 /// Names the file of the image that a camera saw in a view; it is read when a calibration asks for it.
 ///
-/// `view`, `camera`: from 0. `path_utf8`: the file, zero-terminated; a relative path begins at the folder of the images.
+/// `view`, `camera`: from 0. `path_utf8`: the file, zero-terminated; a relative path begins at the folder of the images,
+/// which of spivcal_rig_create is the current one of the process.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_rig_set_image_file(rig: u64, view: u64, camera: u64, path_utf8: *const c_char) -> i32 {
     on(rig, |state| {
@@ -288,7 +289,7 @@ pub extern "C" fn spivcal_rig_check(rig: u64) -> i32 {
     on(rig, |state| state.document.description().map(|_| SPIVCAL_OK))
 }
 
-/// The description as the text of a rig file (TOML).
+/// The description as the text of a rig file (TOML). An image from memory has the name that results and error texts give it, and is no file.
 ///
 /// `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy.
 #[unsafe(no_mangle)]

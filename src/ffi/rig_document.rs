@@ -10,6 +10,8 @@ use toml::{Table, Value};
 
 /// Name of a description that was not read from a file, in messages.
 pub(super) const UNNAMED: &str = "rig description";
+/// A position along a traverse that nobody has read.
+const UNKNOWN: &str = "unknown";
 
 /// A rig file as text and as tables.
 #[derive(Default)]
@@ -88,12 +90,22 @@ impl Document {
     }
 
     fn place(&mut self, place: Place, index: u64) -> Result<&mut Table, Fault> {
-        if matches!(place, Place::Target | Place::Focus | Place::Solve) {
+        if !matches!(place, Place::Camera | Place::Window | Place::Design | Place::View | Place::Radius | Place::Point)
+        {
             Fault::unless_zero(index)?;
         }
         match place {
             Place::Camera => self.entry("camera", index),
             Place::Window => within(self.entry("camera", index)?, "window"),
+            Place::Design => within(self.entry("camera", index)?, "design"),
+            Place::Sheet => self.table("sheet"),
+            Place::Axis => within(self.table("sheet")?, "x_axis"),
+            // A point and a disc exclude each other.
+            Place::Point | Place::Origin => {
+                let origin = within(self.table("sheet")?, "origin")?;
+                origin.retain(|key, _| (key == "point_mm") == (place == Place::Point));
+                Ok(origin)
+            }
             Place::View => self.entry("view", index),
             Place::Target | Place::Radius => self.table("target"),
             Place::Focus => self.table("focus"),
@@ -111,29 +123,82 @@ impl Document {
             return refused("a finite number");
         }
         let whole = value.fract() == 0.0 && value.abs() < 1e9;
+        let truth = value == 0.0 || value == 1.0;
         let written = match form {
             Form::Real => Value::Float(value),
             Form::Whole if whole => Value::Integer(value as i64),
             Form::Whole => return refused("a whole number"),
-            Form::Truth if value == 0.0 || value == 1.0 => Value::Boolean(value == 1.0),
-            Form::Truth => return refused("0 or 1"),
+            Form::Truth if truth => Value::Boolean(value == 1.0),
+            Form::Unknown if value == 1.0 => Value::String(UNKNOWN.into()),
+            Form::Unknown if truth => return self.read_again(place, index, name),
+            Form::Truth | Form::Unknown => return refused("0 or 1"),
+            Form::Sigma if value < 0.0 => return refused("a standard deviation, 0 or more"),
+            Form::Sigma => return self.set_sigma(place, index, (name, value)),
         };
-        if place == Place::Radius {
-            return self.set_radius(name, index, written);
+        if matches!(place, Place::Radius | Place::Point) {
+            return self.set_listed(place, index, name, written);
         }
-        self.place(place, index)?.insert(name.into(), written);
+        let table = self.place(place, index)?;
+        match table.get_mut(name).and_then(Value::as_table_mut) {
+            // Its standard deviation stays.
+            Some(with_sigma) if form == Form::Real => with_sigma.insert("value".into(), written),
+            _ => table.insert(name.into(), written),
+        };
         Ok(())
     }
 
-    fn set_radius(&mut self, name: &str, index: u64, written: Value) -> Result<(), Fault> {
-        let radii = self.tables.get("target").and_then(|t| t.get(name)).and_then(Value::as_array);
-        let mut radii = radii.cloned().unwrap_or_default();
-        match usize::try_from(index) {
-            Ok(i) if i < radii.len() => radii[i] = written,
-            Ok(i) if i == radii.len() && i < 2 => radii.push(written),
-            _ => return Err(Fault::index("radius (set them in order)", index, radii.len())),
+    /// What a key has that is there already, of the target or of a view.
+    fn stated(&self, place: Place, index: u64, name: &str) -> Option<&Value> {
+        match place {
+            Place::View => self.list("view").get(usize::try_from(index).ok()?)?.get(name),
+            Place::Point => self.tables.get("sheet")?.get("origin")?.get(name),
+            _ => self.tables.get("target")?.get(name),
         }
-        self.table("target")?.insert(name.into(), Value::Array(radii));
+    }
+
+    /// A position is no longer unknown.
+    fn read_again(&mut self, place: Place, index: u64, name: &str) -> Result<(), Fault> {
+        if self.stated(place, index, name).and_then(Value::as_str) == Some(UNKNOWN) {
+            self.place(place, index)?.remove(name);
+        }
+        self.place(place, index).map(|_| ())
+    }
+
+    /// The standard deviation of a number that is there; of 0 nothing is written.
+    fn set_sigma(&mut self, place: Place, index: u64, (name, sigma): (&str, f64)) -> Result<(), Fault> {
+        let value = match self.stated(place, index, name) {
+            Some(Value::Table(with_sigma)) => with_sigma.get("value").cloned(),
+            Some(number @ (Value::Float(_) | Value::Integer(_))) => Some(number.clone()),
+            _ => None,
+        };
+        let Some(value) = value else {
+            let count = self.list("view").len() as u64;
+            return Err(match place {
+                Place::View if index >= count => Fault::index("view", index, count as usize),
+                _ => Fault::argument(format!("{name} has a standard deviation, but no value yet: set that first")),
+            });
+        };
+        let number = match sigma {
+            0.0 => value,
+            _ => Value::Table(Table::from_iter([("value".into(), value), ("sigma".into(), Value::Float(sigma))])),
+        };
+        self.place(place, index)?.insert(name.into(), number);
+        Ok(())
+    }
+
+    /// An entry of a list that is filled in order.
+    fn set_listed(&mut self, place: Place, index: u64, name: &str, written: Value) -> Result<(), Fault> {
+        let (most, what) = match place {
+            Place::Radius => (2, "radius (set them in order)"),
+            _ => (3, "coordinate (set them in order)"),
+        };
+        let mut list = self.stated(place, 0, name).and_then(Value::as_array).cloned().unwrap_or_default();
+        match usize::try_from(index) {
+            Ok(i) if i < list.len() => list[i] = written,
+            Ok(i) if i == list.len() && i < most => list.push(written),
+            _ => return Err(Fault::index(what, index, list.len())),
+        }
+        self.place(place, index)?.insert(name.into(), Value::Array(list));
         Ok(())
     }
 

@@ -9,6 +9,17 @@ pub const SPIVCAL_RIG_CAMERA_FOCAL_LENGTH_MM: i32 = 2;
 /// Index: camera. It looks through a flat window (see SPIVCAL_PARAMETER_WINDOW_DISTANCE_MM) that is parallel to the sheet with this
 /// standard deviation, degrees; default 1.
 pub const SPIVCAL_RIG_CAMERA_WINDOW_TILT_SIGMA_DEG: i32 = 3;
+/// Index: camera. From the drawing of the rig, with pixel pitch and focal length a start for image distance and tilts: distance from the lens to
+/// the sheet along the lens axis, mm.
+pub const SPIVCAL_RIG_CAMERA_DESIGN_OBJECT_DISTANCE_MM: i32 = 4;
+/// Index: camera. The same: angle between lens axis and sheet normal along image x, degrees; positive: what is right in the image is nearer.
+pub const SPIVCAL_RIG_CAMERA_DESIGN_VIEWING_ANGLE_DEG: i32 = 5;
+/// Index: camera. The same along image y; positive: what is low in the image is nearer; default 0.
+pub const SPIVCAL_RIG_CAMERA_DESIGN_VIEWING_ANGLE_VERTICAL_DEG: i32 = 6;
+/// Index: camera. The drawing is also known to hold: relative standard deviation of the image distance f.
+pub const SPIVCAL_RIG_CAMERA_DESIGN_F_SIGMA: i32 = 7;
+/// Index: camera. The same: standard deviation of the tilts, degrees.
+pub const SPIVCAL_RIG_CAMERA_DESIGN_TILT_SIGMA_DEG: i32 = 8;
 /// Two discs: distance of the centres; grid: pitch; plate: pitch on one level, mm.
 pub const SPIVCAL_RIG_TARGET_SPACING_MM: i32 = 11;
 /// Index: disc (0 or 1, in this order; 0 for grids and plates). Radius, mm.
@@ -21,6 +32,8 @@ pub const SPIVCAL_RIG_TARGET_COLUMNS: i32 = 14;
 pub const SPIVCAL_RIG_TARGET_ROWS: i32 = 15;
 /// Plate: depth of the back level below the front level, mm.
 pub const SPIVCAL_RIG_TARGET_STEP_MM: i32 = 16;
+/// Standard deviation of SPIVCAL_RIG_TARGET_SPACING_MM, mm; 0: exact (default). The spacing has to be set before.
+pub const SPIVCAL_RIG_TARGET_SPACING_SIGMA_MM: i32 = 17;
 /// The sheet is where the cameras are focused: tolerance of its tilt, degrees.
 pub const SPIVCAL_RIG_FOCUS_TILT_SIGMA_DEG: i32 = 21;
 /// The same: relative tolerance of its distance.
@@ -29,6 +42,25 @@ pub const SPIVCAL_RIG_FOCUS_DISTANCE_SIGMA: i32 = 22;
 pub const SPIVCAL_RIG_VIEW_SHEET: i32 = 31;
 /// Index: view. Known position along a traverse, mm.
 pub const SPIVCAL_RIG_VIEW_PLANE_Z_MM: i32 = 32;
+/// Index: view. Standard deviation of that position, mm; 0: as SPIVCAL_SCALE_TRAVERSE says, else exact (default). The position has to be set before.
+pub const SPIVCAL_RIG_VIEW_PLANE_Z_SIGMA_MM: i32 = 33;
+/// Index: view. 1: parallel to the sheet at a position that nobody has read; 0: no longer so.
+pub const SPIVCAL_RIG_VIEW_PLANE_Z_UNKNOWN: i32 = 34;
+/// Index: 0, 1, 2 for x, y, z, in this order. The origin of the sheet frame is this point of the rig frame, dropped onto the sheet, mm. Default:
+/// where the axis of the first camera meets the sheet. Of this and a disc the one that was set last counts.
+pub const SPIVCAL_RIG_SHEET_ORIGIN_MM: i32 = 41;
+/// The origin of the sheet frame is a disc or mark of the target, dropped onto the sheet: as it stands in this view.
+pub const SPIVCAL_RIG_SHEET_ORIGIN_VIEW: i32 = 42;
+/// Its column; default 0. Two discs are columns 0 and 1 of row 0.
+pub const SPIVCAL_RIG_SHEET_ORIGIN_COLUMN: i32 = 43;
+/// Its row; default 0.
+pub const SPIVCAL_RIG_SHEET_ORIGIN_ROW: i32 = 44;
+/// Its level: 0 front (default), 1 back.
+pub const SPIVCAL_RIG_SHEET_ORIGIN_LEVEL: i32 = 45;
+/// The x axis of the sheet frame runs along the target's x axis in this view, laid into the sheet. Default: along the rig's x axis.
+pub const SPIVCAL_RIG_SHEET_X_AXIS_VIEW: i32 = 46;
+/// 1: x and y of the sheet frame turned over; z (and so w) stays towards the first camera. 0: not (default).
+pub const SPIVCAL_RIG_SHEET_FLIP_X: i32 = 47;
 
 // Keys of spivcal_rig_set_text.
 
@@ -99,6 +131,8 @@ pub(super) enum Place {
     Camera,
     /// `[camera.window]`, by index of the camera.
     Window,
+    /// `[camera.design]`, by index of the camera.
+    Design,
     /// `[target]`.
     Target,
     /// `radii_mm` of `[target]`, by index.
@@ -109,6 +143,14 @@ pub(super) enum Place {
     Solve,
     /// `[[view]]`, by index.
     View,
+    /// `[sheet]`.
+    Sheet,
+    /// `point_mm` of `origin` of `[sheet]`, by index.
+    Point,
+    /// `origin` of `[sheet]`, a disc.
+    Origin,
+    /// `x_axis` of `[sheet]`.
+    Axis,
 }
 
 /// How a number is written.
@@ -120,23 +162,42 @@ pub(super) enum Form {
     Whole,
     /// 0 or 1, written false or true.
     Truth,
+    /// The standard deviation of a number that is there.
+    Sigma,
+    /// 1: nobody knows it.
+    Unknown,
 }
 
 /// Numbers: key of the interface, place and key of the rig file, form.
-pub(super) const NUMBERS: [(i32, Place, &str, Form); 13] = [
+pub(super) const NUMBERS: [(i32, Place, &str, Form); 28] = [
     (SPIVCAL_RIG_CAMERA_PIXEL_PITCH_MM, Place::Camera, "pixel_pitch_mm", Form::Real),
     (SPIVCAL_RIG_CAMERA_FOCAL_LENGTH_MM, Place::Camera, "focal_length_mm", Form::Real),
     (SPIVCAL_RIG_CAMERA_WINDOW_TILT_SIGMA_DEG, Place::Window, "tilt_sigma_deg", Form::Real),
+    (SPIVCAL_RIG_CAMERA_DESIGN_OBJECT_DISTANCE_MM, Place::Design, "object_distance_mm", Form::Real),
+    (SPIVCAL_RIG_CAMERA_DESIGN_VIEWING_ANGLE_DEG, Place::Design, "viewing_angle_deg", Form::Real),
+    (SPIVCAL_RIG_CAMERA_DESIGN_VIEWING_ANGLE_VERTICAL_DEG, Place::Design, "viewing_angle_vertical_deg", Form::Real),
+    (SPIVCAL_RIG_CAMERA_DESIGN_F_SIGMA, Place::Design, "f_sigma", Form::Real),
+    (SPIVCAL_RIG_CAMERA_DESIGN_TILT_SIGMA_DEG, Place::Design, "tilt_sigma_deg", Form::Real),
     (SPIVCAL_RIG_TARGET_SPACING_MM, Place::Target, "spacing_mm", Form::Real),
     (SPIVCAL_RIG_TARGET_RADIUS_MM, Place::Radius, "radii_mm", Form::Real),
     (SPIVCAL_RIG_TARGET_POINT_SIGMA_MM, Place::Target, "point_sigma_mm", Form::Real),
     (SPIVCAL_RIG_TARGET_COLUMNS, Place::Target, "columns", Form::Whole),
     (SPIVCAL_RIG_TARGET_ROWS, Place::Target, "rows", Form::Whole),
     (SPIVCAL_RIG_TARGET_STEP_MM, Place::Target, "step_mm", Form::Real),
+    (SPIVCAL_RIG_TARGET_SPACING_SIGMA_MM, Place::Target, "spacing_mm", Form::Sigma),
     (SPIVCAL_RIG_FOCUS_TILT_SIGMA_DEG, Place::Focus, "tilt_sigma_deg", Form::Real),
     (SPIVCAL_RIG_FOCUS_DISTANCE_SIGMA, Place::Focus, "distance_sigma", Form::Real),
     (SPIVCAL_RIG_VIEW_SHEET, Place::View, "sheet", Form::Truth),
     (SPIVCAL_RIG_VIEW_PLANE_Z_MM, Place::View, "plane_z_mm", Form::Real),
+    (SPIVCAL_RIG_VIEW_PLANE_Z_SIGMA_MM, Place::View, "plane_z_mm", Form::Sigma),
+    (SPIVCAL_RIG_VIEW_PLANE_Z_UNKNOWN, Place::View, "plane_z_mm", Form::Unknown),
+    (SPIVCAL_RIG_SHEET_ORIGIN_MM, Place::Point, "point_mm", Form::Real),
+    (SPIVCAL_RIG_SHEET_ORIGIN_VIEW, Place::Origin, "view", Form::Whole),
+    (SPIVCAL_RIG_SHEET_ORIGIN_COLUMN, Place::Origin, "column", Form::Whole),
+    (SPIVCAL_RIG_SHEET_ORIGIN_ROW, Place::Origin, "row", Form::Whole),
+    (SPIVCAL_RIG_SHEET_ORIGIN_LEVEL, Place::Origin, "level", Form::Whole),
+    (SPIVCAL_RIG_SHEET_X_AXIS_VIEW, Place::Axis, "view", Form::Whole),
+    (SPIVCAL_RIG_SHEET_FLIP_X, Place::Sheet, "flip_x", Form::Truth),
 ];
 
 /// Words: key of the interface, place and key of the rig file.

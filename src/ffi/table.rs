@@ -145,10 +145,11 @@ pub(super) fn insert(context: u64, body: Body) -> Result<u64, Fault> {
     let index = match table.free.pop() {
         Some(index) => index,
         None if table.slots.len() as u64 > INDEX_MASK || table.slots.try_reserve(1).is_err() => {
-            return Err(Fault::new(
-                SPIVCAL_ERROR_MEMORY,
-                format!("there are {} objects already; destroy those that are not used", table.slots.len()),
-            ));
+            let count = table.slots.len();
+            // The object may have a thread to wait for: nobody else has to.
+            drop(table);
+            let text = format!("there are {count} objects already; destroy those that are not used");
+            return Err(Fault::new(SPIVCAL_ERROR_MEMORY, text));
         }
         None => {
             table.slots.push(Slot { generation: 1, object: None });

@@ -11,8 +11,8 @@ use crate::rig::OpenImage;
 use crate::rig_file::{RigDescription, TargetDescription};
 use crate::target::Target;
 use rayon::prelude::*;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 
 /// One image with what was found in it.
 #[derive(Debug, Clone)]
@@ -24,7 +24,7 @@ pub struct SeenImage {
     /// Name as in the rig file.
     pub name: String,
     /// The image itself.
-    pub image: GrayImage,
+    pub image: Arc<GrayImage>,
     /// Everything found.
     pub detection: Detection,
     /// Discs of the target.

@@ -374,6 +374,6 @@ fn a_value_of_another_type_is_told_by_its_key() {
     let wrong = text.replacen("spacing_mm = 26.0", "spacing_mm = '14 mm'", 1);
     let message = Scene::parse(&wrong, "s.toml").unwrap_err().to_string();
     let line = 1 + wrong.lines().position(|l| l.contains("14 mm")).expect("the preset has this key");
-    let expected = format!("s.toml:{line}: invalid type: string \"14 mm\", expected a number, in `target.spacing_mm`");
+    let expected = format!("s.toml:{line}: target.spacing_mm: invalid type: string \"14 mm\", expected a number");
     assert_eq!(message, expected);
 }

@@ -22,7 +22,7 @@ pub fn try_calibrated(scene: &Scene, options: &CalibrateOptions) -> Result<(Reco
     let job = RigDescription::parse(&made.rig_toml, "rig.toml").unwrap();
     let load = |view: usize, camera: usize| {
         let name = job.views[view].images[camera].as_deref().unwrap();
-        Ok(made.images.iter().find(|(n, _)| n == name).unwrap().1.clone())
+        Ok(std::sync::Arc::new(made.images.iter().find(|(n, _)| n == name).unwrap().1.clone()))
     };
     Ok((calibrate(&job, &load, options, &mut |_| true)?.record, truth))
 }

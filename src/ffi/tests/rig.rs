@@ -1,0 +1,163 @@
+//! What setters say is what a rig file says.
+
+use super::*;
+use crate::rig_file::RigDescription;
+
+/// A grid on a traverse, cameras from the drawing, and the frame of the sheet on a disc.
+const WHOLE: &str = r#"
+[[camera]]
+name = "left"
+pixel_pitch_mm = 0.0065
+focal_length_mm = 50.0
+design = { object_distance_mm = 500.0, viewing_angle_deg = 45.0, viewing_angle_vertical_deg = -3.0, f_sigma = 0.01, tilt_sigma_deg = 0.5 }
+
+[[camera]]
+name = "right"
+
+[target]
+kind = "dot-grid"
+spacing_mm = { value = 5.0, sigma = 0.002 }
+radii_mm = [1.0]
+columns = 9
+rows = 7
+
+[[view]]
+left = "a.png"
+right = "b.png"
+sheet = true
+
+[[view]]
+left = "c.png"
+plane_z_mm = { value = 2.0, sigma = 0.01 }
+
+[[view]]
+left = "d.png"
+plane_z_mm = "unknown"
+
+[sheet]
+origin = { view = 1, column = -1, row = 2, level = 0 }
+x_axis = { view = 0 }
+flip_x = true
+"#;
+
+fn number(rig: u64, key: i32, index: u64, value: f64) {
+    assert_eq!(spivcal_rig_set_number(rig, key, index, value), SPIVCAL_OK, "{key}: {}", error_text(rig));
+}
+
+fn described(rig: u64) -> RigDescription {
+    let (mut buffer, mut needed) = ([0 as c_char; 3000], 0);
+    assert_eq!(unsafe { spivcal_rig_text_copy(rig, buffer.as_mut_ptr(), 3000, &mut needed) }, SPIVCAL_OK);
+    let text = unsafe { CStr::from_ptr(buffer.as_ptr()) }.to_str().unwrap();
+    meaning(text)
+}
+
+/// Without the text and its lines.
+fn meaning(text: &str) -> RigDescription {
+    let mut out = RigDescription::parse(text, "whole").unwrap();
+    out.text.clear();
+    out.views.iter_mut().for_each(|v| v.line = 0);
+    out
+}
+
+#[test]
+fn setters_reach_what_a_rig_file_says() {
+    let owner = context();
+    let rig = rig(owner);
+    let mut n = 0;
+    for name in [c"left", c"right"] {
+        assert_eq!(unsafe { spivcal_rig_add_camera(rig, name.as_ptr(), &mut n) }, SPIVCAL_OK);
+    }
+    number(rig, SPIVCAL_RIG_CAMERA_PIXEL_PITCH_MM, 0, 0.0065);
+    number(rig, SPIVCAL_RIG_CAMERA_FOCAL_LENGTH_MM, 0, 50.0);
+    for (key, value) in [
+        (SPIVCAL_RIG_CAMERA_DESIGN_OBJECT_DISTANCE_MM, 500.0),
+        (SPIVCAL_RIG_CAMERA_DESIGN_VIEWING_ANGLE_DEG, 45.0),
+        (SPIVCAL_RIG_CAMERA_DESIGN_VIEWING_ANGLE_VERTICAL_DEG, -3.0),
+        (SPIVCAL_RIG_CAMERA_DESIGN_F_SIGMA, 0.01),
+        (SPIVCAL_RIG_CAMERA_DESIGN_TILT_SIGMA_DEG, 0.5),
+    ] {
+        number(rig, key, 0, value);
+    }
+    assert_eq!(unsafe { spivcal_rig_set_text(rig, SPIVCAL_RIG_TARGET_KIND, 0, c"dot-grid".as_ptr()) }, SPIVCAL_OK);
+    number(rig, SPIVCAL_RIG_TARGET_SPACING_MM, 0, 4.0);
+    number(rig, SPIVCAL_RIG_TARGET_SPACING_SIGMA_MM, 0, 0.002);
+    // A new value keeps its standard deviation.
+    number(rig, SPIVCAL_RIG_TARGET_SPACING_MM, 0, 5.0);
+    number(rig, SPIVCAL_RIG_TARGET_RADIUS_MM, 0, 1.0);
+    number(rig, SPIVCAL_RIG_TARGET_COLUMNS, 0, 9.0);
+    number(rig, SPIVCAL_RIG_TARGET_ROWS, 0, 7.0);
+    for (view, camera, file) in [(0, 0, c"a.png"), (0, 1, c"b.png"), (1, 0, c"c.png"), (2, 0, c"d.png")] {
+        if camera == 0 {
+            assert_eq!(unsafe { spivcal_rig_add_view(rig, &mut n) }, SPIVCAL_OK);
+        }
+        assert_eq!(unsafe { spivcal_rig_set_image_file(rig, view, camera, file.as_ptr()) }, SPIVCAL_OK);
+    }
+    number(rig, SPIVCAL_RIG_VIEW_SHEET, 0, 1.0);
+    number(rig, SPIVCAL_RIG_VIEW_PLANE_Z_MM, 1, 2.0);
+    number(rig, SPIVCAL_RIG_VIEW_PLANE_Z_SIGMA_MM, 1, 0.01);
+    number(rig, SPIVCAL_RIG_VIEW_PLANE_Z_UNKNOWN, 2, 1.0);
+    // Of a point and a disc the last one counts.
+    (0..3).for_each(|k| number(rig, SPIVCAL_RIG_SHEET_ORIGIN_MM, k, 7.0));
+    for (key, value) in [
+        (SPIVCAL_RIG_SHEET_ORIGIN_VIEW, 1.0),
+        (SPIVCAL_RIG_SHEET_ORIGIN_COLUMN, -1.0),
+        (SPIVCAL_RIG_SHEET_ORIGIN_ROW, 2.0),
+        (SPIVCAL_RIG_SHEET_ORIGIN_LEVEL, 0.0),
+        (SPIVCAL_RIG_SHEET_X_AXIS_VIEW, 0.0),
+        (SPIVCAL_RIG_SHEET_FLIP_X, 1.0),
+    ] {
+        number(rig, key, 0, value);
+    }
+    assert_eq!(spivcal_rig_check(rig), SPIVCAL_OK, "{}", error_text(rig));
+    assert_eq!(described(rig), meaning(WHOLE));
+
+    // And back: a point, a position that was read after all, and no standard deviations.
+    (0..3).for_each(|k| number(rig, SPIVCAL_RIG_SHEET_ORIGIN_MM, k, 100.0 * k as f64));
+    number(rig, SPIVCAL_RIG_VIEW_PLANE_Z_UNKNOWN, 2, 0.0);
+    number(rig, SPIVCAL_RIG_VIEW_PLANE_Z_SIGMA_MM, 1, 0.0);
+    number(rig, SPIVCAL_RIG_TARGET_SPACING_SIGMA_MM, 0, 0.0);
+    let other = WHOLE
+        .replace("{ view = 1, column = -1, row = 2, level = 0 }", "{ point_mm = [0.0, 100.0, 200.0] }")
+        .replace("plane_z_mm = \"unknown\"", "")
+        .replace("{ value = 2.0, sigma = 0.01 }", "2.0")
+        .replace("{ value = 5.0, sigma = 0.002 }", "5.0");
+    assert_eq!(described(rig), meaning(&other));
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+}
+
+#[test]
+fn what_has_no_value_has_no_standard_deviation() {
+    let owner = context();
+    let rig = parsed_rig(owner);
+    for (key, index, value, status) in [
+        (SPIVCAL_RIG_VIEW_PLANE_Z_SIGMA_MM, 0, 0.1, SPIVCAL_ERROR_ARGUMENT),
+        (SPIVCAL_RIG_VIEW_PLANE_Z_SIGMA_MM, 1, 0.1, SPIVCAL_ERROR_INDEX),
+        (SPIVCAL_RIG_VIEW_PLANE_Z_SIGMA_MM, u64::MAX, 0.1, SPIVCAL_ERROR_INDEX),
+        (SPIVCAL_RIG_TARGET_SPACING_SIGMA_MM, 0, -0.1, SPIVCAL_ERROR_ARGUMENT),
+        (SPIVCAL_RIG_TARGET_SPACING_SIGMA_MM, 1, 0.1, SPIVCAL_ERROR_INDEX),
+        (SPIVCAL_RIG_VIEW_PLANE_Z_UNKNOWN, 0, 0.5, SPIVCAL_ERROR_ARGUMENT),
+        (SPIVCAL_RIG_VIEW_PLANE_Z_UNKNOWN, 1, 1.0, SPIVCAL_ERROR_INDEX),
+        (SPIVCAL_RIG_SHEET_ORIGIN_MM, 1, 1.0, SPIVCAL_ERROR_INDEX),
+        (SPIVCAL_RIG_SHEET_X_AXIS_VIEW, 0, 0.5, SPIVCAL_ERROR_ARGUMENT),
+        (SPIVCAL_RIG_SHEET_FLIP_X, 1, 1.0, SPIVCAL_ERROR_INDEX),
+    ] {
+        assert_eq!(spivcal_rig_set_number(rig, key, index, value), status, "{key} {index}: {}", error_text(rig));
+        assert_eq!(rig_text(rig), RIG, "{key} {index}");
+    }
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+}
+
+#[test]
+fn what_never_changes_survives_a_panic() {
+    let owner = context();
+    let (mut image, mut width) = (0, 0);
+    let pixels = [7u8; 64 * 64];
+    let made = unsafe { spivcal_image_create_u8(owner, pixels.as_ptr(), 64, 64, 64, &mut image) };
+    assert_eq!(made, SPIVCAL_OK, "{}", error_text(owner));
+    assert_eq!(enter(image, Kind::Image, |_| panic!("seven")), SPIVCAL_ERROR_PANIC);
+    assert!(error_text(image).contains("as it was"), "{}", error_text(image));
+    let mut height = 0;
+    assert_eq!(unsafe { spivcal_image_size(image, &mut width, &mut height) }, SPIVCAL_OK);
+    assert_eq!((width, height), (64, 64));
+    assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
+}
