@@ -930,7 +930,7 @@
 #define SPIVCAL_RIG_CAMERA_DESIGN_TILT_SIGMA_DEG 8
 
 /**
- * Two discs: distance of the centres; grid: pitch; plate: pitch on one level, mm.
+ * Two discs: distance of the centres; grid: pitch; plate: pitch on one level, mm. A standard deviation that it has stays.
  */
 #define SPIVCAL_RIG_TARGET_SPACING_MM 11
 
@@ -980,7 +980,7 @@
 #define SPIVCAL_RIG_VIEW_SHEET 31
 
 /**
- * Index: view. Known position along a traverse, mm.
+ * Index: view. Known position along a traverse, mm. A standard deviation that it has stays.
  */
 #define SPIVCAL_RIG_VIEW_PLANE_Z_MM 32
 
@@ -1157,7 +1157,8 @@
 #define SPIVCAL_SCALE_RADIUS 3
 
 /**
- * The views' SPIVCAL_RIG_VIEW_PLANE_Z_MM; its value is not looked at, its sigma is that of each of these positions, mm.
+ * The views' SPIVCAL_RIG_VIEW_PLANE_Z_MM; its value is not looked at, its sigma is that of each of these positions that has none of its
+ * own, mm.
  */
 #define SPIVCAL_SCALE_TRAVERSE 4
 
@@ -1479,7 +1480,8 @@ int32_t spivcal_rig_set_image_file(uint64_t rig,
 int32_t spivcal_rig_check(uint64_t rig);
 
 /**
- * The description as the text of a rig file (TOML). An image from memory has the name that results and error texts give it, and is no file.
+ * The description as the text of a rig file (TOML). An image from memory has the name that results and error texts give it, or that of the
+ * file whose place it took; it is not in the text itself.
  *
  * `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy.
  */

@@ -122,8 +122,8 @@ fn run(object: &Arc<Object>, call: impl FnOnce(&Object) -> Outcome) -> i32 {
             fault.status
         }
         Err(payload) => {
-            // These never change: what was half done is what was to be made of them, and that is gone.
-            let whole = matches!(object.body, Body::Context(_) | Body::Image(_) | Body::Calibration(_));
+            // These never change, or hold plain values alone (jobs): what was half done is what was to be made of them, and that is gone.
+            let whole = !matches!(object.body, Body::Rig(_) | Body::Detection(_));
             object.poisoned.store(!whole, Ordering::Release);
             let left = match object.body {
                 Body::Context(_) => "nothing was made",

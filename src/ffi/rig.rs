@@ -289,7 +289,8 @@ pub extern "C" fn spivcal_rig_check(rig: u64) -> i32 {
     on(rig, |state| state.document.description().map(|_| SPIVCAL_OK))
 }
 
-/// The description as the text of a rig file (TOML). An image from memory has the name that results and error texts give it, and is no file.
+/// The description as the text of a rig file (TOML). An image from memory has the name that results and error texts give it, or that of the
+/// file whose place it took; it is not in the text itself.
 ///
 /// `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy.
 #[unsafe(no_mangle)]

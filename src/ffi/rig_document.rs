@@ -135,6 +135,10 @@ impl Document {
             Form::Sigma if value < 0.0 => return refused("a standard deviation, 0 or more"),
             Form::Sigma => return self.set_sigma(place, index, (name, value)),
         };
+        // A table of the sheet by itself asks for views in it.
+        if place == Place::Sheet && value == 0.0 && !self.tables.contains_key("sheet") {
+            return Fault::unless_zero(index);
+        }
         if matches!(place, Place::Radius | Place::Point) {
             return self.set_listed(place, index, name, written);
         }
@@ -158,10 +162,15 @@ impl Document {
 
     /// A position is no longer unknown.
     fn read_again(&mut self, place: Place, index: u64, name: &str) -> Result<(), Fault> {
-        if self.stated(place, index, name).and_then(Value::as_str) == Some(UNKNOWN) {
-            self.place(place, index)?.remove(name);
+        match self.stated(place, index, name).and_then(Value::as_str) {
+            Some(UNKNOWN) => self.place(place, index).map(|view| drop(view.remove(name))),
+            _ => self.view_exists(index),
         }
-        self.place(place, index).map(|_| ())
+    }
+
+    fn view_exists(&self, index: u64) -> Result<(), Fault> {
+        let count = self.list("view").len();
+        if index < count as u64 { Ok(()) } else { Err(Fault::index("view", index, count)) }
     }
 
     /// The standard deviation of a number that is there; of 0 nothing is written.
@@ -172,11 +181,10 @@ impl Document {
             _ => None,
         };
         let Some(value) = value else {
-            let count = self.list("view").len() as u64;
-            return Err(match place {
-                Place::View if index >= count => Fault::index("view", index, count as usize),
-                _ => Fault::argument(format!("{name} has a standard deviation, but no value yet: set that first")),
-            });
+            if place == Place::View {
+                self.view_exists(index)?;
+            }
+            return Err(Fault::argument(format!("{name} has a standard deviation, but no value yet: set that first")));
         };
         let number = match sigma {
             0.0 => value,

@@ -20,7 +20,7 @@ pub const SPIVCAL_RIG_CAMERA_DESIGN_VIEWING_ANGLE_VERTICAL_DEG: i32 = 6;
 pub const SPIVCAL_RIG_CAMERA_DESIGN_F_SIGMA: i32 = 7;
 /// Index: camera. The same: standard deviation of the tilts, degrees.
 pub const SPIVCAL_RIG_CAMERA_DESIGN_TILT_SIGMA_DEG: i32 = 8;
-/// Two discs: distance of the centres; grid: pitch; plate: pitch on one level, mm.
+/// Two discs: distance of the centres; grid: pitch; plate: pitch on one level, mm. A standard deviation that it has stays.
 pub const SPIVCAL_RIG_TARGET_SPACING_MM: i32 = 11;
 /// Index: disc (0 or 1, in this order; 0 for grids and plates). Radius, mm.
 pub const SPIVCAL_RIG_TARGET_RADIUS_MM: i32 = 12;
@@ -40,7 +40,7 @@ pub const SPIVCAL_RIG_FOCUS_TILT_SIGMA_DEG: i32 = 21;
 pub const SPIVCAL_RIG_FOCUS_DISTANCE_SIGMA: i32 = 22;
 /// Index: view. 1: recorded in the laser sheet that is to be measured, 0: not (default).
 pub const SPIVCAL_RIG_VIEW_SHEET: i32 = 31;
-/// Index: view. Known position along a traverse, mm.
+/// Index: view. Known position along a traverse, mm. A standard deviation that it has stays.
 pub const SPIVCAL_RIG_VIEW_PLANE_Z_MM: i32 = 32;
 /// Index: view. Standard deviation of that position, mm; 0: as SPIVCAL_SCALE_TRAVERSE says, else exact (default). The position has to be set before.
 pub const SPIVCAL_RIG_VIEW_PLANE_Z_SIGMA_MM: i32 = 33;
@@ -121,7 +121,8 @@ pub const SPIVCAL_SCALE_BASELINE: i32 = 1;
 pub const SPIVCAL_SCALE_SPACING: i32 = 2;
 /// Radius of one disc in one view, mm.
 pub const SPIVCAL_SCALE_RADIUS: i32 = 3;
-/// The views' SPIVCAL_RIG_VIEW_PLANE_Z_MM; its value is not looked at, its sigma is that of each of these positions, mm.
+/// The views' SPIVCAL_RIG_VIEW_PLANE_Z_MM; its value is not looked at, its sigma is that of each of these positions that has none of its
+/// own, mm.
 pub const SPIVCAL_SCALE_TRAVERSE: i32 = 4;
 
 /// Where a key stands in the rig file.

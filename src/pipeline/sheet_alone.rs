@@ -349,9 +349,9 @@ fn output(
     record.sheet = Some(sheet);
     let scatter = match homography.scatter {
         1.0 => String::new(),
-        by => {
-            format!("; its features scatter {by:.1} times as much as their contours say, and its sigmas allow for it")
-        }
+        by => format!(
+            "; its features scatter {by:.2} times as much as contours and cameras explain, and its sigmas allow for that, not for cameras that moved since"
+        ),
     };
     let told = format!("homography with the cameras held, from {}{scatter}", job.file);
     record.provenance.options.insert("sheet".into(), told);

@@ -11,8 +11,10 @@
 //! Where features scatter by more than S and the cameras explain (a plate that is not flat), S grows to what they show:
 //! ```text
 //! E |r|^2 = tr(P S) + tr(K),   K = C_cameras D^T P D,   P = 1 - J N^-1 J^T,   D the change of r by the cameras' parameters
-//! scale^2 = (|r|^2 - tr(K)) / tr(P S)   where |r|^2 - E |r|^2 > 3 (2 tr(S^2) + 2 tr(K^2))^(1/2), or else 1
+//! more    = |r|^2 - E |r|^2            where that is beyond 3 (2 tr(S^2) + 2 tr(K^2))^(1/2), or else 0
+//! scale^2 = 1 + (more - 3 (2 tr(K^2))^(1/2)) / tr(P S)     1 at least
 //! ```
+//! What cameras may do by chance is left to them: where K is far larger than S it would otherwise be blamed on the features.
 //!
 //! The sheet moves with the cameras it was found with: left steps (w, v) of its frame are `-L N^-1 G` times the cameras' errors (L: w and v
 //! by abc), and have that much in common with them ([`Homography::with_sheet`]).
@@ -353,9 +355,13 @@ impl Expected {
         let projected = moved - &self.by_abc * (inverse * self.by_abc.tr_mul(moved));
         let cameras = covariance * moved.tr_mul(&projected);
         let features = self.trace - (inverse * self.by_features).trace();
-        let chance = 2.0 * (self.trace_of_square + (&cameras * &cameras).trace());
+        let by_cameras = 2.0 * (&cameras * &cameras).trace();
         let more = sum - cameras.trace() - features;
-        if more > MORE_THAN_CHANCE * chance.sqrt() { (1.0 + more / features).sqrt() } else { 1.0 }
+        let chance = |variance: f64| MORE_THAN_CHANCE * variance.sqrt();
+        if !(more > chance(2.0 * self.trace_of_square + by_cameras)) {
+            return 1.0;
+        }
+        (1.0 + (more - chance(by_cameras)).max(0.0) / features).sqrt()
     }
 }
 

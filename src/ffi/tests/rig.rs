@@ -140,6 +140,10 @@ fn what_has_no_value_has_no_standard_deviation() {
         (SPIVCAL_RIG_SHEET_ORIGIN_MM, 1, 1.0, SPIVCAL_ERROR_INDEX),
         (SPIVCAL_RIG_SHEET_X_AXIS_VIEW, 0, 0.5, SPIVCAL_ERROR_ARGUMENT),
         (SPIVCAL_RIG_SHEET_FLIP_X, 1, 1.0, SPIVCAL_ERROR_INDEX),
+        (SPIVCAL_RIG_SHEET_FLIP_X, 1, 0.0, SPIVCAL_ERROR_INDEX),
+        // What is so anyway.
+        (SPIVCAL_RIG_SHEET_FLIP_X, 0, 0.0, SPIVCAL_OK),
+        (SPIVCAL_RIG_VIEW_PLANE_Z_UNKNOWN, 0, 0.0, SPIVCAL_OK),
     ] {
         assert_eq!(spivcal_rig_set_number(rig, key, index, value), status, "{key} {index}: {}", error_text(rig));
         assert_eq!(rig_text(rig), RIG, "{key} {index}");
@@ -159,5 +163,8 @@ fn what_never_changes_survives_a_panic() {
     let mut height = 0;
     assert_eq!(unsafe { spivcal_image_size(image, &mut width, &mut height) }, SPIVCAL_OK);
     assert_eq!((width, height), (64, 64));
+    let rig = parsed_rig(owner);
+    assert_eq!(enter(rig, Kind::Rig, |_| panic!("seven")), SPIVCAL_ERROR_PANIC);
+    assert_eq!(spivcal_rig_check(rig), SPIVCAL_ERROR_POISONED);
     assert_eq!(spivcal_context_destroy(owner), SPIVCAL_OK);
 }
