@@ -224,6 +224,11 @@ pub(crate) fn same_length(name: &str, wanted: usize, lists: &[&[f64]]) -> Result
     }
 }
 
+/// That there is memory for so many bytes of what `what` says: without it the process would end where they are taken.
+pub(crate) fn room(what: impl FnOnce() -> String, bytes: usize) -> Result<()> {
+    Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| Invalid::Memory { what: what(), bytes }.into())
+}
+
 /// What a reader of files says of types, in words of its users.
 pub(crate) fn in_plain_types(message: &str) -> String {
     let words = [
@@ -242,4 +247,17 @@ pub(crate) fn in_plain_types(message: &str) -> String {
         ("unknown field", "unknown key"),
     ];
     words.iter().fold(message.to_owned(), |m, (from, to)| m.replace(from, to))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_no_machine_has_is_told() {
+        assert!(room(|| "nothing".into(), 0).is_ok());
+        assert!(room(|| "an image".into(), 1 << 20).is_ok());
+        let told = room(|| "searching an image of 9 x 9 px".into(), usize::MAX).map_err(|e| e.to_string());
+        assert!(told.is_err_and(|e| e.starts_with("there is no memory for searching an image of 9 x 9 px, ")));
+    }
 }

@@ -21,7 +21,7 @@ use crate::detect::shot_noise::ShotNoise;
 use crate::detect::trace::{Line, Tracer};
 use crate::detect::whole::{self, DetectMemory, LEVELS, Rows};
 use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason};
-use crate::error::{Invalid, Result};
+use crate::error::{self, Invalid, Result};
 use crate::image::GrayView;
 use crate::target::{MarkKind, Polarity};
 use crate::threads::{self, OwnMemory};
@@ -33,6 +33,9 @@ const CLEAR: f64 = 0.0035;
 /// So many lines are judged by one thread while others are followed, in images of so many pixels at least.
 const LINES_AT_ONCE: usize = 16;
 const SHARED_PX: usize = 10_000;
+
+/// Memory that a search takes, with one level more for images of floats or of little contrast.
+const BYTES_PER_PIXEL: usize = 12;
 
 /// Everything the coarse stage saw.
 #[derive(Default)]
@@ -62,7 +65,8 @@ impl Seen {
 /// accepted discs (each with independent edge points, ellipse and covariance), square and triangle marks, and the candidates turned down.
 ///
 /// # Errors
-/// [`Invalid::Value`] where a floating-point sample is not finite or an option is out of its range.
+/// [`Invalid::Value`] where a floating-point sample is not finite or an option is out of its range; [`Invalid::Memory`] where there is not as much as a
+/// search takes.
 pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection> {
     find_discs_with(view, options, &DetectMemory::default())
 }
@@ -74,6 +78,11 @@ pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection>
 pub fn find_discs_with(view: &GrayView, options: &DetectOptions, memory: &DetectMemory) -> Result<Detection> {
     check_options(options)?;
     check_finite(view)?;
+    let (width, height) = (view.width(), view.height());
+    error::room(
+        || format!("searching an image of {width} x {height} px"),
+        BYTES_PER_PIXEL.saturating_mul(width * height),
+    )?;
     let (noise, range) = threads::both(|| plane::noise(view), || plane::range(view));
     let mut seen = look(view, [noise, range], options, memory);
     drop_texture(&mut seen, f64::from(noise), options);

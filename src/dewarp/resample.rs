@@ -7,7 +7,7 @@ use super::panels::Panels;
 use super::rows::{Band, Levels};
 use super::sampler::Sampler;
 use super::weights::Table;
-use crate::error::{Invalid, Result};
+use crate::error::{self, Invalid, Result};
 use crate::image::{GrayImage, GrayView, Pixels, Samples};
 use crate::lanes::Level;
 use nalgebra::Vector2;
@@ -90,13 +90,11 @@ pub(crate) fn dewarped_levels(
     Ok(resample(&Sampler::new(view, kernel), map, grid, z_mm))
 }
 
-/// That there is memory for an image that is dewarped, floats and where they are seen, and so many coefficients of the one that is read: without it the
-/// process would end.
+/// That there is memory for an image that is dewarped, floats and where they are seen, and so many coefficients of the one that is read.
 fn room(grid: &SheetGrid, coefficients: usize) -> Result<()> {
     let samples = grid.width_px * grid.height_px;
     let bytes = size_of::<f32>().saturating_mul(samples.saturating_add(coefficients)).saturating_add(samples);
-    let what = || format!("a dewarped image of {} x {} px", grid.width_px, grid.height_px);
-    Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| Invalid::Memory { what: what(), bytes }.into())
+    error::room(|| format!("a dewarped image of {} x {} px", grid.width_px, grid.height_px), bytes)
 }
 
 fn check(view: &GrayView<'_>, map: &SheetMap, z_mm: f64) -> Result<()> {
