@@ -1,9 +1,9 @@
 //! Tangent residuals: the bitangent features of a pair of discs against the images of the circles' own features.
 //!
-//! `r = W (f + G (i - i0) - image of F(c0, r0, c1, r1))`, W the whitening of the features' rank-10 covariance, so that r has
+//! `r = W (f + G (i - i0) + D (o - o0) - image of F(c0, r0, c1, r1))`, W the whitening of the features' rank-10 covariance, so that r has
 //! unit variance; F in closed form ([`crate::bitangent::circle_features`]), its derivative by the shape of the target through
-//! those of centres and radii; G how features found through the lens i0 follow another lens i ([`super::refit`]), and in the same way how they follow
-//! what is taken off their contours as ovality of the discs. Equal
+//! those of centres and radii; G (px per unit) how features found through the lens i0 follow another lens i, and D (px/mm) how those found with the
+//! ovality o0 (mm, a and b of either disc in the target frame) taken off their contours follow another o ([`super::refit`]). Equal
 //! radii have no external crossing: a state with them is refused where that point was kept. The robust loss sees the pair as one,
 //! with a threshold grown by the root of its rank.
 //!

@@ -14,7 +14,18 @@
 //! more    = |r|^2 - E |r|^2            where that is beyond 3 (2 tr(S^2) + 2 tr(K^2))^(1/2), or else 0
 //! scale^2 = 1 + (more - 3 (2 tr(K^2))^(1/2)) / tr(P S)     1 at least
 //! ```
-//! What cameras may do by chance is left to them: where K is far larger than S it would otherwise be blamed on the features.
+//! What cameras may do by chance is left to them: where K is far larger than S it would otherwise be blamed on the features. In a calibration, whose
+//! cameras have seen these features, the expected sum is a little too large, and the scale too small.
+//!
+//! | symbol | identifier | shape | unit | meaning |
+//! |---|---|---|---|---|
+//! | r | [`transfer_residuals`] | 16 per pair of discs | px (second camera) | u and v of the transfer errors |
+//! | J | `by_abc` | 16 per pair x 3 | px mm | r by (a, b, c) of the rig frame |
+//! | S | `covariance_px2`, `by_features` = J^T S J | 16 x 16 per pair | px^2 | covariance of r by the contours |
+//! | D | `moved` | 16 per pair x parameters | px per unit | r by the cameras' parameters |
+//! | scale | [`Homography::scatter`] | 1 | 1 | how much larger the features' noise is than said |
+//!
+//! Source of the scale: mean tr(A C) and variance 2 tr((A C)^2) of a quadratic form x^T A x of normal numbers with covariance C.
 //!
 //! The sheet moves with the cameras it was found with: left steps (w, v) of its frame are `-L N^-1 G` times the cameras' errors (L: w and v
 //! by abc), and have that much in common with them ([`Homography::with_sheet`]).
@@ -265,7 +276,7 @@ pub fn fit_placed_homography(
     let turn = seven_by_abc(&geometry.estimate.normal, geometry.estimate.distance_mm);
     // Seven numbers (w, n . v, centre) by abc; the cameras' share by finite change of the normal equations.
     let mut by_camera = DMatrix::<f64>::zeros(7, held.parameters.len());
-    let mut moved = DMatrix::<f64>::zeros(2 * count as usize, held.parameters.len());
+    let mut moved = DMatrix::<f64>::zeros(2 * TOUCHING * features.len(), held.parameters.len());
     let mut determined = true;
     for (k, parameter) in held.parameters.iter().enumerate() {
         let Some(sigma) = held.sigma(k) else {
