@@ -53,7 +53,7 @@
      always use '.'.
 
    KEYS  Values are chosen by integer keys; a new value gets a new number, old numbers keep their meaning.
-     SPIVCAL_DETECT_*     spivcal_detection_set_number
+     SPIVCAL_DETECT_*     spivcal_detection_set_number, spivcal_detection_unset
      SPIVCAL_DISC_*, SPIVCAL_CONTOUR_*, SPIVCAL_REJECTION_*          spivcal_detection_array_copy
      SPIVCAL_COUNT_*      spivcal_detection_count, spivcal_calibration_count
      SPIVCAL_CAMERA_*, SPIVCAL_BASELINE_MM, SPIVCAL_AXES_ANGLE_DEG, SPIVCAL_SHEET_*, SPIVCAL_TARGET_*, SPIVCAL_FIT_*, SPIVCAL_VIEW_*
@@ -63,8 +63,8 @@
      SPIVCAL_JOB_*        states of a job
      SPIVCAL_POINT_*      status of a point
      SPIVCAL_KERNEL_*     spivcal_calibration_dewarp
-     SPIVCAL_RIG_*        spivcal_rig_set_number, spivcal_rig_set_text
-     SPIVCAL_PARAMETER_*  spivcal_rig_set_known
+     SPIVCAL_RIG_*        spivcal_rig_set_number, spivcal_rig_set_text, spivcal_rig_unset
+     SPIVCAL_PARAMETER_*  spivcal_rig_set_known, spivcal_rig_unset_known
      SPIVCAL_SCALE_*      spivcal_rig_set_scale */
 
 #ifndef SPIVCAL_H
@@ -1295,6 +1295,13 @@ int32_t spivcal_detection_create(uint64_t context, uint64_t *detection);
 int32_t spivcal_detection_set_number(uint64_t detection, int32_t key, double value);
 
 /**
+ * Takes an option of a detection back to its default.
+ *
+ * `key`: one of SPIVCAL_DETECT_*.
+ */
+int32_t spivcal_detection_unset(uint64_t detection, int32_t key);
+
+/**
  * Finds the discs of an image. What an earlier run found is replaced.
  *
  * `image`: handle of the image. Blocks until it is done. SPIVCAL_OK also where no disc was found: see SPIVCAL_COUNT_DISCS.
@@ -1350,7 +1357,7 @@ int32_t spivcal_detection_destroy(uint64_t detection);
  * Makes an empty rig description, to be filled by the functions below.
  *
  * It needs cameras, a target, one length in mm (of the target, or spivcal_rig_set_scale), views and their images. Error texts name lines and keys
- * of the text that spivcal_rig_text_copy gives; what was set can be replaced, and a description without it is made anew or from an edited text.
+ * of the text that spivcal_rig_text_copy gives. What was set can be replaced, and taken back (spivcal_rig_unset).
  * `rig`: receives the handle.
  */
 int32_t spivcal_rig_create(uint64_t context,
@@ -1410,7 +1417,8 @@ int32_t spivcal_rig_add_mark(uint64_t rig,
  * Sets a number of the description.
  *
  * `key`: one of the number keys SPIVCAL_RIG_*, which say unit and what `index` counts. `index`: 0 where nothing is counted.
- * `value`: a finite number.
+ * `value`: a finite number. Whether it makes sense beside all others is asked by spivcal_rig_check and by whatever uses the description:
+ * SPIVCAL_ERROR_INVALID_INPUT there, as it would be of a rig file.
  */
 int32_t spivcal_rig_set_number(uint64_t rig,
                                int32_t key,
@@ -1480,8 +1488,8 @@ int32_t spivcal_rig_set_image_file(uint64_t rig,
 int32_t spivcal_rig_check(uint64_t rig);
 
 /**
- * The description as the text of a rig file (TOML). An image from memory has the name that results and error texts give it, or that of the
- * file whose place it took; it is not in the text itself.
+ * The description as the text of a rig file (TOML). An image from memory has the name that results and error texts give it there, and is to be
+ * given again to a description that is made from this text.
  *
  * `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy.
  */
@@ -1496,13 +1504,60 @@ int32_t spivcal_rig_text_copy(uint64_t rig,
 int32_t spivcal_rig_destroy(uint64_t rig);
 
 /**
+ * Takes back what spivcal_rig_set_number or spivcal_rig_set_text said, so that the default holds again. What was not said may be unset, too.
+ *
+ * `key`: one of SPIVCAL_RIG_*. `index`: as there; of the radii of a target and of the point of an origin it takes this entry and those after it.
+ * The standard deviation of a number goes with the number, column, row and level with SPIVCAL_RIG_SHEET_ORIGIN_VIEW, and a position along a traverse
+ * that nobody has read with SPIVCAL_RIG_VIEW_PLANE_Z_MM, too.
+ */
+int32_t spivcal_rig_unset(uint64_t rig,
+                          int32_t key,
+                          uint64_t index);
+
+/**
+ * Takes back what spivcal_rig_set_known said of a parameter of a camera.
+ *
+ * `camera`: from 0. `parameter`: SPIVCAL_PARAMETER_*. A camera without any parameter of a window, and without
+ * SPIVCAL_RIG_CAMERA_WINDOW_TILT_SIGMA_DEG, looks through none.
+ */
+int32_t spivcal_rig_unset_known(uint64_t rig, uint64_t camera, int32_t parameter);
+
+/**
+ * Takes back what spivcal_rig_set_scale said.
+ */
+int32_t spivcal_rig_unset_scale(uint64_t rig);
+
+/**
+ * A camera has no image in a view, whether it came from memory or was named as a file.
+ *
+ * `view`, `camera`: from 0.
+ */
+int32_t spivcal_rig_unset_image(uint64_t rig, uint64_t view, uint64_t camera);
+
+/**
+ * Removes a view with its images. The views after it are counted one less from then on, also in what names a view, and in the names that images
+ * from memory have; calibrations and jobs that there are keep their numbers.
+ *
+ * `view`: from 0. SPIVCAL_ERROR_ARGUMENT where the scale, or the origin or x axis of the sheet frame, is stated in this view.
+ */
+int32_t spivcal_rig_remove_view(uint64_t rig,
+                                uint64_t view);
+
+/**
+ * Removes all marks of a grid or plate.
+ */
+int32_t spivcal_rig_remove_marks(uint64_t rig);
+
+/**
  * Calibrates cameras, rig, target and sheet; blocks until it is done.
  *
- * `rig`: the description with its images. `calibration`: receives the handle of the result.
+ * `rig`: the description with its images, in which discs are looked for as its target asks (detections are of no use here). `calibration`: receives
+ * the handle of the result. Nothing but the end of its context stops it: a host that lets its user cancel takes spivcal_job_start.
  * SPIVCAL_OK; SPIVCAL_WARNING_FLAGGED with a result that must be looked at; SPIVCAL_ERROR_INVALID_INPUT,
  * SPIVCAL_ERROR_INSUFFICIENT or SPIVCAL_ERROR_UNUSABLE without one. The error text belongs to `rig`.
  */
-int32_t spivcal_calibration_run(uint64_t rig, uint64_t *calibration);
+int32_t spivcal_calibration_run(uint64_t rig,
+                                uint64_t *calibration);
 
 /**
  * Finds the laser sheet alone, from the views of `rig` recorded in the sheet, with the cameras of a calibration held.

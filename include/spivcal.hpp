@@ -154,6 +154,7 @@ class Detection : public detail::Owner<&spivcal_detection_destroy> {
 public:
     using Owner::Owner;
     void set(std::int32_t key, double value) { must(spivcal_detection_set_number(handle(), key, value)); }
+    void unset(std::int32_t key) { must(spivcal_detection_unset(handle(), key)); }
     void run(const Image &image) { must(spivcal_detection_run(handle(), image.handle())); }
     std::uint64_t count(std::int32_t key = SPIVCAL_COUNT_DISCS) const {
         std::uint64_t n = 0;
@@ -368,17 +369,28 @@ public:
     void set(std::int32_t key, const std::string &text_utf8, std::uint64_t index = 0) {
         must(spivcal_rig_set_text(handle(), key, index, text_utf8.c_str()));
     }
+    void unset(std::int32_t key, std::uint64_t index = 0) { must(spivcal_rig_unset(handle(), key, index)); }
     void set_known(std::uint64_t camera, std::int32_t parameter, double value, double sigma) {
         must(spivcal_rig_set_known(handle(), camera, parameter, value, sigma));
+    }
+    void unset_known(std::uint64_t camera, std::int32_t parameter) {
+        must(spivcal_rig_unset_known(handle(), camera, parameter));
     }
     void set_scale(std::int32_t fact, std::uint64_t view, std::uint64_t disc, double value_mm, double sigma_mm) {
         must(spivcal_rig_set_scale(handle(), fact, view, disc, value_mm, sigma_mm));
     }
+    void unset_scale() { must(spivcal_rig_unset_scale(handle())); }
+    void remove_marks() { must(spivcal_rig_remove_marks(handle())); }
+    /* Views after it are counted one less from then on. */
+    void remove_view(std::uint64_t view) { must(spivcal_rig_remove_view(handle(), view)); }
     void set_image(std::uint64_t view, std::uint64_t camera, const Image &image) {
         must(spivcal_rig_set_image(handle(), view, camera, image.handle()));
     }
     void set_image_file(std::uint64_t view, std::uint64_t camera, const std::string &path_utf8) {
         must(spivcal_rig_set_image_file(handle(), view, camera, path_utf8.c_str()));
+    }
+    void unset_image(std::uint64_t view, std::uint64_t camera) {
+        must(spivcal_rig_unset_image(handle(), view, camera));
     }
     void check() const { must(spivcal_rig_check(handle())); }
     std::string text() const {

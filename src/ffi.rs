@@ -28,6 +28,7 @@ mod results;
 mod rig;
 mod rig_document;
 mod rig_keys;
+mod rig_removal;
 mod table;
 mod velocity;
 
@@ -44,4 +45,5 @@ pub use keys::*;
 pub use mapping::*;
 pub use rig::*;
 pub use rig_keys::*;
+pub use rig_removal::*;
 pub use velocity::*;

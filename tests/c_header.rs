@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, Once};
 
 /// Files with exported functions or constants, in the order of the header.
-const FILES: [&str; 11] = [
+const FILES: [&str; 12] = [
     "abi.rs",
     "keys.rs",
     "rig_keys.rs",
@@ -18,6 +18,7 @@ const FILES: [&str; 11] = [
     "image.rs",
     "detection.rs",
     "rig.rs",
+    "rig_removal.rs",
     "job.rs",
     "calibration.rs",
     "mapping.rs",

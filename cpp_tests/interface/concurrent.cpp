@@ -187,6 +187,18 @@ void setters() {
         refused = e.status() == SPIVCAL_ERROR_INVALID_INPUT && std::strstr(e.what(), "[focus]") != nullptr;
     }
     CHECK(refused);
+    // Taken back it has never been said, and the same description is left.
+    focused.unset(SPIVCAL_RIG_FOCUS_TILT_SIGMA_DEG);
+    focused.check();
+    CHECK(focused.text() == text);
+    // A live job: another view, which turns out to be of no use.
+    const std::uint64_t late = focused.add_view();
+    focused.set_image_file(late, 0, "late.png");
+    focused.unset_image(late, 0);
+    focused.remove_view(late);
+    CHECK(focused.text() == text);
+    focused.unset_known(1, SPIVCAL_PARAMETER_WINDOW_N_GLASS);
+    CHECK(focused.text().find("n_glass") == std::string::npos);
     // A second scale takes the place of the first; a wrong word is refused with what was expected.
     rig.set_scale(SPIVCAL_SCALE_BASELINE, 0, 0, 700.0, 0.0);
     rig.check();

@@ -48,6 +48,12 @@ static void all_with(uint64_t h, uint64_t other, int32_t wanted, const char *wha
     CHECK(spivcal_rig_set_scale(h, SPIVCAL_SCALE_BASELINE, 0, 0, 1, 0) == wanted);
     CHECK(spivcal_rig_set_image(h, 0, 0, other) == wanted);
     CHECK(spivcal_rig_set_image_file(h, 0, 0, "a") == wanted);
+    CHECK(spivcal_rig_unset(h, SPIVCAL_RIG_TARGET_KIND, 0) == wanted);
+    CHECK(spivcal_rig_unset_known(h, 0, 0) == wanted);
+    CHECK(spivcal_rig_unset_scale(h) == wanted);
+    CHECK(spivcal_rig_unset_image(h, 0, 0) == wanted);
+    CHECK(spivcal_rig_remove_view(h, 0) == wanted);
+    CHECK(spivcal_rig_remove_marks(h) == wanted);
     CHECK(spivcal_rig_check(h) == wanted);
     CHECK(spivcal_rig_text_copy(h, text, 10, &n) == wanted);
     CHECK(spivcal_calibration_run(h, &out) == wanted);
@@ -291,6 +297,14 @@ static void numbers_without_meaning(uint64_t context, uint64_t calibration) {
     CHECK(spivcal_rig_set_number(rig, SPIVCAL_RIG_CAMERA_WINDOW_TILT_SIGMA_DEG, 0, 1) == SPIVCAL_ERROR_INDEX);
     CHECK(spivcal_rig_set_scale(rig, 99, 0, 0, 1, 0) == SPIVCAL_ERROR_ARGUMENT);
     CHECK(spivcal_rig_set_scale(rig, SPIVCAL_SCALE_SPACING, ~(uint64_t)0, 0, 1, -1) == SPIVCAL_ERROR_ARGUMENT);
+    CHECK(spivcal_rig_unset(rig, 123456, 0) == SPIVCAL_ERROR_ARGUMENT);
+    CHECK(spivcal_rig_unset(rig, SPIVCAL_RIG_TARGET_ROWS, 1) == SPIVCAL_ERROR_INDEX);
+    CHECK(spivcal_rig_unset(rig, SPIVCAL_RIG_VIEW_SHEET, 0) == SPIVCAL_ERROR_INDEX);
+    CHECK(spivcal_rig_unset(rig, SPIVCAL_RIG_TARGET_RADIUS_MM, ~(uint64_t)0) == SPIVCAL_OK);
+    CHECK(spivcal_rig_unset_known(rig, 0, 99) == SPIVCAL_ERROR_ARGUMENT);
+    CHECK(spivcal_rig_unset_known(rig, ~(uint64_t)0, SPIVCAL_PARAMETER_K1) == SPIVCAL_ERROR_INDEX);
+    CHECK(spivcal_rig_unset_image(rig, 0, ~(uint64_t)0) == SPIVCAL_ERROR_INDEX);
+    CHECK(spivcal_rig_remove_view(rig, 0) == SPIVCAL_ERROR_INDEX);
     CHECK(spivcal_rig_check(rig) == SPIVCAL_ERROR_INVALID_INPUT);
     CHECK(spivcal_calibration_run(rig, &out) == SPIVCAL_ERROR_INVALID_INPUT && out == 5);
     CHECK(spivcal_detection_create(context, &detection) == SPIVCAL_OK);
@@ -299,6 +313,7 @@ static void numbers_without_meaning(uint64_t context, uint64_t calibration) {
     CHECK(spivcal_detection_set_number(detection, SPIVCAL_DETECT_FULL_OF_SMOKE, 0.5) == SPIVCAL_ERROR_ARGUMENT);
     CHECK(spivcal_detection_set_number(detection, SPIVCAL_DETECT_FULL_OF_SMOKE, 1) == SPIVCAL_OK);
     CHECK(spivcal_detection_set_number(detection, 99, 3) == SPIVCAL_ERROR_ARGUMENT);
+    CHECK(spivcal_detection_unset(detection, 99) == SPIVCAL_ERROR_ARGUMENT);
     CHECK(spivcal_detection_run(detection, context) == SPIVCAL_ERROR_HANDLE_TYPE);
     CHECK(spivcal_image_create_f32(context, grey, 1, 2, 4, &image) == SPIVCAL_OK);
     CHECK(spivcal_detection_run(detection, image) == SPIVCAL_OK);
@@ -346,6 +361,8 @@ static void all_keys(uint64_t context, uint64_t calibration) {
             spivcal_rig_set_text(rig, key, index, "none");
             spivcal_rig_set_known(rig, index, key, 1.5, 0.5);
             spivcal_rig_set_scale(rig, key, index, index, 1.5, 0.5);
+            spivcal_rig_unset(rig, key + 1, index);
+            spivcal_rig_unset_known(rig, index, key + 1);
         }
     }
     CHECK(answered > 100);

@@ -81,6 +81,27 @@ pub extern "C" fn spivcal_detection_set_number(detection: u64, key: i32, value: 
     })
 }
 
+/// Takes an option of a detection back to its default.
+///
+/// `key`: one of SPIVCAL_DETECT_*.
+#[unsafe(no_mangle)]
+pub extern "C" fn spivcal_detection_unset(detection: u64, key: i32) -> i32 {
+    on(detection, |state| {
+        let (o, default) = (&mut state.options, DetectOptions::default());
+        match key {
+            SPIVCAL_DETECT_POLARITY => o.polarity = default.polarity,
+            SPIVCAL_DETECT_FULL_OF_SMOKE => o.full_of_smoke = default.full_of_smoke,
+            SPIVCAL_DETECT_MIN_SEMI_MINOR_PX => o.min_semi_minor_px = default.min_semi_minor_px,
+            SPIVCAL_DETECT_MAX_SEMI_MAJOR_PX => o.max_semi_major_px = default.max_semi_major_px,
+            SPIVCAL_DETECT_MIN_AXIS_RATIO => o.min_axis_ratio = default.min_axis_ratio,
+            SPIVCAL_DETECT_MIN_COVERAGE => o.min_coverage = default.min_coverage,
+            SPIVCAL_DETECT_MIN_CONTRAST_TO_NOISE => o.min_contrast_to_noise = default.min_contrast_to_noise,
+            _ => return Err(unknown_key("SPIVCAL_DETECT_*", key)),
+        }
+        Ok(SPIVCAL_OK)
+    })
+}
+
 /// Finds the discs of an image. What an earlier run found is replaced.
 ///
 /// `image`: handle of the image. Blocks until it is done. SPIVCAL_OK also where no disc was found: see SPIVCAL_COUNT_DISCS.

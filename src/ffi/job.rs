@@ -139,7 +139,8 @@ impl Drop for Job {
 
 /// Calibrates cameras, rig, target and sheet; blocks until it is done.
 ///
-/// `rig`: the description with its images. `calibration`: receives the handle of the result.
+/// `rig`: the description with its images, in which discs are looked for as its target asks (detections are of no use here). `calibration`: receives
+/// the handle of the result. Nothing but the end of its context stops it: a host that lets its user cancel takes spivcal_job_start.
 /// SPIVCAL_OK; SPIVCAL_WARNING_FLAGGED with a result that must be looked at; SPIVCAL_ERROR_INVALID_INPUT,
 /// SPIVCAL_ERROR_INSUFFICIENT or SPIVCAL_ERROR_UNUSABLE without one. The error text belongs to `rig`.
 #[unsafe(no_mangle)]

@@ -18,7 +18,7 @@ use toml::{Table, Value};
 
 /// A description and the images that came from memory.
 pub(super) struct RigState {
-    document: Document,
+    pub(super) document: Document,
     /// The rig file, where there is one: images stand beside it.
     file: PathBuf,
     images_dir: Option<PathBuf>,
@@ -47,15 +47,31 @@ impl Task {
 
 impl RigState {
     pub(super) fn task(&self) -> Result<Task, Fault> {
-        let mut job = self.document.description()?;
-        // What was seen in an image from memory is not said of the file that it took the place of.
-        for &(view, camera) in self.images.keys() {
-            let images = job.views.get_mut(view as usize).map(|v| &mut v.images);
-            if let Some(name) = images.and_then(|i| i.get_mut(camera as usize)) {
-                *name = Some(from_memory(view, camera));
-            }
-        }
+        let job = self.document.description()?;
         Ok(Task { job, file: self.file.clone(), images_dir: self.images_dir.clone(), images: self.images.clone() })
+    }
+}
+
+impl RigState {
+    /// No image of a camera in a view.
+    pub(super) fn unset_image(&mut self, view: u64, camera: u64) -> Result<(), Fault> {
+        self.document.unset_image(view, camera)?;
+        self.images.remove(&(view, camera));
+        Ok(())
+    }
+
+    /// Images from memory move up with their views, and so do the names that they have.
+    pub(super) fn remove_view(&mut self, view: u64) -> Result<(), Fault> {
+        self.document.remove_view(view)?;
+        for ((v, camera), image) in std::mem::take(&mut self.images) {
+            if v == view {
+                continue;
+            }
+            let now = v - u64::from(v > view);
+            self.document.set_image(now, camera, &from_memory(now, camera))?;
+            self.images.insert((now, camera), image);
+        }
+        Ok(())
     }
 }
 
@@ -71,7 +87,7 @@ pub(super) fn rig_state(object: &Object) -> Result<MutexGuard<'_, RigState>, Fau
     }
 }
 
-fn on(rig: u64, call: impl FnOnce(&mut RigState) -> Outcome) -> i32 {
+pub(super) fn on(rig: u64, call: impl FnOnce(&mut RigState) -> Outcome) -> i32 {
     enter(rig, Kind::Rig, |object| call(&mut *rig_state(object)?))
 }
 
@@ -97,7 +113,7 @@ unsafe fn folder(path: *const c_char) -> Result<Option<PathBuf>, Fault> {
 /// Makes an empty rig description, to be filled by the functions below.
 ///
 /// It needs cameras, a target, one length in mm (of the target, or spivcal_rig_set_scale), views and their images. Error texts name lines and keys
-/// of the text that spivcal_rig_text_copy gives; what was set can be replaced, and a description without it is made anew or from an edited text.
+/// of the text that spivcal_rig_text_copy gives. What was set can be replaced, and taken back (spivcal_rig_unset).
 /// `rig`: receives the handle.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_rig_create(context: u64, rig: *mut u64) -> i32 {
@@ -206,7 +222,8 @@ pub unsafe extern "C" fn spivcal_rig_add_mark(
 /// Sets a number of the description.
 ///
 /// `key`: one of the number keys SPIVCAL_RIG_*, which say unit and what `index` counts. `index`: 0 where nothing is counted.
-/// `value`: a finite number.
+/// `value`: a finite number. Whether it makes sense beside all others is asked by spivcal_rig_check and by whatever uses the description:
+/// SPIVCAL_ERROR_INVALID_INPUT there, as it would be of a rig file.
 #[unsafe(no_mangle)]
 pub extern "C" fn spivcal_rig_set_number(rig: u64, key: i32, index: u64, value: f64) -> i32 {
     on(rig, |state| state.document.set_number(key, index, value).map(|()| SPIVCAL_OK))
@@ -257,9 +274,7 @@ pub extern "C" fn spivcal_rig_set_scale(
 pub extern "C" fn spivcal_rig_set_image(rig: u64, view: u64, camera: u64, image: u64) -> i32 {
     on(rig, |state| {
         let image = image_of(image)?;
-        if !state.document.has_image(view, camera) {
-            state.document.set_image(view, camera, &from_memory(view, camera))?;
-        }
+        state.document.set_image(view, camera, &from_memory(view, camera))?;
         state.images.insert((view, camera), image);
         Ok(SPIVCAL_OK)
     })
@@ -289,8 +304,8 @@ pub extern "C" fn spivcal_rig_check(rig: u64) -> i32 {
     on(rig, |state| state.document.description().map(|_| SPIVCAL_OK))
 }
 
-/// The description as the text of a rig file (TOML). An image from memory has the name that results and error texts give it, or that of the
-/// file whose place it took; it is not in the text itself.
+/// The description as the text of a rig file (TOML). An image from memory has the name that results and error texts give it there, and is to be
+/// given again to a description that is made from this text.
 ///
 /// `buffer`, `capacity`, `needed`: bytes, as in spivcal_version_copy.
 #[unsafe(no_mangle)]

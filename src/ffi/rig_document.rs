@@ -2,6 +2,8 @@
 //!
 //! Setters write what a user would write into the file, and [`RigDescription::parse`] is the one judge of both.
 
+mod removal;
+
 use super::abi::SPIVCAL_ERROR_INTERNAL;
 use super::door::Fault;
 use super::rig_keys::*;
@@ -44,9 +46,12 @@ impl Document {
         }
     }
 
-    /// The description, checked for sense.
+    /// The description, checked for sense. Once it was changed, lines are those of its own text and not of the file.
     pub(super) fn description(&self) -> Result<RigDescription, Fault> {
-        Ok(RigDescription::parse(&self.text()?, &self.name)?)
+        match &self.text {
+            Some(text) => Ok(RigDescription::parse(text, &self.name)?),
+            None => Ok(RigDescription::parse(&self.text()?, UNNAMED)?),
+        }
     }
 
     pub(super) fn camera_names(&self) -> Vec<String> {
@@ -83,34 +88,28 @@ impl Document {
     }
 
     /// A table of the file, made where it is missing.
-    pub(super) fn table(&mut self, key: &str) -> Result<&mut Table, Fault> {
+    fn table(&mut self, key: &str) -> Result<&mut Table, Fault> {
         let found = within(&mut self.tables, key)?;
         self.text = None;
         Ok(found)
     }
 
     fn place(&mut self, place: Place, index: u64) -> Result<&mut Table, Fault> {
-        if !matches!(place, Place::Camera | Place::Window | Place::Design | Place::View | Place::Radius | Place::Point)
-        {
-            Fault::unless_zero(index)?;
-        }
-        match place {
-            Place::Camera => self.entry("camera", index),
-            Place::Window => within(self.entry("camera", index)?, "window"),
-            Place::Design => within(self.entry("camera", index)?, "design"),
-            Place::Sheet => self.table("sheet"),
-            Place::Axis => within(self.table("sheet")?, "x_axis"),
-            // A point and a disc exclude each other.
-            Place::Point | Place::Origin => {
-                let origin = within(self.table("sheet")?, "origin")?;
-                origin.retain(|key, _| (key == "point_mm") == (place == Place::Point));
-                Ok(origin)
+        let (list, way) = place.way();
+        let start = match list {
+            Some(list) => self.entry(list, index)?,
+            None => {
+                self.exists(place, index)?;
+                self.text = None;
+                &mut self.tables
             }
-            Place::View => self.entry("view", index),
-            Place::Target | Place::Radius => self.table("target"),
-            Place::Focus => self.table("focus"),
-            Place::Solve => self.table("solve"),
+        };
+        let found = way.iter().try_fold(start, |table, key| within(table, key))?;
+        if matches!(place, Place::Point | Place::Origin) {
+            // A point and a disc exclude each other.
+            found.retain(|key, _| (key == "point_mm") == (place == Place::Point));
         }
+        Ok(found)
     }
 
     /// `spivcal_rig_set_number`.
@@ -121,6 +120,9 @@ impl Document {
         let refused = |expected: &str| Err(Fault::argument(format!("{name} = {value}: expected {expected}")));
         if !value.is_finite() {
             return refused("a finite number");
+        }
+        if DEFAULTS.contains(&(key, value)) {
+            return self.take(place, index, name);
         }
         let whole = value.fract() == 0.0 && value.abs() < 1e9;
         let truth = value == 0.0 || value == 1.0;
@@ -135,11 +137,7 @@ impl Document {
             Form::Sigma if value < 0.0 => return refused("a standard deviation, 0 or more"),
             Form::Sigma => return self.set_sigma(place, index, (name, value)),
         };
-        // A table of the sheet by itself asks for views in it.
-        if place == Place::Sheet && value == 0.0 && !self.tables.contains_key("sheet") {
-            return Fault::unless_zero(index);
-        }
-        if matches!(place, Place::Radius | Place::Point) {
+        if place.is_listed() {
             return self.set_listed(place, index, name, written);
         }
         let table = self.place(place, index)?;
@@ -151,26 +149,31 @@ impl Document {
         Ok(())
     }
 
-    /// What a key has that is there already, of the target or of a view.
+    /// What a key has that is there already.
     fn stated(&self, place: Place, index: u64, name: &str) -> Option<&Value> {
-        match place {
-            Place::View => self.list("view").get(usize::try_from(index).ok()?)?.get(name),
-            Place::Point => self.tables.get("sheet")?.get("origin")?.get(name),
-            _ => self.tables.get("target")?.get(name),
-        }
+        let (list, way) = place.way();
+        let start = match list {
+            Some(list) => self.list(list).get(usize::try_from(index).ok()?)?.as_table()?,
+            None => &self.tables,
+        };
+        way.iter().try_fold(start, |table, key| table.get(*key)?.as_table())?.get(name)
     }
 
     /// A position is no longer unknown.
     fn read_again(&mut self, place: Place, index: u64, name: &str) -> Result<(), Fault> {
         match self.stated(place, index, name).and_then(Value::as_str) {
             Some(UNKNOWN) => self.place(place, index).map(|view| drop(view.remove(name))),
-            _ => self.view_exists(index),
+            _ => self.exists(place, index),
         }
     }
 
-    fn view_exists(&self, index: u64) -> Result<(), Fault> {
-        let count = self.list("view").len();
-        if index < count as u64 { Ok(()) } else { Err(Fault::index("view", index, count)) }
+    /// Refuses an index that counts nothing, or beyond what there is.
+    fn exists(&self, place: Place, index: u64) -> Result<(), Fault> {
+        let Some(list) = place.way().0 else {
+            return if place.is_listed() { Ok(()) } else { Fault::unless_zero(index) };
+        };
+        let count = self.list(list).len();
+        if index < count as u64 { Ok(()) } else { Err(Fault::index(list, index, count)) }
     }
 
     /// The standard deviation of a number that is there; of 0 nothing is written.
@@ -181,9 +184,7 @@ impl Document {
             _ => None,
         };
         let Some(value) = value else {
-            if place == Place::View {
-                self.view_exists(index)?;
-            }
+            self.exists(place, index)?;
             return Err(Fault::argument(format!("{name} has a standard deviation, but no value yet: set that first")));
         };
         let number = match sigma {
@@ -240,11 +241,7 @@ impl Document {
             Place::Window => Value::Float(value),
             _ => Value::Table(Table::from_iter([number("fixed", value)])),
         };
-        let all = match place {
-            Place::Window => self.place(place, camera),
-            _ => within(self.place(place, camera)?, "known"),
-        };
-        all?.insert(name.into(), known);
+        self.place(place, camera)?.insert(name.into(), known);
         Ok(())
     }
 
@@ -316,16 +313,6 @@ impl Document {
         let camera_name = camera_name.ok_or_else(|| Fault::index("camera", camera, names.len()))?;
         self.entry("view", view)?.insert(camera_name.clone(), Value::String(name.into()));
         Ok(())
-    }
-
-    /// Whether a camera of a view has an image already.
-    pub(super) fn has_image(&self, view: u64, camera: u64) -> bool {
-        let names = self.camera_names();
-        let entry = || {
-            let view = self.list("view").get(usize::try_from(view).ok()?)?;
-            view.get(names.get(usize::try_from(camera).ok()?)?)
-        };
-        entry().is_some()
     }
 }
 

@@ -134,6 +134,8 @@ pub(super) enum Place {
     Window,
     /// `[camera.design]`, by index of the camera.
     Design,
+    /// `[camera.known]`, by index of the camera.
+    Known,
     /// `[target]`.
     Target,
     /// `radii_mm` of `[target]`, by index.
@@ -152,6 +154,30 @@ pub(super) enum Place {
     Origin,
     /// `x_axis` of `[sheet]`.
     Axis,
+}
+
+impl Place {
+    /// The list, where an index says which of its entries, and the tables within it or within the file.
+    pub(super) fn way(self) -> (Option<&'static str>, &'static [&'static str]) {
+        match self {
+            Place::Camera => (Some("camera"), &[]),
+            Place::Window => (Some("camera"), &["window"]),
+            Place::Design => (Some("camera"), &["design"]),
+            Place::Known => (Some("camera"), &["known"]),
+            Place::View => (Some("view"), &[]),
+            Place::Target | Place::Radius => (None, &["target"]),
+            Place::Focus => (None, &["focus"]),
+            Place::Solve => (None, &["solve"]),
+            Place::Sheet => (None, &["sheet"]),
+            Place::Point | Place::Origin => (None, &["sheet", "origin"]),
+            Place::Axis => (None, &["sheet", "x_axis"]),
+        }
+    }
+
+    /// A list that is filled in order, of which an index says which entry.
+    pub(super) fn is_listed(self) -> bool {
+        matches!(self, Place::Radius | Place::Point)
+    }
 }
 
 /// How a number is written.
@@ -201,6 +227,17 @@ pub(super) const NUMBERS: [(i32, Place, &str, Form); 28] = [
     (SPIVCAL_RIG_SHEET_FLIP_X, Place::Sheet, "flip_x", Form::Truth),
 ];
 
+/// Numbers that say no more than what holds without them.
+pub(super) const DEFAULTS: [(i32, f64); 7] = [
+    (SPIVCAL_RIG_CAMERA_WINDOW_TILT_SIGMA_DEG, 1.0),
+    (SPIVCAL_RIG_CAMERA_DESIGN_VIEWING_ANGLE_VERTICAL_DEG, 0.0),
+    (SPIVCAL_RIG_VIEW_SHEET, 0.0),
+    (SPIVCAL_RIG_SHEET_ORIGIN_COLUMN, 0.0),
+    (SPIVCAL_RIG_SHEET_ORIGIN_ROW, 0.0),
+    (SPIVCAL_RIG_SHEET_ORIGIN_LEVEL, 0.0),
+    (SPIVCAL_RIG_SHEET_FLIP_X, 0.0),
+];
+
 /// Words: key of the interface, place and key of the rig file.
 pub(super) const WORDS: [(i32, Place, &str); 7] = [
     (SPIVCAL_RIG_CAMERA_RADIAL, Place::Camera, "radial"),
@@ -214,16 +251,16 @@ pub(super) const WORDS: [(i32, Place, &str); 7] = [
 
 /// Parameters: number of the interface, place and key of the rig file.
 pub(super) const PARAMETERS: [(i32, Place, &str); 15] = [
-    (SPIVCAL_PARAMETER_F_PX, Place::Camera, "f_px"),
-    (SPIVCAL_PARAMETER_ASPECT, Place::Camera, "aspect"),
-    (SPIVCAL_PARAMETER_CX_PX, Place::Camera, "cx_px"),
-    (SPIVCAL_PARAMETER_CY_PX, Place::Camera, "cy_px"),
-    (SPIVCAL_PARAMETER_ALPHA_DEG, Place::Camera, "alpha_deg"),
-    (SPIVCAL_PARAMETER_BETA_DEG, Place::Camera, "beta_deg"),
-    (SPIVCAL_PARAMETER_K1, Place::Camera, "k1"),
-    (SPIVCAL_PARAMETER_K2, Place::Camera, "k2"),
-    (SPIVCAL_PARAMETER_K3, Place::Camera, "k3"),
-    (SPIVCAL_PARAMETER_PUPIL_RATIO, Place::Camera, "pupil_ratio"),
+    (SPIVCAL_PARAMETER_F_PX, Place::Known, "f_px"),
+    (SPIVCAL_PARAMETER_ASPECT, Place::Known, "aspect"),
+    (SPIVCAL_PARAMETER_CX_PX, Place::Known, "cx_px"),
+    (SPIVCAL_PARAMETER_CY_PX, Place::Known, "cy_px"),
+    (SPIVCAL_PARAMETER_ALPHA_DEG, Place::Known, "alpha_deg"),
+    (SPIVCAL_PARAMETER_BETA_DEG, Place::Known, "beta_deg"),
+    (SPIVCAL_PARAMETER_K1, Place::Known, "k1"),
+    (SPIVCAL_PARAMETER_K2, Place::Known, "k2"),
+    (SPIVCAL_PARAMETER_K3, Place::Known, "k3"),
+    (SPIVCAL_PARAMETER_PUPIL_RATIO, Place::Known, "pupil_ratio"),
     (SPIVCAL_PARAMETER_WINDOW_DISTANCE_MM, Place::Window, "distance_mm"),
     (SPIVCAL_PARAMETER_WINDOW_THICKNESS_MM, Place::Window, "thickness_mm"),
     (SPIVCAL_PARAMETER_WINDOW_N_AIR, Place::Window, "n_air"),

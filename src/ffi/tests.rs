@@ -146,8 +146,8 @@ fn parsed_rig(context: u64) -> u64 {
 }
 
 fn rig_text(rig: u64) -> String {
-    let (mut buffer, mut needed) = ([0 as c_char; 500], 0);
-    assert_eq!(unsafe { spivcal_rig_text_copy(rig, buffer.as_mut_ptr(), 500, &mut needed) }, SPIVCAL_OK);
+    let (mut buffer, mut needed) = ([0 as c_char; 3000], 0);
+    assert_eq!(unsafe { spivcal_rig_text_copy(rig, buffer.as_mut_ptr(), 3000, &mut needed) }, SPIVCAL_OK);
     unsafe { CStr::from_ptr(buffer.as_ptr()) }.to_str().unwrap().to_string()
 }
 

@@ -224,7 +224,7 @@ impl Host {
 
     fn detections(&mut self, b: &mut Bytes) {
         let (detection, key, index, capacity) = (self.handle(b, DETECTION), b.key(), b.index(), b.capacity());
-        match b.below(7) {
+        match b.below(8) {
             0 | 1 => {
                 let context = self.handle(b, CONTEXT);
                 self.keep(DETECTION, made(|h| unsafe { call!(spivcal_detection_create(context, h)) }));
@@ -232,6 +232,7 @@ impl Host {
             2 => {
                 judged(call!(spivcal_detection_set_number(detection, key % 8, b.number())));
             }
+            6 => drop(judged(call!(spivcal_detection_unset(detection, key % 8)))),
             3 | 4 => {
                 judged(call!(spivcal_detection_run(detection, self.handle(b, IMAGE))));
             }
@@ -253,7 +254,7 @@ impl Host {
 
     fn rigs(&mut self, b: &mut Bytes) {
         let (rig, word, key) = (self.handle(b, RIG), b.text(), b.key());
-        match b.below(14) {
+        match b.below(17) {
             0 => {
                 let context = self.handle(b, CONTEXT);
                 self.keep(RIG, made(|h| unsafe { call!(spivcal_rig_create(context, h)) }));
@@ -273,6 +274,16 @@ impl Host {
             }
             11 => drop(judged(call!(spivcal_rig_set_image(rig, b.index(), b.index(), self.handle(b, IMAGE))))),
             12 => drop(judged(unsafe { call!(spivcal_rig_set_image_file(rig, b.index(), b.index(), word.as_ptr())) })),
+            13 => drop(judged(call!(spivcal_rig_unset(rig, key, b.index())))),
+            14 => drop(judged(call!(spivcal_rig_unset_known(rig, b.index(), key % 26)))),
+            15 => {
+                judged(match b.below(4) {
+                    0 => call!(spivcal_rig_unset_scale(rig)),
+                    1 => call!(spivcal_rig_unset_image(rig, b.index(), b.index())),
+                    2 => call!(spivcal_rig_remove_view(rig, b.index())),
+                    _ => call!(spivcal_rig_remove_marks(rig)),
+                });
+            }
             _ => {
                 judged(call!(spivcal_rig_check(rig)));
                 let capacity = b.capacity();
