@@ -469,3 +469,28 @@ fn a_calibration_that_is_none() {
     refused(&found, 2, &["s.toml:"]);
     assert!(!job.out().exists());
 }
+
+/// A file and an image that do not fit into the memory that the process may have: told as such, and not as a broken file.
+#[cfg(unix)]
+#[test]
+fn images_beyond_the_memory_are_told_as_such() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |name: &str, file_bytes: u64, header: &[u8]| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, header).unwrap();
+        std::fs::File::options().write(true).open(&path).unwrap().set_len(file_bytes).unwrap();
+        let limited = "ulimit -v 600000 && exec \"$@\"";
+        let (program, out) = (env!("CARGO_BIN_EXE_spivcal"), folder.path().join("out"));
+        let command = ["-c", limited, "sh", program, "--threads", "1", "detect"];
+        std::process::Command::new("sh").args(command).arg(&path).arg("-o").arg(&out).output().unwrap()
+    };
+    let size = 30_000u32;
+    let pgm = format!("P5 {size} {size} 255\n");
+    let words = ["there is no memory for reading the image", "large.pgm, 9000000"];
+    refused(&run("large.pgm", 900_000_000 + pgm.len() as u64, pgm.as_bytes()), 2, &words);
+    // 24 bit, of which the decoder makes 300 MB beside the 300 MB of the file.
+    let fields = [300_000_054u32, 0, 54, 40, 10_000, 10_000, 24 << 16 | 1].map(u32::to_le_bytes);
+    let bmp = [b"BM".to_vec(), fields.concat(), vec![0; 24]].concat();
+    let words = ["there is no memory for decoding the image", "large.bmp of 10000 x 10000 px"];
+    refused(&run("large.bmp", 300_000_054, &bmp), 2, &words);
+}

@@ -1,13 +1,16 @@
 //! Files to grey images: PNG, TIFF, BMP, PGM, JPEG.
 
-use crate::error::{Error, Invalid, Result};
+use crate::error::{self, Error, Invalid, Result};
 use crate::image::{GrayImage, Pixels};
-use image::{DynamicImage, ImageError, ImageFormat};
-use std::io::Cursor;
+use image::{DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits};
+use std::io::{Cursor, ErrorKind, Read};
 use std::path::Path;
 
 /// No compression of a TIFF makes a byte of the file stand for more: those of deflate for 1032, those of LZW for 1366.
 const MOST_PACKED: u64 = 2048;
+
+/// What decoders take beside whole images, bytes: rows, tables, what is unpacked of one strip.
+const BESIDE: u64 = 1 << 20;
 
 const FORMATS: &str = "PNG, TIFF, BMP, PGM or JPEG";
 
@@ -19,9 +22,9 @@ const FORMATS: &str = "PNG, TIFF, BMP, PGM or JPEG";
 ///
 /// # Errors
 /// [`Invalid::File`] where the file is missing, empty, cut short, no image, of a kind that is not read, or holds
-/// samples that are not finite.
+/// samples that are not finite; [`Invalid::Memory`] where there is no memory for the file, or for decoding it.
 pub fn load_image(path: &Path) -> Result<GrayImage> {
-    let bytes = std::fs::read(path).map_err(|e| fault(path, cannot_read(path, &e)))?;
+    let bytes = file_bytes(path)?;
     if bytes.is_empty() {
         return Err(fault(path, "the file is empty (0 bytes); copy it again from where it was recorded"));
     }
@@ -35,8 +38,50 @@ pub fn load_image(path: &Path) -> Result<GrayImage> {
     {
         return Ok(image);
     }
-    let decoded = image::load_from_memory_with_format(&bytes, format).map_err(|e| fault(path, explain(&e)))?;
-    grey(path, decoded)
+    grey(path, decoded(path, &bytes, format)?)
+}
+
+/// The whole file; memory is asked for by its size.
+fn file_bytes(path: &Path) -> Result<Vec<u8>> {
+    let mut bytes = vec![];
+    let mut size = 0;
+    let read = std::fs::File::open(path).and_then(|mut file| {
+        size = usize::try_from(file.metadata()?.len()).unwrap_or(usize::MAX);
+        bytes.try_reserve_exact(size)?;
+        file.read_to_end(&mut bytes)
+    });
+    match read {
+        Ok(_) => Ok(bytes),
+        // What has no size to ask for, such as a pipe, grew to so much.
+        Err(e) if e.kind() == ErrorKind::OutOfMemory => Err(no_memory(path, "reading", size.max(bytes.len()) as u64)),
+        Err(e) => Err(fault(path, cannot_read(path, &e))),
+    }
+}
+
+/// The image in the depth and colours of the file; memory is asked for by the size that its header states.
+fn decoded(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<DynamicImage> {
+    let mut limits = Limits::default();
+    let least = limits.max_alloc.unwrap_or_default();
+    let opened = ImageReader::with_format(Cursor::new(bytes), format).into_decoder();
+    let mut decoder = opened.map_err(|e| explain(path, &e, least))?;
+    let (whole, size, samples) = (decoder.total_bytes(), decoder.dimensions(), decoder.color_type());
+    // Without packing a row of a BMP may be left out, and any number of rows.
+    if format != ImageFormat::Bmp {
+        can_hold(path, whole, bytes.len())?;
+    }
+    let of_decoder = match format {
+        // Decoded into memory of its own, then copied.
+        ImageFormat::Tiff => whole,
+        // A progressive one keeps coefficients of 16 bit of all samples, and any one a copy of the file.
+        ImageFormat::Jpeg => whole.saturating_mul(2),
+        _ => 0,
+    };
+    let grey = if samples.has_color() || samples.has_alpha() { whole / u64::from(samples.channel_count()) } else { 0 };
+    let needed = whole.saturating_add(of_decoder.max(grey)).saturating_add(BESIDE);
+    room(path, size, needed)?;
+    limits.max_alloc = Some(needed.max(least));
+    decoder.set_limits(limits).map_err(|e| explain(path, &e, needed))?;
+    DynamicImage::from_decoder(decoder).map_err(|e| explain(path, &e, needed))
 }
 
 /// The format that the first bytes tell; of a TIFF for files above 4 GB (BigTIFF), too, which `image` decodes but does not guess.
@@ -71,15 +116,23 @@ fn truncated(detail: &str) -> String {
     format!("the image is cut short or damaged ({detail}); copy it again from where it was recorded")
 }
 
-fn explain(error: &ImageError) -> String {
-    match error {
+fn no_memory(path: &Path, doing: &str, bytes: u64) -> Error {
+    let what = format!("{doing} the image {}", path.display());
+    Invalid::Memory { what, bytes: usize::try_from(bytes).unwrap_or(usize::MAX) }.into()
+}
+
+/// What a decoder says, of an image for which `needed` bytes were asked.
+fn explain(path: &Path, error: &ImageError, needed: u64) -> Error {
+    let message = match error {
+        ImageError::Limits(_) => return no_memory(path, "decoding", needed),
+        ImageError::IoError(e) if e.kind() == ErrorKind::OutOfMemory => return no_memory(path, "decoding", needed),
         ImageError::Unsupported(e) => {
             format!("this kind of image is not read ({e}); save it as grey {FORMATS} with 8 or 16 bit")
         }
-        ImageError::Limits(e) => format!("the image is too large to be read ({e})"),
         ImageError::Decoding(_) | ImageError::IoError(_) => truncated(&error.to_string()),
         other => format!("cannot be read: {other}"),
-    }
+    };
+    fault(path, message)
 }
 
 fn grey(path: &Path, decoded: DynamicImage) -> Result<GrayImage> {
@@ -108,38 +161,45 @@ fn finite(path: &Path, samples: Vec<f32>) -> Result<Vec<f32>> {
     }
 }
 
-/// Bytes of a decoded image, where the file can hold them and there is memory for them.
-fn room(path: &Path, needed: u64, file: usize) -> Result<usize> {
-    if needed > MOST_PACKED * file as u64 {
-        return Err(fault(path, truncated(&format!("{file} bytes cannot hold the {needed} bytes of its pixels"))));
+/// That a file of so many bytes can stand for the bytes of a decoded image.
+fn can_hold(path: &Path, decoded: u64, file: usize) -> Result<()> {
+    if decoded <= MOST_PACKED * file as u64 {
+        return Ok(());
     }
-    let room = usize::try_from(needed).ok().filter(|n| Vec::<u8>::new().try_reserve_exact(*n).is_ok());
-    room.ok_or_else(|| {
-        fault(path, format!("the image is too large to be read: {needed} bytes are more than there is memory"))
-    })
+    Err(fault(path, truncated(&format!("{file} bytes cannot hold the {decoded} bytes of its pixels"))))
+}
+
+/// That there is memory for decoding an image of this width and height.
+fn room(path: &Path, (width, height): (u32, u32), needed: u64) -> Result<()> {
+    let what = || format!("decoding the image {} of {width} x {height} px", path.display());
+    error::room(what, usize::try_from(needed).unwrap_or(usize::MAX))
 }
 
 /// Grey TIFF of 32 or 64 bit floating-point samples, which the general decoder does not know; `None` for any other TIFF.
 fn float_tiff(path: &Path, bytes: &[u8]) -> Result<Option<GrayImage>> {
     use tiff::decoder::{Decoder, DecodingResult, Limits};
-    let explain = |e: tiff::TiffError| match e {
-        tiff::TiffError::LimitsExceeded => fault(path, format!("the image is too large to be read ({e})")),
+    let usual = Limits::default();
+    let explain = |e: tiff::TiffError, needed: usize| match e {
+        tiff::TiffError::LimitsExceeded => no_memory(path, "decoding", needed as u64),
+        tiff::TiffError::IoError(e) if e.kind() == ErrorKind::OutOfMemory => no_memory(path, "decoding", needed as u64),
         e => fault(path, truncated(&e.to_string())),
     };
-    let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(explain)?;
+    let opening = |e| explain(e, usual.decoding_buffer_size);
+    let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(opening)?;
     let Ok(tiff::ColorType::Gray(bits @ (32 | 64))) = decoder.colortype() else { return Ok(None) };
-    let (width, height) = decoder.dimensions().map_err(explain)?;
-    let needed = room(
-        path,
-        u64::from(width).saturating_mul(u64::from(height)).saturating_mul(u64::from(bits / 8)),
-        bytes.len(),
-    )?;
-    let usual = Limits::default();
+    let (width, height) = decoder.dimensions().map_err(opening)?;
+    let pixels = u64::from(width).saturating_mul(u64::from(height));
+    let whole = pixels.saturating_mul(u64::from(bits / 8));
+    can_hold(path, whole, bytes.len())?;
+    // Those of 64 bit become 32.
+    let narrowed = if bits == 64 { whole / 2 } else { 0 };
+    room(path, (width, height), whole.saturating_add(narrowed).saturating_add(BESIDE))?;
+    let needed = usize::try_from(whole).unwrap_or(usize::MAX);
     let mut limits = Limits::default();
     limits.decoding_buffer_size = needed.max(usual.decoding_buffer_size);
     limits.intermediate_buffer_size = needed.max(usual.intermediate_buffer_size);
     decoder = decoder.with_limits(limits);
-    let samples = match decoder.read_image().map_err(explain)? {
+    let samples = match decoder.read_image().map_err(|e| explain(e, needed))? {
         DecodingResult::F32(p) => p,
         DecodingResult::F64(p) => p.into_iter().map(|x| x as f32).collect(),
         _ => {
@@ -333,6 +393,63 @@ mod tests {
         bytes.extend([0; 4]);
         let text = message(&s.file("a.tif", &bytes));
         assert!(text.contains("cut short or damaged") && text.contains("cannot hold"), "{text}");
+    }
+
+    /// Headers of 60000 x 60000 px with next to nothing behind them.
+    #[test]
+    fn headers_of_images_that_no_file_holds_are_refused() {
+        let s = Scratch::new();
+        let side = 60_000u32;
+        let be = side.to_be_bytes();
+        let mut png = encoded(&luma8(), ImageFormat::Png);
+        png[16..24].copy_from_slice(&[be, be].concat());
+        // As the checksum of the header would be: the decoder looks at it first.
+        let sum = png_checksum(&png[12..29]);
+        png[29..33].copy_from_slice(&sum.to_be_bytes());
+        let mut bmp = encoded(&luma8(), ImageFormat::Bmp);
+        bmp[18..26].copy_from_slice(&[side.to_le_bytes(), side.to_le_bytes()].concat());
+        let mut jpeg = encoded(&luma8(), ImageFormat::Jpeg);
+        let frame = jpeg.windows(2).position(|w| w == [0xff, 0xc0]).unwrap();
+        jpeg[frame + 5..frame + 9].copy_from_slice(&[be[2], be[3], be[2], be[3]]);
+        let mut tiff = encoded(&luma16(), ImageFormat::Tiff);
+        let first = u32::from_le_bytes(tiff[4..8].try_into().unwrap()) as usize + 2;
+        let tags = usize::from(u16::from_le_bytes([tiff[first - 2], tiff[first - 1]]));
+        for tag in tiff[first..first + 12 * tags].chunks_exact_mut(12) {
+            // Width, height, rows of a strip.
+            if [256, 257, 278].contains(&u16::from_le_bytes([tag[0], tag[1]])) {
+                tag[2..4].copy_from_slice(&[4, 0]);
+                tag[8..12].copy_from_slice(&side.to_le_bytes());
+            }
+        }
+        let pgm = b"P5 60000 60000 255\nabc".to_vec();
+        for (name, bytes) in [("a.png", png), ("a.jpg", jpeg), ("a.tif", tiff), ("a.pgm", pgm)] {
+            let text = message(&s.file(name, &bytes));
+            assert!(text.contains("cut short or damaged") && text.contains("cannot hold"), "{name}: {text}");
+        }
+        // Rows of a BMP may be left out: it is refused where memory ends, or the file.
+        assert!(load_image(&s.file("a.bmp", &bmp)).is_err());
+    }
+
+    /// CRC-32 of a part of a PNG.
+    fn png_checksum(bytes: &[u8]) -> u32 {
+        !bytes.iter().fold(!0, |sum, byte| {
+            (0..8).fold(sum ^ u32::from(*byte), |s, _| if s & 1 == 1 { s >> 1 ^ 0xedb8_8320 } else { s >> 1 })
+        })
+    }
+
+    #[test]
+    fn what_has_no_memory_is_told_as_such() {
+        let path = Path::new("a.png");
+        let limits = || {
+            ImageError::Limits(image::error::LimitError::from_kind(image::error::LimitErrorKind::InsufficientMemory))
+        };
+        let memory = ImageError::IoError(ErrorKind::OutOfMemory.into());
+        for error in [explain(path, &limits(), 77), explain(path, &memory, 77), no_memory(path, "decoding", 77)] {
+            let what = "decoding the image a.png".to_string();
+            assert_eq!(error, Invalid::Memory { what, bytes: 77 }.into());
+        }
+        let told = room(path, (60_000, 50_000), u64::MAX).unwrap_err().to_string();
+        assert!(told.starts_with("there is no memory for decoding the image a.png of 60000 x 50000 px, "), "{told}");
     }
 
     #[test]
