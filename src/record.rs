@@ -18,6 +18,7 @@ mod check;
 mod diagnosis;
 mod geometry;
 mod json;
+mod named;
 mod number;
 mod place;
 mod provenance;

@@ -198,6 +198,25 @@ fn keys_keep_their_order() {
     assert_eq!(row.matches(',').count(), 12);
 }
 
+fn zeros(n: usize) -> Value {
+    serde_json::json!(vec![vec![0.0; n]; n])
+}
+
+/// What a record may leave out or not know contradicts nothing.
+#[test]
+fn numbers_that_are_not_there_contradict_nothing() {
+    let mut record = scene::record();
+    record.covariance.undetermined.push("left.f_px".into());
+    record.cameras[0].effective.cx_px = f64::NAN;
+    record.cameras[1].sigma.k1 = f64::NAN;
+    record.covariance.matrix[3][3] = f64::NAN;
+    record.check().unwrap();
+    record.covariance.undetermined.push("left.k3".into());
+    assert!(record.check().unwrap_err().to_string().contains("\"left.k3\" is not among covariance.names"));
+    record.covariance = Default::default();
+    record.check().unwrap();
+}
+
 #[test]
 fn impossible_values_are_refused_with_line_and_expectation() {
     for (pointer, value, words) in [
@@ -237,6 +256,20 @@ fn impossible_values_are_refused_with_line_and_expectation() {
         ("/views/4/rms_px/left", Value::from(-0.1), "expected 0 or more"),
         ("/views/4/rms_px", serde_json::json!({"middle": 0.1}), "no camera is called \"middle\""),
         ("/views/4/rig_from_target", Value::Null, "expected a pose"),
+        ("/views/4/index", Value::from(7), "5 after 7: expected the views in the order of the rig file"),
+        ("/sheet/views/0", Value::from(99), "no view has the index 99"),
+        (
+            "/cameras/0/effective/f_px",
+            Value::from(1.0),
+            "contradicts f, principal point and tilt of the camera: expected 8834",
+        ),
+        ("/cameras/1/effective/cx_px", Value::from(-475.0), "contradicts f, principal point and tilt of the camera"),
+        ("/cameras/1/effective/cy_px", Value::from(400.0), "contradicts f, principal point and tilt of the camera"),
+        ("/covariance/names/1", Value::from("zzz.foo"), "\"zzz.foo\" is no number of this calibration: expected owner"),
+        ("/covariance/names/1", Value::from("left.k2"), "\"left.cx_px\" is missing, which has cameras[0].sigma.cx_px"),
+        ("/covariance/names/1", Value::from("view9.plane_z_mm"), "is no number of this calibration"),
+        ("/covariance/matrix", zeros(12), "variance of left.f_px is 0.0, which contradicts cameras[0].sigma.f_px"),
+        ("/cameras/1/sigma/beta_rad", Value::from(2e-3), "contradicts cameras[1].sigma.beta_rad = 0.002"),
         ("/covariance/names/0", Value::from("left.k1"), "occurs twice"),
         ("/covariance/matrix/3/0", Value::from(1e9), "expected a symmetric matrix"),
         ("/covariance/matrix/3/3", Value::from(-1.0), "variance of left.alpha_rad is -1"),

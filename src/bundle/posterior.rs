@@ -221,7 +221,8 @@ fn window_rows(model: &Model, places: &Places, state: &State, c: usize, d: &Char
     (0..3).map(turn).chain((0..LAYERS).filter_map(layer)).collect()
 }
 
-const STEP_NAMES: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
+/// Left steps of a pose, as names end.
+pub(crate) const STEP_NAMES: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
 
 pub(super) fn rows(model: &Model, places: &Places, state: &State, natural: &Natural) -> Option<Vec<Row>> {
     let mut out = vec![];

@@ -1,7 +1,8 @@
 //! Numbers of a record that say the same twice, and signs that no number of its kind can have.
 
 use super::check::{Check, fault};
-use super::schema::{Record, Rig, Sheet};
+use super::schema::{Effective, Record, Rig, Sheet};
+use crate::camera::EffectivePinhole;
 use crate::frames::{self, Cam};
 use crate::rigid::rotation_exp;
 use nalgebra::{Matrix3, Vector3};
@@ -10,6 +11,9 @@ use std::collections::BTreeSet;
 
 /// Files written with five digits agree to this, relative to lengths and in sines and cosines of angles.
 const ROUNDING: f64 = 1e-4;
+
+/// How far an effective pinhole may be from that of the model, over its image distance; files written with 8 digits pass.
+const EFFECTIVE: f64 = 1e-6;
 
 /// Values of `target.kind`; the last where a calibration comes from another package.
 const KINDS: [&str; 5] = ["two-discs", "bubbles", "dot-grid", "two-level-plate", "none"];
@@ -26,17 +30,47 @@ pub(super) fn check(r: &Record) -> Check {
         let message = format!("\"{}\" is no kind of target: expected one of {}", r.target.kind, KINDS.join(", "));
         return fault("target.kind", message);
     }
-    let mut indices = BTreeSet::new();
-    for (i, v) in r.views.iter().enumerate() {
-        if !indices.insert(v.index) {
-            return fault(format!("views[{i}].index"), format!("{} occurs twice: expected different numbers", v.index));
-        }
-    }
+    check_views(r)?;
     let parts = json!({
         "cameras": r.cameras, "rig": r.rig, "sheet": r.sheet, "target": r.target, "scale": r.scale, "views": r.views,
         "fit": r.fit, "mapping_uncertainty": r.mapping_uncertainty,
     });
     check_signs(&parts, "", Sign::Any)
+}
+
+/// Every view once, in the order of the rig file, and those of the sheet among them.
+fn check_views(r: &Record) -> Check {
+    let mut indices = BTreeSet::new();
+    for (i, v) in r.views.iter().enumerate() {
+        let last = indices.last().copied();
+        if !indices.insert(v.index) {
+            return fault(format!("views[{i}].index"), format!("{} occurs twice: expected different numbers", v.index));
+        }
+        if let Some(last) = last.filter(|last| *last > v.index) {
+            let message = format!("{} after {last}: expected the views in the order of the rig file", v.index);
+            return fault(format!("views[{i}].index"), message);
+        }
+    }
+    let of_sheet = r.sheet.iter().flat_map(|s| s.views.iter().enumerate());
+    match of_sheet.into_iter().find(|(_, view)| !indices.contains(view)) {
+        None => Ok(()),
+        Some((i, view)) => {
+            fault(format!("sheet.views[{i}]"), format!("no view has the index {view}: expected one of views[].index"))
+        }
+    }
+}
+
+/// The effective pinhole that a file states against that of the camera model.
+pub(super) fn check_effective(stated: &Effective, model: &EffectivePinhole, at: &str) -> Check {
+    let all =
+        [("f_px", stated.f_px, model.f_px), ("cx_px", stated.cx_px, model.cx_px), ("cy_px", stated.cy_px, model.cy_px)];
+    for (key, x, expected) in all {
+        if x.is_finite() && (x - expected).abs() > EFFECTIVE * (model.f_px.abs() + expected.abs()) {
+            let message = format!("{x} contradicts f, principal point and tilt of the camera: expected {expected}");
+            return fault(format!("{at}.effective.{key}"), message);
+        }
+    }
+    Ok(())
 }
 
 fn check_rig(rig: &Rig, baseline_mm: f64, cosine: f64) -> Check {

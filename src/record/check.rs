@@ -60,7 +60,8 @@ fn check_record(r: &Record) -> Check {
         check_mapping(mapping)?;
     }
     super::agreement::check(r)?;
-    check_covariance(&r.covariance)
+    check_covariance(&r.covariance)?;
+    super::named::check(r)
 }
 
 fn positive(path: String, x: f64) -> Check {
@@ -108,8 +109,9 @@ fn check_camera(c: &Camera, at: &str) -> Check {
     for (key, x) in [("cx_px", c.cx_px), ("cy_px", c.cy_px), ("k1", c.k1), ("k2", c.k2), ("k3", c.k3)] {
         finite(format!("{at}.{key}"), x)?;
     }
-    if let Err(error) = crate::camera::Camera::new(c.intrinsics()) {
-        return fault(at, error.to_string());
+    match crate::camera::Camera::new(c.intrinsics()) {
+        Err(error) => return fault(at, error.to_string()),
+        Ok(camera) => super::agreement::check_effective(&c.effective, &camera.effective_pinhole(), at)?,
     }
     if let Some(window) = &c.window {
         if let Err(error) = window.model() {
