@@ -95,6 +95,33 @@ fn the_page_is_well_formed_complete_and_loads_nothing() {
     assert!(!html.contains("NaN") && !html.contains("inf "));
 }
 
+/// What is counted, and of what an rms is, agrees between the fit and its cameras.
+#[test]
+fn residuals_say_of_what_they_are() {
+    let mut record = scene::record();
+    for (c, (points, rms_px)) in record.cameras.iter_mut().zip([(6_000, 0.03), (2_000, 0.05)]) {
+        (c.observations, c.edge_rms_px) = (points, Some(rms_px));
+    }
+    record.fit.observations = 8_000;
+    let said = report::text(&record);
+    for expected in ["0.03 px of 6000", "0.05 px of 2000", "0.0361 px", "8000 edge points"] {
+        assert!(said.contains(expected), "{expected:?} is missing: {said}");
+    }
+    assert_eq!(said.matches("residual rms, places of discs").count(), 2, "{said}");
+    assert_eq!(said.matches("residual rms, edge points").count(), 2, "{said}");
+    record.fit.observations = 7_872;
+    let said = report::text(&record);
+    assert!(said.contains("7872: 8000 edge points, less 128 that went into the light"), "{said}");
+    record.fit.observation_model = "bitangent".into();
+    record.fit.observations = 96;
+    assert!(report::text(&record).contains("96 of common tangents, from 8000 edge points"));
+    // Cameras of another package state neither.
+    for c in &mut record.cameras {
+        (c.observations, c.edge_rms_px) = (0, None);
+    }
+    assert!(!report::text(&record).contains("residual rms, edge points"));
+}
+
 /// A page whose tables are wider than the window must not scroll as a whole: its sentences would leave the screen.
 #[test]
 fn every_table_scrolls_by_itself_and_words_break() {

@@ -150,7 +150,7 @@ pub struct Camera {
     /// Root mean square distance of edge points from the projected contour, px, where contours were used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub edge_rms_px: Option<f64>,
-    /// Scalar observations of this camera that were used.
+    /// Edge points of this camera's discs that were used: a number each.
     #[serde(default)]
     pub observations: usize,
 }
@@ -362,7 +362,7 @@ pub struct View {
     /// Why it did not.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub why_unused: String,
-    /// Scalar observations used, per camera.
+    /// Edge points used, per camera.
     #[serde(default)]
     pub observations: BTreeMap<String, usize>,
     /// Outliers left out, per camera.
@@ -435,7 +435,7 @@ pub struct NearNull {
 /// How well the adjustment fits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Fit {
-    /// Root mean square residual over all cameras, px.
+    /// Root mean square residual over all cameras, px: as [`Camera::rms_px`] of the places of discs, not of edge points.
     pub rms_px: f64,
     /// Weighted sum of squares.
     pub chi2: f64,
@@ -444,7 +444,7 @@ pub struct Fit {
     /// Mean redundancy: degrees of freedom per observation.
     #[serde(with = "maybe")]
     pub redundancy: f64,
-    /// Scalar observations used.
+    /// Scalar observations used: edge points less what the light takes that is followed along contours, or numbers of common tangents.
     pub observations: usize,
     /// Iterations of the adjustment.
     pub iterations: usize,

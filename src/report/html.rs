@@ -313,7 +313,7 @@ fn view_table(out: &mut String, r: &Record) {
         let name = escape(&c.name);
         let _ = write!(
             out,
-            "<th>{name}: image</th><th class=\"n\">rms, px</th><th class=\"n\">observations</th><th class=\"n\">outliers</th>"
+            "<th>{name}: image</th><th class=\"n\">rms of discs, px</th><th class=\"n\">edge points</th><th class=\"n\">outliers</th>"
         );
     }
     out.push_str("</tr></thead><tbody>");

@@ -21,7 +21,7 @@ pub(super) fn bars(record: &Record) -> String {
     let (views, cameras) = (&record.views, &record.cameras);
     let (width, height, left, bottom, top) = (960.0, 240.0, 52.0, 40.0, 14.0);
     let highest = views.iter().flat_map(|v| v.rms_px.values()).copied().filter(|x| x.is_finite()).fold(0.0, f64::max);
-    let mut out = open(width, height, "Residual rms per view and camera, px");
+    let mut out = open(width, height, "Residual rms of the places of discs per view and camera, px");
     let tick = nice_below(highest.max(1e-9) / 2.5);
     let top_px = tick * (highest / tick + 0.15).ceil().max(1.0);
     let y = |x: f64| height - bottom - (height - bottom - top) * x / top_px;

@@ -180,15 +180,51 @@ pub(super) fn cameras(record: &Record) -> Table {
         table.row("image distance", cells.collect());
     }
     type Show = fn(&Camera) -> String;
-    let per_camera: [(&str, Show); 3] = [
+    let per_camera: [(&str, Show); 2] = [
         ("image size", |c| format!("{} × {} px", c.image_size_px[0], c.image_size_px[1])),
-        ("observations", |c| c.observations.to_string()),
-        ("residual rms", |c| format!("{} px", plain(c.rms_px, 3))),
+        (RMS_OF_DISCS, |c| format!("{} px", plain(c.rms_px, 3))),
     ];
     for (name, show) in per_camera {
         table.row(name, record.cameras.iter().map(|c| cell(show(c))).collect());
     }
+    let edges = |c: &Camera| match c.edge_rms_px {
+        Some(rms) => format!("{} px of {}", plain(rms, 3), c.observations),
+        None => c.observations.to_string(),
+    };
+    if record.cameras.iter().any(|c| c.observations > 0) {
+        table.row(RMS_OF_EDGES, record.cameras.iter().map(|c| cell(edges(c))).collect());
+    }
     table
+}
+
+/// Both coordinates together of where each disc lies as a whole.
+const RMS_OF_DISCS: &str = "residual rms, places of discs";
+/// Across the contour, and how many edge points there are.
+const RMS_OF_EDGES: &str = "residual rms, edge points";
+
+/// Root mean square residual of the edge points of all cameras, px; none where a camera states none.
+fn edge_rms_px(record: &Record) -> Option<f64> {
+    let squares = |c: &Camera| Some(c.observations as f64 * c.edge_rms_px?.powi(2));
+    let sum: f64 = record.cameras.iter().map(squares).sum::<Option<f64>>()?;
+    let rms = (sum / edge_points(record) as f64).sqrt();
+    rms.is_finite().then_some(rms)
+}
+
+fn edge_points(record: &Record) -> usize {
+    record.cameras.iter().map(|c| c.observations).sum()
+}
+
+/// How many numbers were fitted, and what they are, beside the edge points that the cameras count.
+fn observations(record: &Record) -> String {
+    let (n, edges) = (record.fit.observations, edge_points(record));
+    match record.fit.observation_model.as_str() {
+        "contour" if n > 0 && edges == n => format!("{n} edge points"),
+        "contour" if n > 0 && edges > n => {
+            format!("{n}: {edges} edge points, less {} that went into the light followed along contours", edges - n)
+        }
+        "bitangent" if edges > 0 => format!("{n} of common tangents, from {edges} edge points"),
+        _ => n.to_string(),
+    }
 }
 
 /// Position and attitude of the cameras in the rig, and what they make together.
@@ -337,12 +373,15 @@ pub(super) fn why_low(record: &Record) -> Option<&'static str> {
 pub(super) fn fit(record: &Record) -> Table {
     let f = &record.fit;
     let mut table = Table::default();
-    table.words("residual rms", format!("{} px", plain(f.rms_px, 3)));
+    table.words(RMS_OF_DISCS, format!("{} px", plain(f.rms_px, 3)));
+    if let Some(rms) = edge_rms_px(record) {
+        table.words(RMS_OF_EDGES, format!("{} px", plain(rms, 3)));
+    }
     table.words("chi-square over degrees of freedom", format!("{} / {}", plain(f.chi2, 6), f.degrees_of_freedom));
     if let Some(why) = why_low(record) {
         table.words("which is low, because", why);
     }
-    table.words("observations", f.observations.to_string());
+    table.words("observations", observations(record));
     table.words("redundancy", plain(f.redundancy, 4));
     table.words("outliers left out", f.outliers.to_string());
     table.words("undetermined directions", f.nullity.to_string());

@@ -39,7 +39,7 @@ pub fn text(record: &Record) -> String {
     );
     section(&mut out, "Target", &tables::target(record));
     section(&mut out, "Fit", &tables::fit(record));
-    section(&mut out, "Residual rms per view, px", &views(record));
+    section(&mut out, "Residual rms of the places of discs per view, px", &views(record));
     section(&mut out, "Known beforehand, against the images", &diagnosis::priors(record));
     section(&mut out, "Is something missing in the model?", &diagnosis::model_tests(record));
     section(&mut out, "Each view left out once", &diagnosis::views(record));
