@@ -4,6 +4,7 @@ mod calibrate;
 mod exposure;
 mod files;
 mod images;
+mod leftovers;
 mod load;
 mod model;
 mod outcome;

@@ -1,5 +1,6 @@
 //! Files read and written: all results of a command or none, each under a temporary name first.
 
+use super::leftovers;
 use crate::error::{Error, Invalid, Result};
 use std::fs;
 use std::io::Write;
@@ -25,7 +26,8 @@ const MOST_HELD: usize = if cfg!(test) { 1000 } else { 256 << 20 };
 /// Results on their way to a folder.
 ///
 /// Nothing is seen under its name until [`Output::commit`]: every file is written under a temporary name beside its
-/// place, and only then are they all renamed. An error or a crash before leaves the old files.
+/// place, and only then are they all renamed. An error or a crash before leaves the old files. What a process that was
+/// ended left under temporary names the next that writes into the folder removes.
 #[derive(Default)]
 pub struct Output {
     names: Vec<String>,
@@ -140,6 +142,8 @@ impl Staged {
         let staged = Self { folder: folder.to_path_buf(), made, files: Vec::new(), published: false };
         fs::create_dir_all(folder)
             .map_err(|e| fault(folder, format!("this folder for the results cannot be made: {e}")))?;
+        // Of a run that was ended while it wrote.
+        leftovers::remove(folder);
         Ok(staged)
     }
     fn write(&mut self, name: &str, bytes: &[u8]) -> Result<()> {
