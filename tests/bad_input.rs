@@ -298,6 +298,14 @@ fn wrong_polarity_is_named() {
     job.refused(3, &["v01_left.png", "are found with polarity = \"dark\""]);
 }
 
+#[test]
+fn wrong_polarity_is_named_where_discs_alone_are_looked_for() {
+    let job = Job::new();
+    let (image, out) = (job.path("v01_left.png"), job.out());
+    let arguments = ["detect", image.to_str().unwrap(), "-o", out.to_str().unwrap(), "--polarity", "bright"];
+    refused(&spivcal(&arguments), 3, &["v01_left.png", "2 disc(s) are found with --polarity dark"]);
+}
+
 /// A camera of 10 bit fills a hundredth of a file of 16.
 #[test]
 fn ten_bits_in_sixteen_are_not_taken_for_darkness() {
@@ -417,6 +425,13 @@ fn a_place_that_cannot_be_written_to() {
     let found = spivcal(&["detect", image.to_str().unwrap(), "-o", job.out().to_str().unwrap()]);
     refused(&found, 2, &["out", "cannot be made"]);
     assert_eq!(std::fs::read_to_string(job.out()).unwrap(), "mine");
+    // Before the work, and before what else is wrong.
+    let out = job.out();
+    let out = out.to_str().unwrap();
+    let found = spivcal(&["simulate", "--preset", "printed", "-o", out]);
+    refused(&found, 2, &["this folder for the results cannot be made", "is a file; name another place with -o"]);
+    let found = spivcal(&["convert", "--to", "csv", "none.json", "-o", out]);
+    refused(&found, 2, &["this folder for the results cannot be made", "is a file; name another place with -o"]);
 }
 
 /// What a run that was ended left under temporary names goes with the next; what only looks so stays.

@@ -66,6 +66,10 @@ fn a_calibration_goes_out_and_comes_back() {
     assert_eq!(terms("low/soloff_left.txt"), 3 + 9);
     let said = convert(&[&json, "--to", "soloff", "--soloff-degrees", "5,1", "-o", &path("none")], 2);
     assert!(said.contains("2 or 3 in x and y"), "{said}");
+    for ignored in [["--image-size", "640x480"], ["--pixel-pitch-mm", "0.01"]] {
+        let said = convert(&[&[&json, "--to", "csv", "-o", &path("none")][..], &ignored].concat(), 2);
+        assert!(said.contains("are for --from") && said.contains("leave them out with --to"), "{said}");
+    }
     let said = convert(&[&json, "--to", "csv", "--soloff-degrees", "2,1", "-o", &path("none")], 2);
     assert!(said.contains("--to soloff"), "{said}");
     // No tilt in MATLAB's camera: a fit, whose loss is told and flagged where it is large.

@@ -235,6 +235,18 @@ fn the_program_writes_images_masks_and_scale() {
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.code() == Some(2) && said.contains("another grid"), "{said}");
     assert_eq!(told()["grid"], json["grid"]);
+    // A name that says otherwise than --camera, as in reconstruct.
+    let mut slip = words(&["dewarp", &at("c.json"), &at("run_left_1.png"), "-o", &at("slip"), "--camera", "right"]);
+    slip.extend(words(&["--extent-mm", "-5,-4,5,4"]));
+    let output = run(&slip);
+    let said = String::from_utf8_lossy(&output.stderr);
+    let told = "stands for camera \"right\", but its name is that of camera \"left\"";
+    assert!(output.status.code() == Some(1) && said.contains(told) && said.contains("--camera"), "{said}");
+    *slip.last_mut().unwrap() = "-5,-4,nan,4".into();
+    let output = run(&slip);
+    let said = String::from_utf8_lossy(&output.stderr);
+    let told = "x_max of the extent = NaN is not allowed: expected a finite number of mm";
+    assert!(output.status.code() == Some(2) && said.contains(told), "{said}");
     std::fs::copy(at("run_left_1.png"), at("a.png")).unwrap();
     arguments[2] = at("a.png");
     let output = run(&arguments);

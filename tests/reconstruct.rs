@@ -379,6 +379,15 @@ fn the_program_reads_writes_and_refuses() {
         (code == 0 || said.contains("does not determine")) && said.contains("w is positive towards camera \"left\""),
         "{said}"
     );
+    // A folder in the place of the file; standard deviations that four decimals do not show.
+    std::fs::rename(at("out.csv"), at("kept.csv")).unwrap();
+    std::fs::create_dir(at("out.csv")).unwrap();
+    let (code, said) = run(&left, &right, &[]);
+    assert!(code == 2 && said.contains("this is a folder; name the CSV file to be written, such as"), "{said}");
+    std::fs::remove_dir(at("out.csv")).unwrap();
+    let (_, said) = run(&left, &right, &["--sigma", "2.86e-5"]);
+    assert!(said.contains("sigma of a planar component: 2.860e-5 px (given)"), "{said}");
+    std::fs::rename(at("kept.csv"), at("out.csv")).unwrap();
     let csv = std::fs::read_to_string(at("out.csv")).unwrap();
     assert!(csv.starts_with("x_mm,y_mm,u_mm,v_mm,w_mm,sigma_u_mm") && csv.lines().count() > 500);
     std::fs::remove_file(at("out.csv")).unwrap();

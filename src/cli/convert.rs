@@ -2,7 +2,7 @@
 
 use super::Done;
 use super::arguments::{Convert, FromFormat, ToFormat};
-use super::files::{Output, fault, read_text};
+use super::files::{Output, can_write, fault, read_text};
 use crate::dewarp::{Placement, SoloffDegrees};
 use crate::error::{Invalid, Result};
 use crate::exchange::{
@@ -14,6 +14,7 @@ use std::path::{Path, PathBuf};
 
 pub(super) fn run(command: &Convert) -> Result<Done> {
     let folder = command.output.clone().unwrap_or_else(|| PathBuf::from("."));
+    can_write(&folder)?;
     let mut output = Output::default();
     let (notes, losses, flags) = match (command.to, command.from) {
         (Some(to), None) => {
@@ -22,6 +23,10 @@ pub(super) fn run(command: &Convert) -> Result<Done> {
                     Invalid::Contradiction("--to writes one calibration; give one calibration.json".into()).into()
                 );
             };
+            if command.image_size.is_some() || command.pixel_pitch_mm.is_some() {
+                let what = "--image-size and --pixel-pitch-mm are for --from, where a file does not say them; leave them out with --to";
+                return Err(Invalid::Contradiction(what.into()).into());
+            }
             let record = Record::from_json(&read_text(file, "a calibration.json")?, &file.display().to_string())?;
             let placement = placement(command, &record)?;
             let record = placement.map_or(Ok(record.clone()), |p| placed(&record, &p))?;

@@ -12,6 +12,7 @@ use crate::pipeline::load_image;
 use crate::report::{
     DETECTION_FORMAT, contours_csv, detection_json, detection_shapes, discs_csv, features_csv, overlay_png,
 };
+use crate::target::Polarity;
 use rayon::prelude::*;
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -29,6 +30,8 @@ struct Found {
     words: String,
     /// The same with what to do where discs are missing.
     missing: String,
+    /// What to say where the discs are of the other polarity than the one asked for.
+    other: Option<String>,
     files: Vec<(String, Vec<u8>)>,
 }
 
@@ -42,9 +45,13 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
     let memory = DetectMemory::default();
     let one = |(path, stem): (&PathBuf, &String)| -> Result<Found> {
         let image = load_image(path)?;
-        let found = describe(path, stem, &image, &find_discs_with(&image.view(), &options, &memory)?);
+        let detection = find_discs_with(&image.view(), &options, &memory)?;
+        let mut found = describe(path, stem, &image, &detection)?;
+        if detection.discs.is_empty() {
+            found.other = other_polarity(&image, &options, &memory);
+        }
         progress.step();
-        found
+        Ok(found)
     };
     let pool = threads::pool(threads)?;
     // Collected first, so that the error that is told is that of the first image, whatever the threads did.
@@ -125,7 +132,19 @@ fn describe(path: &Path, stem: &str, image: &GrayImage, detection: &Detection) -
     let rejections = &detection.rejections;
     let (words, missing) = (counted_words(rejections), missing_words(rejections));
     let (discs, bubbles) = (detection.discs.len(), detection.possible_bubbles());
-    Ok(Found { discs, bubbles, rejected, words, missing, files })
+    Ok(Found { discs, bubbles, rejected, words, missing, other: None, files })
+}
+
+/// What to say of an image without discs that has some of the other polarity.
+fn other_polarity(image: &GrayImage, options: &DetectOptions, memory: &DetectMemory) -> Option<String> {
+    let (word, polarity) = match options.polarity {
+        Polarity::Bright => ("dark", Polarity::Dark),
+        Polarity::Dark => ("bright", Polarity::Bright),
+        Polarity::Auto => return None,
+    };
+    let others = find_discs_with(&image.view(), &DetectOptions { polarity, ..*options }, memory).ok()?;
+    let n = others.discs.len();
+    (n > 0).then(|| format!("{n} disc(s) are found with --polarity {word}: say that, or leave --polarity out"))
 }
 
 /// Says what to do were the bright discs bubbles: weak or slow smoke looks like even light, so that no image tells them from prints.
@@ -139,6 +158,9 @@ fn tell_of_smoke(to: &Bar, bubbles: usize) {
 
 /// What to look at in an image without discs.
 fn hint(f: &Found) -> String {
+    if let Some(other) = &f.other {
+        return other.clone();
+    }
     match f.missing.as_str() {
         "" => "nothing round stands out from its surroundings; check exposure, focus and that the target is in the picture".into(),
         words => format!("candidates were turned down ({words})"),

@@ -36,6 +36,7 @@ pub(super) fn run(command: &Dewarp, threads: Option<NonZeroUsize>, progress: &Ba
     let mut out = Output::default();
     let mut masks: BTreeMap<usize, GrayImage> = BTreeMap::new();
     let mut flags = vec![];
+    let names: Vec<&str> = record.cameras.iter().map(|c| c.name.as_str()).collect();
     let mut words = format!(
         "grid: {} x {} px of {:.6} mm, x {:.3} to {:.3} mm, y {:.3} to {:.3} mm, z = {} mm (x right, y up, z towards camera \"{}\")\n",
         grid.width_px,
@@ -50,6 +51,9 @@ pub(super) fn run(command: &Dewarp, threads: Option<NonZeroUsize>, progress: &Ba
     );
     for path in &command.images {
         let camera = camera_of(path, command.camera.as_deref(), &record)?;
+        flags.extend(
+            named_otherwise(path, camera, &names).map(|w| format!("{w}: --camera is that of all these images")),
+        );
         let image = floats(load_sized(path, &record, camera)?, command.float)?;
         let kernel = command.kernel.into();
         let dewarp::Dewarped { image, valid } =
@@ -137,9 +141,16 @@ pub(super) fn load_sized(path: &Path, record: &Record, camera: usize) -> Result<
 }
 
 /// Cameras whose names are whole words in the name of a file; punctuation and capitals do not matter.
-pub(super) fn named_in(path: &Path, names: &[&str]) -> Vec<usize> {
+fn named_in(path: &Path, names: &[&str]) -> Vec<usize> {
     let file = stem(path);
     (0..names.len()).filter(|c| has_words(&file, names[*c])).collect()
+}
+
+/// Says so where the name of a file is that of another camera alone than the one that it stands for.
+pub(super) fn named_otherwise(path: &Path, c: usize, names: &[&str]) -> Option<String> {
+    let [other] = named_in(path, names)[..] else { return None };
+    let (file, is, says) = (path.display(), names[c], names[other]);
+    (other != c).then(|| format!("{file} stands for camera \"{is}\", but its name is that of camera \"{says}\""))
 }
 
 fn has_words(text: &str, wanted: &str) -> bool {

@@ -2,9 +2,9 @@
 
 use super::Done;
 use super::arguments::Reconstruct;
-use super::dewarp::named_in;
+use super::dewarp::named_otherwise;
 use super::dewarped::Dewarped;
-use super::files::{Output, fault, read_text};
+use super::files::{Output, can_write, fault, read_text};
 use super::progress::Bar;
 use super::threads;
 use crate::dewarp::SheetMap;
@@ -31,6 +31,8 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
         let what = format!("three components need two cameras, but the calibration holds {}", record.cameras.len());
         return Err(fault(&command.calibration, what));
     };
+    let (folder, name, picture_name) = place(&command.output)?;
+    can_write(folder)?;
     let maps = [SheetMap::from_record(&record, 0)?, SheetMap::from_record(&record, 1)?];
     let read = |path: &Path| read_text(path, "a displacement field (CSV, OpenPIV, PIVlab)");
     let texts = [read(&command.left)?, read(&command.right)?];
@@ -53,7 +55,9 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
     }
     flags.extend(perturbed.as_ref().and_then(|_| untold(&record)));
     let names = [first.name.as_str(), second.name.as_str()];
-    flags.extend([0, 1].iter().filter_map(|&c| named_otherwise([&command.left, &command.right][c], c, &names)));
+    let otherwise = [&command.left, &command.right].into_iter().enumerate();
+    let otherwise = otherwise.filter_map(|(c, path)| named_otherwise(path, c, &names));
+    flags.extend(otherwise.map(|w| format!("{w}: the field of the first camera of the calibration comes first")));
     let options = Options {
         unit,
         dewarped,
@@ -85,24 +89,33 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
             found.residual_ratio
         ));
     }
-    let folder = command.output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let Some(name) = command.output.file_name() else {
-        return Err(fault(&command.output, "this is no name of a file; name the CSV file to be written"));
-    };
-    let picture_name = Path::new(name).with_extension("svg").to_string_lossy().into_owned();
-    if picture_name == name.to_string_lossy() {
-        let what = "this is the name of the picture that is written beside the CSV file; name the CSV file, such as vectors.csv";
-        return Err(fault(&command.output, what));
-    }
     let (words, summary) = summary(&found, &tables, unit, [&command.output, &folder.join(&picture_name)], names[0]);
     let flagged: Vec<bool> = found.flags.iter().map(|f| *f != 0).collect();
-    let title = name.to_string_lossy();
     let mut out = Output::default();
-    out.add(name.to_string_lossy(), found.to_csv());
-    out.add(&picture_name, vectors_svg(&picture(&found, &flagged, names[0], &title)));
+    out.add(&name, found.to_csv());
+    out.add(&picture_name, vectors_svg(&picture(&found, &flagged, names[0], &name)));
     let inputs = [&command.calibration, &command.left, &command.right].into_iter().chain(&command.dewarped);
     out.commit_beside(folder, &inputs.map(AsRef::as_ref).collect::<Vec<&Path>>())?;
     Ok(Done { text: words, json: summary, flags })
+}
+
+/// Folder and name of the CSV file, and name of the picture beside it.
+fn place(output: &Path) -> Result<(&Path, String, String)> {
+    if output.is_dir() {
+        let example = output.join("vectors.csv");
+        let what = format!("this is a folder; name the CSV file to be written, such as {}", example.display());
+        return Err(fault(output, what));
+    }
+    let folder = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let Some(name) = output.file_name() else {
+        return Err(fault(output, "this is no name of a file; name the CSV file to be written"));
+    };
+    let picture = Path::new(name).with_extension("svg").to_string_lossy().into_owned();
+    if picture == name.to_string_lossy() {
+        let what = "this is the name of the picture that is written beside the CSV file; name the CSV file, such as vectors.csv";
+        return Err(fault(output, what));
+    }
+    Ok((folder, name.to_string_lossy().into_owned(), picture))
 }
 
 /// Says so where standard deviations by the calibration are too small by nobody knows how much.
@@ -111,19 +124,6 @@ fn untold(record: &Record) -> Option<String> {
         "the views of the calibration differ by more than their noise, and do not tell how much of that is in u, v and w: the sigmas by the calibration are too \
          small (its report says what to record)"
             .into()
-    })
-}
-
-/// Says so where the name of a field is that of the other camera alone.
-fn named_otherwise(path: &Path, c: usize, names: &[&str]) -> Option<String> {
-    let [other] = named_in(path, names)[..] else { return None };
-    (other != c).then(|| {
-        format!(
-            "{} stands for camera \"{}\", but its name is that of camera \"{}\": the field of the first camera of the calibration comes first",
-            path.display(),
-            names[c],
-            names[other]
-        )
     })
 }
 
@@ -182,6 +182,11 @@ fn stated_unit(command: &Reconstruct, tables: &[FieldTable; 2]) -> Result<FieldU
     }
 }
 
+/// Four decimals, or four digits of what they would not show.
+fn told(x: f64) -> String {
+    if x != 0.0 && x.abs() < 0.01 { format!("{x:.3e}") } else { format!("{x:.4}") }
+}
+
 fn summary(
     found: &VectorField,
     tables: &[FieldTable; 2],
@@ -209,17 +214,18 @@ fn summary(
     };
     let mut text = format!(
         "{} and {}: {filled} of {all} vectors, {:.4} mm apart; w is positive towards camera \"{first}\"\n\
-         sigma of a planar component: {:.4} {} ({how}); median residual {residual:.4} px\n\
+         sigma of a planar component: {} {} ({how}); median residual {} px\n\
          median sigma by the planar vectors: u {su:.3e}, v {sv:.3e}, w {sw:.3e} mm\n",
         tables[0].format.word(),
         tables[1].format.word(),
         found.grid.mm_per_px,
-        found.sigma,
+        told(found.sigma),
         match unit {
             FieldUnit::RawPixels => "px",
             FieldUnit::DewarpedPixels => "dewarped px",
             FieldUnit::Millimetres => "mm",
-        }
+        },
+        told(residual)
     );
     if let Some(common) = found.common_errors {
         text.push_str(&format!(

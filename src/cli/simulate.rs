@@ -2,7 +2,7 @@
 
 use super::Done;
 use super::arguments::Simulate;
-use super::files::{Output, fault, read_text};
+use super::files::{Output, can_write, fault, read_text};
 use super::progress::Bar;
 use crate::error::Result;
 use crate::pipeline::png_bytes;
@@ -21,6 +21,7 @@ pub(super) fn run(command: &Simulate, progress: &Bar) -> Result<Done> {
             (Scene::preset(name)?, preset_text(name))
         }
     };
+    can_write(&command.output)?;
     if preset.is_some() {
         spare_scene(&command.output.join("scene.toml"))?;
     }

@@ -52,7 +52,11 @@ impl SheetGrid {
         if !(mm_per_px > 0.0 && mm_per_px.is_finite()) {
             return Err(Invalid::value("mm per px", mm_per_px, "a positive number").into());
         }
-        if !(x1 > x0 && y1 > y0 && extent_mm.iter().all(|e| e.is_finite())) {
+        let named = ["x_min", "y_min", "x_max", "y_max"].into_iter().zip(extent_mm);
+        if let Some((name, x)) = named.into_iter().find(|(_, x)| !x.is_finite()) {
+            return Err(Invalid::value(format!("{name} of the extent"), x, "a finite number of mm").into());
+        }
+        if !(x1 > x0 && y1 > y0) {
             let what = "x_min below x_max and y_min below y_max, in mm of the sheet frame";
             return Err(Invalid::value("extent", (x1 - x0).min(y1 - y0), what).into());
         }

@@ -1,6 +1,6 @@
 //! `[[camera]]`, `[camera.known]` and `[camera.design]`; `[camera.window]` has a file of its own.
 
-use super::reader::{FINITE, Item, LENGTH_MM, Limits, POSITIVE, SIGMA, Section};
+use super::reader::{FINITE, Item, LENGTH_MM, Limits, POSITIVE, Section};
 use super::{CameraDescription, Design, Knowledge, Parameter, window};
 use crate::camera::{Drawing, Radial};
 use crate::error::Result;
@@ -151,6 +151,12 @@ fn known(item: &Item<'_>) -> Result<Vec<(Parameter, Knowledge)>> {
     Ok(known)
 }
 
+const PRIOR_SIGMA: Limits = Limits::new(
+    1e-12,
+    f64::INFINITY,
+    "a finite standard deviation above 1e-12 (for a value that is exact, { fixed = ... })",
+);
+
 fn knowledge(parameter: Parameter, item: &Item<'_>) -> Result<Knowledge> {
     if !item.is_table() {
         return Err(item.refuse(
@@ -161,7 +167,16 @@ fn knowledge(parameter: Parameter, item: &Item<'_>) -> Result<Knowledge> {
     section.only(&["value", "sigma", "fixed"], |_| None)?;
     let limits = limits(parameter);
     let unit = if matches!(parameter, Parameter::Alpha | Parameter::Beta) { f64::to_radians(1.0) } else { 1.0 };
-    match (section.number("value", limits)?, section.number("sigma", SIGMA)?, section.number("fixed", limits)?) {
+    if let (Some(value), Some(item)) = (section.number("value", limits)?, section.find("sigma"))
+        && item.number(FINITE).is_ok_and(|sigma| sigma == 0.0)
+    {
+        let key = parameter.key();
+        let message = format!(
+            "expected a finite standard deviation above 1e-12, found 0; for a value that is exact, write {key} = {{ fixed = {value} }}"
+        );
+        return Err(item.refuse(message));
+    }
+    match (section.number("value", limits)?, section.number("sigma", PRIOR_SIGMA)?, section.number("fixed", limits)?) {
         (Some(value), Some(sigma), None) => Ok(Knowledge::Prior { value: value * unit, sigma: sigma * unit }),
         (None, None, Some(value)) => Ok(Knowledge::Fixed { value: value * unit }),
         (_, _, Some(_)) => {

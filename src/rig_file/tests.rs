@@ -233,6 +233,25 @@ fn text_that_is_no_toml_is_refused_at_its_line() {
     assert!(line == 1 && message.contains("[[camera]]"), "{message}");
 }
 
+/// What cannot be said so is told how else, in words that are right there.
+#[test]
+fn exact_values_and_positions_are_told_how_they_are_written() {
+    let prior = "f_px = { value = 8889, sigma = 90 }";
+    let exact = "f_px = { value = 8889, sigma = 0 }";
+    refused(FULL, prior, exact, 7, &["for a value that is exact, write f_px = { fixed = 8889 }"]);
+    refused(FULL, prior, "f_px = { value = 8889, sigma = -1 }", 7, &["{ fixed = ... }", "found -1"]);
+    for wrong in ["\"x\"", "true"] {
+        let z = format!("plane_z_mm = {wrong}");
+        refused(
+            BUBBLES,
+            "plane_z_mm = 0.0",
+            &z,
+            12,
+            &["a finite number in mm, { value = ..., sigma = ... } or \"unknown\""],
+        );
+    }
+}
+
 #[test]
 fn unknown_keys_are_refused_with_the_nearest() {
     refused(FULL, "[solve]", "[sovle]", 26, &["unknown key \"sovle\"", "did you mean \"solve\"?"]);

@@ -1,7 +1,7 @@
 //! `[[view]]`.
 
 use super::camera::VIEW_KEYS;
-use super::reader::{FINITE, Item, SIGMA, Section};
+use super::reader::{FINITE, Item, Limits, SIGMA, Section};
 use super::{CameraDescription, PlaneZ, ViewDescription};
 use crate::error::Result;
 
@@ -71,16 +71,19 @@ fn read(section: &Section<'_>, item: &Item<'_>, cameras: &[CameraDescription]) -
     Ok(ViewDescription { images, sheet, plane_z_mm, line: item.line() })
 }
 
+const PLANE_Z: Limits =
+    Limits::new(f64::NEG_INFINITY, f64::INFINITY, "a finite number in mm, { value = ..., sigma = ... } or \"unknown\"");
+
 fn plane_z(item: &Item<'_>, sheet: bool) -> Result<PlaneZ> {
-    let place = if item.is_text() {
-        item.choice(&[("unknown", PlaneZ::Unknown)])?
+    let place = if item.is_text() && item.text("")? == "unknown" {
+        PlaneZ::Unknown
     } else if item.is_table() {
         let section = item.section("a table")?;
         section.only(&["value", "sigma"], |_| None)?;
         let z_mm = section.require("value", "expected a position in mm")?.number(FINITE)?;
         PlaneZ::Known { z_mm, sigma_mm: section.number("sigma", SIGMA)? }
     } else {
-        PlaneZ::Known { z_mm: item.number(FINITE)?, sigma_mm: None }
+        PlaneZ::Known { z_mm: item.number(PLANE_Z)?, sigma_mm: None }
     };
     if sheet && place != (PlaneZ::Known { z_mm: 0.0, sigma_mm: None }) {
         return Err(item.refuse(
