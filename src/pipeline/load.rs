@@ -9,6 +9,9 @@ use std::path::Path;
 /// No compression of a TIFF makes a byte of the file stand for more: those of deflate for 1032, those of LZW for 1366.
 const MOST_PACKED: u64 = 2048;
 
+/// A bit of an image with a palette becomes three bytes.
+const MOST_EXPANDED: u64 = 24;
+
 /// What decoders take beside whole images, bytes: rows, tables, what is unpacked of one strip.
 const BESIDE: u64 = 1 << 20;
 
@@ -65,9 +68,9 @@ fn decoded(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<DynamicImag
     let opened = ImageReader::with_format(Cursor::new(bytes), format).into_decoder();
     let mut decoder = opened.map_err(|e| explain(path, &e, least))?;
     let (whole, size, samples) = (decoder.total_bytes(), decoder.dimensions(), decoder.color_type());
-    // Without packing a row of a BMP may be left out, and any number of rows.
+    // Packed rows of a BMP may be left out, any number of them.
     if format != ImageFormat::Bmp {
-        can_hold(path, whole, bytes.len())?;
+        can_hold(path, whole / MOST_EXPANDED, bytes.len())?;
     }
     let of_decoder = match format {
         // Decoded into memory of its own, then copied.
@@ -166,7 +169,7 @@ fn can_hold(path: &Path, decoded: u64, file: usize) -> Result<()> {
     if decoded <= MOST_PACKED * file as u64 {
         return Ok(());
     }
-    Err(fault(path, truncated(&format!("{file} bytes cannot hold the {decoded} bytes of its pixels"))))
+    Err(fault(path, truncated(&format!("{file} bytes cannot hold its pixels, of {decoded} bytes or more"))))
 }
 
 /// That there is memory for decoding an image of this width and height.
