@@ -1,8 +1,11 @@
 //! A first, coarse plane: the one on which both images are most alike.
 //!
 //! Both images are dewarped on planes z = const, binned so far that neighbouring planes differ by about a pixel of disparity, and
-//! multiplied. Every block of the field has then a likeness L_b(z); a plane z = z0 + tx X + ty Y is worth `sum_b L_b(z(X_b, Y_b))`.
-//! The best of all planes wins where its sum is beyond what chance gives.
+//! multiplied. Every block of the field has then a likeness L_b(z), less its mean over the planes on which both cameras see it;
+//! ```text
+//! worth(z0, tx, ty) = sum_b L_b(z0 + tx X_b + ty Y_b),     noise^2 = sum_b mean L_b(z)^2
+//! ```
+//! The best of all planes wins where it is worth more than chance gives. Likenesses have long tails: a root mean square holds them, a median does not.
 
 use super::prepare::{BACKGROUND_PX, particles};
 use crate::dewarp::{Kernel, Sampler, SheetGrid, SheetMap};
@@ -14,10 +17,16 @@ use rayon::prelude::*;
 const COARSE_PX: usize = 320;
 /// Side of a block, coarse px.
 const BLOCK_PX: usize = 16;
+/// Tilted planes reach beyond the search at the ends of the field, by this factor; blocks that leave it abstain.
+const BEYOND: f64 = 1.5;
 /// Steepest tilt that is tried, mm per mm (8 degrees).
 const STEEPEST: f64 = 0.14;
 /// Most planes z = const.
-const MOST_PLANES: usize = 600;
+pub(super) const MOST_PLANES: usize = 600;
+/// Fewest planes on which both cameras see a block that takes part.
+const FEWEST_PLANES: usize = 3;
+/// Distance of the planes: so much disparity between neighbours, coarse px.
+const STEP_PX: f64 = 0.8;
 /// The best plane must stand out from chance by this many standard deviations.
 pub(super) const SIGNIFICANT: f64 = 7.0;
 
@@ -67,8 +76,21 @@ pub(super) fn factor(grid: &SheetGrid) -> usize {
 
 struct Block {
     middle_mm: Vector2<f64>,
-    /// Likeness on each plane less its mean over the planes.
+    /// Likeness on each plane less its mean over the planes; `NaN` where too little of the block is seen by both.
     likeness: Vec<f64>,
+}
+
+/// Distance of the planes, mm: that of a coarse pixel of disparity in the middle of the field; none where that is not seen.
+fn step_mm(maps: [&SheetMap; 2], coarse: &SheetGrid) -> Option<f64> {
+    let [x0, y0, x1, y1] = coarse.extent_mm();
+    let middle = Vector2::new(0.5 * (x0 + x1), 0.5 * (y0 + y1));
+    let slope = |m: &SheetMap| m.project(&middle.push(0.0)).and_then(|q| m.hit(&q, 0.0)).map(|h| h.slope);
+    Some(STEP_PX * coarse.mm_per_px / (slope(maps[1])? - slope(maps[0])?).norm().max(1e-3))
+}
+
+/// The furthest search, mm: beyond it planes a pixel of disparity apart are too many.
+pub(super) fn furthest_mm(maps: [&SheetMap; 2], grid: &SheetGrid) -> Option<f64> {
+    Some(step_mm(maps, &grid.coarser(factor(grid)))? * MOST_PLANES as f64 / (2.0 * BEYOND))
 }
 
 /// Looks for the plane within +- `search_mm` of the field's middle.
@@ -81,12 +103,9 @@ pub(super) fn acquire(
     let coarse = grid.coarser(factor(grid));
     let [x0, y0, x1, y1] = coarse.extent_mm();
     let middle = Vector2::new(0.5 * (x0 + x1), 0.5 * (y0 + y1));
-    let slope = |m: &SheetMap| m.project(&middle.push(0.0)).and_then(|q| m.hit(&q, 0.0)).map(|h| h.slope);
-    let apart = (slope(maps[1])? - slope(maps[0])?).norm();
-    // Tilted planes reach beyond the search at the ends of the field; blocks that leave it abstain.
     let half = 0.5 * (x1 - x0).max(y1 - y0);
-    let reach = 1.5 * search_mm;
-    let step = (0.8 * coarse.mm_per_px / apart.max(1e-3)).max(2.0 * reach / MOST_PLANES as f64);
+    let reach = BEYOND * search_mm;
+    let step = step_mm(maps, &coarse)?;
     let planes = (2.0 * reach / step).ceil() as usize + 1;
     let z_of = |k: usize| (k as f64 - 0.5 * (planes - 1) as f64) * step;
     let columns = coarse.width_px / BLOCK_PX;
@@ -107,8 +126,8 @@ pub(super) fn acquire(
                 .collect();
             let known: Vec<f64> = likeness.iter().copied().filter(|l| l.is_finite()).collect();
             let mean = known.iter().sum::<f64>() / known.len().max(1) as f64;
-            likeness.iter_mut().for_each(|l| *l = if l.is_finite() { *l - mean } else { 0.0 });
-            (known.len() >= 3).then(|| Block { middle_mm: Vector2::new(x, y) - middle, likeness })
+            likeness.iter_mut().for_each(|l| *l -= mean);
+            (known.len() >= FEWEST_PLANES).then(|| Block { middle_mm: Vector2::new(x, y) - middle, likeness })
         })
         .collect();
     best_plane(&blocks, planes, step, search_mm, half, middle)
@@ -153,16 +172,12 @@ fn best_plane(
     let tilts = (STEEPEST / tilt_step).ceil() as i64;
     let offsets = (search_mm / step).floor() as i64;
     let centre = 0.5 * (planes - 1) as f64;
-    // What chance gives: the scatter of every block's likeness over the planes; the true peak hardly adds to the median.
-    let noise: f64 = blocks
-        .iter()
-        .map(|b| {
-            let mut l: Vec<f64> = b.likeness.iter().map(|x| x.abs()).collect();
-            l.sort_by(f64::total_cmp);
-            (1.4826 * l[l.len() / 2]).powi(2)
-        })
-        .sum::<f64>()
-        .sqrt();
+    // What chance gives; the true peak, on one plane of many, hardly adds to it.
+    let mean_square = |b: &Block| {
+        let (sum, n) = b.likeness.iter().filter(|l| l.is_finite()).fold((0.0, 0.0), |(s, n), l| (s + l * l, n + 1.0));
+        sum / n
+    };
+    let noise = blocks.iter().map(mean_square).sum::<f64>().sqrt();
     let score = |z0: f64, tx: f64, ty: f64| -> f64 {
         blocks
             .iter()
@@ -173,7 +188,8 @@ fn best_plane(
                     return 0.0;
                 }
                 let t = at - k;
-                b.likeness[k as usize] * (1.0 - t) + b.likeness[k as usize + 1] * t
+                let between = b.likeness[k as usize] * (1.0 - t) + b.likeness[k as usize + 1] * t;
+                if between.is_finite() { between } else { 0.0 }
             })
             .sum()
     };

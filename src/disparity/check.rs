@@ -1,6 +1,6 @@
 //! The rounds of the check.
 
-use super::acquire::{Acquired, Binned, SIGNIFICANT, acquire, factor};
+use super::acquire::{Acquired, Binned, MOST_PLANES, SIGNIFICANT, acquire, factor, furthest_mm};
 use super::cameras::{Prior, Update, with_sigmas};
 use super::light::{Light, light};
 use super::misalignment::misalignment;
@@ -257,6 +257,11 @@ fn coarse_plane(
     if !(search_mm > 0.0 && search_mm.is_finite()) {
         return Err(Invalid::value("search", search_mm, "a positive length in mm").into());
     }
+    let furthest_mm = furthest_mm(maps, grid).unwrap_or(f64::INFINITY);
+    if search_mm > furthest_mm {
+        let what = format!("at most {furthest_mm:.1} mm, {MOST_PLANES} planes that are a pixel of disparity apart");
+        return Err(Invalid::value("search", search_mm, what).into());
+    }
     let found = binned.and_then(|b| acquire(maps, &b, grid, search_mm));
     match found {
         Some(f) if f.significance > SIGNIFICANT => Ok(f),
@@ -327,11 +332,19 @@ fn told(before: &Misalignment, now: &Misalignment, refine: bool, flags: &mut Vec
             now.smooth_px[1]
         ));
     }
-    if !refine && off(before, 0) {
+    if off(now, 0) {
         flags.push(format!(
-            "the sheet is off: disparities of {:.2} px (root mean square, smooth over the field) along the direction of depth; run again with \
-             --refine and use the corrected calibration",
-            before.smooth_px[0]
+            "disparities of {:.2} px (root mean square, smooth over the field) along the direction of depth remain about the best plane: the light is \
+             bent, or the cameras' calibration is off; a plane through it is a mean, and vectors away from it are off",
+            now.smooth_px[0]
+        ));
+    }
+    // What is left about the best plane no correction takes away.
+    let plane_px = (before.smooth_px[0].powi(2) - now.smooth_px[0].powi(2)).max(0.0).sqrt();
+    if !refine && off(before, 0) && plane_px > OFF_PX[0] {
+        flags.push(format!(
+            "the sheet is off: disparities of {plane_px:.2} px (root mean square over the field) along the direction of depth are those of another \
+             plane; run again with --refine and use the corrected calibration"
         ));
     }
 }
@@ -438,4 +451,37 @@ fn corrected_record(
     r.forget_sheet();
     r.provenance.options.insert("sheet".into(), format!("self-calibration on {pairs} particle image pair(s){how}"));
     Ok(r)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::misalignment::tests::{map, noise};
+    use super::*;
+
+    /// Flags of a map before and after the plane that it shows was taken out.
+    fn flags(before: impl Fn(f64) -> f64, after: impl Fn(f64) -> f64, refine: bool) -> Vec<String> {
+        let of = |f: &dyn Fn(f64) -> f64, refitted: bool| {
+            misalignment(&map(|x, _, k| [f(x) + 0.1 * noise(k, 1), 0.1 * noise(k, 2)]), refitted)
+        };
+        let mut flags = vec![];
+        told(&of(&before, false), &of(&after, true), refine, &mut flags);
+        flags
+    }
+
+    #[test]
+    fn what_no_plane_takes_away_is_told_whether_it_was_asked_for_or_not() {
+        // Without a plane of its own over the twenty columns.
+        let bow = |x: f64| 0.03 * (x * x - 33.25);
+        for refine in [false, true] {
+            let bent = flags(bow, bow, refine);
+            assert!(bent.len() == 1 && bent[0].contains("bent"), "{bent:?}");
+            let both = flags(|x| bow(x) + 2.0, bow, refine);
+            assert!(both.iter().any(|f| f.contains("bent")), "{both:?}");
+            assert_eq!(both.iter().any(|f| f.contains("--refine")), !refine, "{both:?}");
+        }
+        assert!(flags(|_| 0.0, |_| 0.0, false).is_empty());
+        let off = flags(|x| 1.0 + 0.1 * x, |_| 0.0, false);
+        assert!(off.len() == 1 && off[0].contains("--refine"), "{off:?}");
+        assert!(flags(|x| 1.0 + 0.1 * x, |_| 0.0, true).is_empty());
+    }
 }

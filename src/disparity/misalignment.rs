@@ -93,7 +93,7 @@ pub(super) fn misalignment(map: &DisparityMap, refitted: bool) -> Misalignment {
 pub(super) mod tests {
     use super::*;
 
-    fn map(f: impl Fn(f64, f64, usize) -> [f64; 2]) -> DisparityMap {
+    pub(in crate::disparity) fn map(f: impl Fn(f64, f64, usize) -> [f64; 2]) -> DisparityMap {
         let mut m = DisparityMap::default();
         for k in 0..400 {
             let (x, y) = (f64::from(k % 20) - 9.5, f64::from(k / 20) - 9.5);

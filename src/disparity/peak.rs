@@ -20,6 +20,10 @@ const REACH_PX: isize = 3;
 const REACH: f64 = 2.0;
 /// Where they exceed this part of it.
 const PART: f64 = 0.35;
+/// Those beside the maximum already where they exceed this part: a peak of sharp images is no wider.
+const PART_BESIDE: f64 = 0.02;
+/// Fewest samples: the maximum and its four neighbours.
+const FEWEST: usize = 5;
 /// A second peak is looked for beyond this many standard deviations of the first.
 const APART: f64 = 4.0;
 /// Or, near the first, beyond this distance, px.
@@ -157,15 +161,20 @@ impl CorrelationMap {
                 if outside || of.without_zero && dx == 0 && dy == 0 {
                     continue;
                 }
-                let Some(c) = self.at(of.at.0 + dx, of.at.1 + dy).filter(|c| *c > PART * of.height) else { continue };
+                let part = if dx.abs() <= 1 && dy.abs() <= 1 { PART_BESIDE } else { PART };
+                let Some(c) = self.at(of.at.0 + dx, of.at.1 + dy).filter(|c| *c > part * of.height) else { continue };
                 let row = SVector::<f64, 6>::from([1.0, x, y, x * x, x * y, y * y]);
                 normal += row * row.transpose() * (c * c);
                 right += row * (c * c * (c / of.height).ln());
                 count += 1;
             }
         }
-        if count < 6 {
+        if count < FEWEST {
             return None;
+        }
+        // Without a sample off both axes nothing tells how they go together.
+        if normal[(4, 4)] == 0.0 {
+            normal[(4, 4)] = 1.0;
         }
         let s = normal.cholesky()?.solve(&right);
         let h = Matrix2::new(-2.0 * s[3], -s[4], -s[4], -2.0 * s[5]);
@@ -255,6 +264,32 @@ mod tests {
             assert!(p.shift_px.norm() < 1e-7 && (p.shape_px2 - shape).norm() < 1e-6, "{p:?}");
         }
         assert!(hills(9, &[]).peak(4).is_none() && hills(9, &[]).wide_peak(4).is_none());
+    }
+
+    /// Images of particles a pixel wide and less, and shifts of all parts of a pixel.
+    #[test]
+    fn peaks_of_sharp_images_are_found_wherever_they_lie() {
+        for (k, sigma) in [0.55, 0.65, 0.8, 1.0].into_iter().enumerate() {
+            let shape = Matrix2::identity() * (sigma * sigma);
+            for part in [0.0, 0.25, 0.5] {
+                let shift = Vector2::new(2.0 + part, -1.0 - 0.5 * part);
+                let mut map = hills(33, &[(0.8, shift, shape)]);
+                let p = map.peak(8).unwrap();
+                assert!(
+                    (p.shift_px - shift).norm() < 0.02 && (p.shape_px2 - shape).norm() < 0.05,
+                    "{sigma} {part} {p:?}"
+                );
+                // Chance beside it.
+                let noise = |i: usize| 0.01 * ((i * 7919 + k) % 101) as f64 / 101.0 - 0.005;
+                map.values.iter_mut().enumerate().for_each(|(i, v)| *v += noise(i));
+                let p = map.peak(8).unwrap();
+                assert!((p.shift_px - shift).norm() < 0.06, "{sigma} {part} {p:?}");
+            }
+        }
+        // A single sample is none.
+        let mut map = hills(33, &[]);
+        map.values[16 * 33 + 16] = 1.0;
+        assert!(map.peak(8).is_none());
     }
 
     #[test]

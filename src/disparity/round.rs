@@ -2,16 +2,20 @@
 
 use super::correlate::{Correlator, Dewarped};
 use super::lattice::Lattice;
-use super::plane::{Match, PlaneFit, Seen, fit_plane, see};
+use super::plane::{Match, PlaneFit, Seen, fit_plane, see, weighted_plane};
 use super::prepare::{BACKGROUND_PX, particles};
 use crate::dewarp::{Sampler, SheetGrid, SheetMap, resample};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::record::Record;
+use crate::stats::median;
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
 /// A peak must be this much higher than the second.
 const RATIO: f64 = 1.25;
+/// Peaks that are chance lie anywhere as far as they are looked for: half of them are further than half of that off a smooth field across the
+/// direction of depth. Those of common particles stand together; half of them beyond this part of it are refused.
+const ANYWHERE: f64 = 0.25;
 /// Fewest windows that fix a plane with something to spare.
 pub(super) const FEWEST: usize = 8;
 
@@ -99,11 +103,28 @@ pub(super) fn measure(record: &Record, moments: &[Moment], window_px: usize, nea
             lattice.len()
         ))
     })?;
+    let away_px = median_across_mm(&seen).unwrap_or(0.0) / grid.mm_per_px;
+    if away_px > ANYWHERE * search as f64 {
+        return Err(Insufficient::Degenerate(format!(
+            "no common particles: of {} windows of {window_px} px with a correlation peak half are more than {away_px:.1} px off across the direction of \
+             depth, where they are looked for within {search} px, so that their peaks are chance; check that left and right images are of the same \
+             moments (file names in step?) and cameras, and that they show particles",
+            matches.len()
+        ))
+        .into());
+    }
     let mut lengths: Vec<f64> = seen.iter().map(|s| s.disparity_mm.norm() / grid.mm_per_px).collect();
-    lengths.sort_by(f64::total_cmp);
-    let median_px = lengths[lengths.len() / 2];
+    let median_px = median(&mut lengths).unwrap_or(0.0);
     let step_px = furthest_mm(&fit, &grid) * depth_px(maps, &grid).norm();
     Ok(Round { windows: lattice.len(), matches, fit, grid, median_px, step_px })
+}
+
+/// Half of the disparities across the direction of depth are further than this off a linear field, mm.
+fn median_across_mm(seen: &[Seen]) -> Option<f64> {
+    let across: Vec<Seen> = seen.iter().map(|s| Seen { point_mm: s.point_mm.xy().push(s.across_mm), ..*s }).collect();
+    let linear = weighted_plane(&across, &vec![1.0; across.len()])?;
+    let off = |s: &Seen| (s.point_mm.z - linear.dot(&Vector3::new(1.0, s.point_mm.x, s.point_mm.y))).abs();
+    median(&mut across.iter().map(off).collect::<Vec<f64>>())
 }
 
 /// How far the plane goes from the sheet in the field, mm.
