@@ -42,6 +42,6 @@ mod vectors;
 
 pub use calibration::{PerturbedMaps, perturbed_maps};
 pub use components::{Components, PlanarPair, component_sigmas, three_components};
-pub use grid::PlanarField;
+pub use grid::{OVERLAP, PlanarField};
 pub use read::{FieldFormat, FieldTable, FieldUnit, parse_field};
 pub use vectors::{Options, Reference, VectorField, flag, reconstruct};

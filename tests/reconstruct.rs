@@ -102,8 +102,14 @@ fn options(unit: FieldUnit) -> Options {
     Options { unit, dewarped: None, reference: Reference::Center, sigma: None, spacing_mm: None, perturbed: None }
 }
 
+/// The field of windows that share this part with their neighbours.
+fn beside(text: &str, overlap: f64) -> PlanarField {
+    PlanarField::new(&parse_field(text, "f.csv").unwrap()).unwrap().overlapping(overlap).unwrap()
+}
+
 fn solved(texts: [&str; 2], options: &Options) -> VectorField {
-    let fields = texts.map(|t| PlanarField::new(&parse_field(t, "f.csv").unwrap()).unwrap());
+    // Noise is drawn for each vector by itself.
+    let fields = texts.map(|t| beside(t, 0.0));
     let m = maps();
     reconstruct([&m[0], &m[1]], [&fields[0], &fields[1]], ["left", "right"], options).unwrap()
 }
@@ -241,6 +247,64 @@ fn stated_sigmas_and_what_both_cameras_share_are_in_the_sigmas() {
     }
 }
 
+/// Still water seen in raw images by windows of `n` x `n` cells of the sensor, one cell apart, each with noise of its own: a standard deviation of 0.1 px per vector.
+fn overlapped_field(c: usize, n: usize, seed: u64) -> String {
+    let (mut random, step) = (Random(seed), [12.0, 14.0][c]);
+    let [columns, rows] = [1000.0, 750.0].map(|length| (length / step) as usize);
+    let across = columns + n;
+    let mut cells = || -> Vec<f64> { (0..across * (rows + n)).map(|_| 0.1 * random.normal()).collect() };
+    let noise = [cells(), cells()];
+    let mut text = String::from("x_px,y_px,dx_px,dy_px,sigma_dx_px,sigma_dy_px\n");
+    for (i, j) in (0..rows).flat_map(|j| (0..columns).map(move |i| (i, j))) {
+        let [dx, dy] = noise.each_ref().map(|cells| {
+            let window = (0..n * n).map(|k| cells[(j + k / n) * across + i + k % n]);
+            window.sum::<f64>() / n as f64
+        });
+        text.push_str(&format!("{},{},{dx:.9},{dy:.9},0.1,0.1\n", 9.0 + step * i as f64, 7.0 + step * j as f64));
+    }
+    text
+}
+
+/// What neighbouring windows share does not average out between them: standard deviations and covariances hold at any overlap that is stated.
+#[test]
+fn vectors_of_overlapping_windows_have_true_sigmas() {
+    for n in [1, 2, 4] {
+        let m = maps();
+        let texts = [0, 1].map(|c| overlapped_field(c, n, 60 + 2 * n as u64 + c as u64));
+        let solve = |overlap: f64| {
+            let fields = texts.each_ref().map(|t| beside(t, overlap));
+            reconstruct([&m[0], &m[1]], [&fields[0], &fields[1]], ["left", "right"], &options(FieldUnit::RawPixels))
+                .unwrap()
+        };
+        let f = solve(1.0 - 1.0 / n as f64);
+        let (mut z2, mut whole, mut count) = ([0.0; 3], 0.0, 0.0);
+        for i in (0..f.x_mm.len()).filter(|i| f.flags[*i] == 0) {
+            let d = Vector3::new(f.u_mm[i], f.v_mm[i], f.w_mm[i]);
+            let variance = [0, 1, 2].map(|a| f.sigma_mm[a][i].powi(2));
+            let [uv, uw, vw] = [0, 1, 2].map(|k| f.covariance_mm2[k][i]);
+            let c = nalgebra::Matrix3::new(variance[0], uv, uw, uv, variance[1], vw, uw, vw, variance[2]);
+            (0..3).for_each(|a| z2[a] += d[a] * d[a] / variance[a]);
+            whole += d.dot(&(c.try_inverse().unwrap() * d)) / 3.0;
+            count += 1.0;
+        }
+        let mean = z2.map(|s| s / count);
+        println!(
+            "windows of {n} cells: mean z^2 of u v w {mean:.3?}, of all together {:.3}, residuals {:.3} of {count} vectors, correlation {:.3}",
+            whole / count,
+            f.residual_ratio,
+            f.common_errors.unwrap()
+        );
+        // One in n^2 vectors is independent.
+        let scatter = (2.0 / count).sqrt() * n as f64;
+        assert!(mean.iter().chain(&[whole / count]).all(|m| (m - 1.0).abs() < 4.0 * scatter), "{mean:?} {scatter}");
+        assert!((f.residual_ratio - 1.0).abs() < 4.0 * scatter, "{}", f.residual_ratio);
+        if n == 4 {
+            // Taken for independent they would be a fifth too small.
+            assert!(solve(0.0).residual_ratio > 1.15);
+        }
+    }
+}
+
 #[test]
 fn the_calibration_s_covariance_is_that_of_moved_calibrations() {
     // Known: baseline-like scale of the second camera's place along its own axes, sheet and lens exact.
@@ -266,6 +330,18 @@ fn the_calibration_s_covariance_is_that_of_moved_calibrations() {
         for (larger, stated) in told.calibration_sigma_mm[a].iter().zip(&f.calibration_sigma_mm[a]) {
             assert!(larger.is_nan() && stated.is_nan() || (larger / stated / enlarged[a] - 1.0).abs() < 1e-12);
         }
+    }
+    // One number moves all three components together.
+    for (k, (a, b)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
+        let sigma = |a: usize, i: usize| f.calibration_sigma_mm[a][i];
+        let whole = (0..f.x_mm.len()).filter(|i| sigma(a, *i).is_finite());
+        assert!(
+            whole.clone().count() > 300
+                && whole.clone().all(|i| {
+                    (f.calibration_covariance_mm2[k][i].abs() - sigma(a, i) * sigma(b, i)).abs()
+                        < 1e-9 * sigma(a, i) * sigma(b, i) + 1e-18
+                })
+        );
     }
     // By hand: the camera moved by one sigma, and the whole field anew.
     let mut moved = scene::record();

@@ -1,7 +1,7 @@
 //! Commands and options.
 
 use crate::dewarp::Kernel;
-use crate::reconstruct::{FieldUnit, Reference};
+use crate::reconstruct::{FieldUnit, OVERLAP, Reference};
 use crate::target::Polarity;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::num::NonZeroUsize;

@@ -47,7 +47,8 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
         command.dewarped.as_deref().map(|p| Dewarped::grid_of(p, &record, &[&maps[0], &maps[1]])).transpose()?;
     let unit = unit(command, &tables)?;
     let tables = tables.map(|t| t.in_unit(unit));
-    let fields = [PlanarField::new(&tables[0])?, PlanarField::new(&tables[1])?];
+    let field = |t: &FieldTable| PlanarField::new(t)?.overlapping(command.overlap);
+    let fields = [field(&tables[0])?, field(&tables[1])?];
     let perturbed = if command.no_calibration_sigma { None } else { perturbed_maps(&record)? };
     let mut flags = vec![];
     if perturbed.is_none() && !command.no_calibration_sigma {
@@ -69,19 +70,7 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
     progress.say("three components".to_string());
     let pool = threads::pool(threads)?;
     let found = pool.install(|| reconstruct([&maps[0], &maps[1]], [&fields[0], &fields[1]], names, &options))?;
-    let (filled, all) = found.filled();
-    if ((all - filled) as f64) > MISSING_LIMIT * all as f64 {
-        let part = |f: &PlanarField| format!("{} of {}", f.filled().0, f.filled().1);
-        flags.push(format!(
-            "{} of {all} points have no vector: the fields hold {} (\"{}\") and {} (\"{}\") of their vectors; check masks, flags and \
-             validation of the planar fields",
-            all - filled,
-            part(&fields[0]),
-            names[0],
-            part(&fields[1]),
-            names[1]
-        ));
-    }
+    flags.extend(gaps(&found, &fields, names));
     if found.common_errors.is_some() && found.residual_ratio > RESIDUAL_LIMIT {
         flags.push(format!(
             "the residuals are {:.1} times what the sigmas in the files let expect: those sigmas are too small, the sheet or the cameras are off (run \
@@ -116,6 +105,23 @@ fn place(output: &Path) -> Result<(&Path, String, String)> {
         return Err(fault(output, what));
     }
     Ok((folder, name.to_string_lossy().into_owned(), picture))
+}
+
+/// Says so where a good part of the points has no vector.
+fn gaps(found: &VectorField, fields: &[PlanarField; 2], names: [&str; 2]) -> Option<String> {
+    let (filled, all) = found.filled();
+    let part = |f: &PlanarField| format!("{} of {}", f.filled().0, f.filled().1);
+    ((all - filled) as f64 > MISSING_LIMIT * all as f64).then(|| {
+        format!(
+            "{} of {all} points have no vector: the fields hold {} (\"{}\") and {} (\"{}\") of their vectors; check masks, flags and \
+             validation of the planar fields",
+            all - filled,
+            part(&fields[0]),
+            names[0],
+            part(&fields[1]),
+            names[1]
+        )
+    })
 }
 
 /// Says so where standard deviations by the calibration are too small by nobody knows how much.

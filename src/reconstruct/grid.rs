@@ -1,4 +1,17 @@
 //! A planar field on its regular grid, read between its vectors.
+//!
+//! Windows that overlap by the part o see the same particles as far: errors of vectors i columns and j rows apart have the correlation
+//! ```text
+//! rho_ij = max(0, 1 - (1 - o) |i|) max(0, 1 - (1 - o) |j|)
+//! d = sum_p c_p d_p,    var d = sum_pq c_p c_q rho_pq s_p s_q
+//! ```
+//! of which the mean of the s_p^2, weighted by c_p^2, is taken out of the double sum: neighbours are about as good.
+//!
+//! | symbol | identifier | unit | meaning |
+//! |---|---|---|---|
+//! | o | `overlap` | 1 | part of a window that its neighbour shares |
+//! | c | weights | 1 | of the interpolation |
+//! | s | `sigmas` | unit of the field | standard deviation of a vector |
 
 use super::read::FieldTable;
 use crate::error::{Error, Invalid, Result};
@@ -10,6 +23,8 @@ const OFF_GRID: f64 = 0.1;
 const ROUNDED: f64 = 5e-3;
 /// Vectors among the sixteen around that a local plane needs.
 const FEWEST_AROUND: usize = 6;
+/// Part of a window that its neighbour shares, where nobody says it: what PIV programs begin with.
+pub const OVERLAP: f64 = 0.5;
 /// Range of the weights of a local plane, spacings.
 const NEAR: f64 = 0.8;
 
@@ -26,6 +41,8 @@ pub struct PlanarField {
     vectors: Vec<Option<Vector2<f64>>>,
     /// Standard deviations of the vectors, where the file has them.
     sigmas: Option<Vec<Vector2<f64>>>,
+    /// Part of a window that its neighbour shares.
+    overlap: f64,
     /// File in messages.
     pub(super) file: String,
 }
@@ -33,7 +50,7 @@ pub struct PlanarField {
 /// A vector between those of the grid.
 pub(super) struct Between {
     pub(super) vector: Vector2<f64>,
-    /// Variance of the interpolated over that of a measured vector, for vectors whose errors are independent.
+    /// Variance of the interpolated over that of a measured vector.
     pub(super) variance: f64,
     /// Standard deviations along the axes of the field, where the file has those of the vectors.
     pub(super) sigma: Option<Vector2<f64>>,
@@ -113,7 +130,25 @@ impl PlanarField {
             }
             vectors[at] = table.dx[i].is_finite().then(|| Vector2::new(table.dx[i], table.dy[i]));
         }
-        Ok(Self { origin: [x0, y0], spacing: [sx, sy], count: [nx, ny], vectors, sigmas, file: table.file.clone() })
+        let (origin, spacing, count) = ([x0, y0], [sx, sy], [nx, ny]);
+        Ok(Self { origin, spacing, count, vectors, sigmas, overlap: OVERLAP, file: table.file.clone() })
+    }
+
+    /// The same field of windows that share this part with their neighbours; half of it ([`OVERLAP`]) is assumed where it is not said.
+    ///
+    /// # Errors
+    /// [`Invalid::Value`] below 0, and from 1 on.
+    pub fn overlapping(self, overlap: f64) -> Result<Self> {
+        if !(0.0..1.0).contains(&overlap) {
+            let what = "a part of a window: 0 (windows beside each other) or more, and less than 1; 0.5 for windows of 32 px every 16 px";
+            return Err(Invalid::value("overlap", overlap, what).into());
+        }
+        Ok(Self { overlap, ..self })
+    }
+
+    /// Correlation of the errors of windows so many columns or rows apart.
+    fn alike(&self, lag: usize) -> f64 {
+        (1.0 - (1.0 - self.overlap) * lag as f64).max(0.0)
     }
 
     /// Vectors that are there, and places of the grid.
@@ -207,17 +242,21 @@ impl PlanarField {
             return None;
         }
         let first = normal.cholesky()?.solve(&Vector3::x());
+        let parts: Vec<f64> = around.iter().map(|(_, row, weight, _)| weight * first.dot(row)).collect();
+        let squares = parts.iter().map(|p| p * p).sum::<f64>();
         let (mut vector, mut variance, mut own) = (Vector2::zeros(), 0.0, Vector2::zeros());
-        for (v, row, weight, variances) in around {
-            let part = weight * first.dot(&row);
-            vector += v * part;
-            variance += part * part;
+        for ((v, row, _, variances), part) in around.iter().zip(&parts) {
+            vector += v * *part;
             own += variances.unwrap_or_default() * (part * part);
+            for ((_, other, _, _), part_of_other) in around.iter().zip(&parts) {
+                let [i, j] = [1, 2].map(|a| (row[a] - other[a]).abs().round() as usize);
+                variance += part * part_of_other * self.alike(i) * self.alike(j);
+            }
         }
-        let sigma = self.sigmas.as_ref().map(|_| own.map(f64::sqrt));
-        // More than a measured vector's variance: extrapolated from one side.
+        let sigma = self.sigmas.as_ref().map(|_| own.map(|own| (variance * own / squares).sqrt()));
         let unevenness = self.unevenness(base, t);
-        (variance < 1.0).then_some(Between { vector, variance, sigma, lowered: true, unevenness })
+        // As much as a measured vector's variance, were errors independent: extrapolated from one side.
+        (squares < 1.0).then_some(Between { vector, variance, sigma, lowered: true, unevenness })
     }
 
     /// Squared change per vector about the nearest vector: half that from one neighbour to the other, or that to the one that is there.
@@ -235,6 +274,12 @@ impl PlanarField {
         change(1, 0) + change(0, 1)
     }
 
+    /// Variance of a sum along one axis.
+    fn along(&self, w: &[f64; 4]) -> f64 {
+        let pairs = (0..4).flat_map(|i| (0..4).map(move |j| (i, j)));
+        pairs.map(|(i, j): (usize, usize)| w[i] * w[j] * self.alike(i.abs_diff(j))).sum()
+    }
+
     fn weighted(&self, base: [isize; 2], w: &[[f64; 4]; 2]) -> Option<(Vector2<f64>, f64, Option<Vector2<f64>>)> {
         let (mut sum, mut squares, mut own) = (Vector2::zeros(), 0.0, Vector2::zeros());
         for (j, wy) in w[1].iter().enumerate().filter(|(_, w)| **w != 0.0) {
@@ -245,7 +290,8 @@ impl PlanarField {
                 own += self.variances(at[0], at[1]).unwrap_or_default() * (wx * wy).powi(2);
             }
         }
-        Some((sum, squares, self.sigmas.as_ref().map(|_| own.map(f64::sqrt))))
+        let variance = self.along(&w[0]) * self.along(&w[1]);
+        Some((sum, variance, self.sigmas.as_ref().map(|_| own.map(|own| (variance * own / squares).sqrt()))))
     }
 }
 
@@ -291,6 +337,38 @@ mod tests {
         assert!(half.at(45.0, 41.0).is_none() || half.at(45.0, 41.0).unwrap().lowered);
         assert!(half.at(70.0, 41.0).is_none());
         assert_eq!(holed.filled(), (71, 72));
+    }
+
+    #[test]
+    fn what_windows_share_does_not_average_out() {
+        let whole = field(|x, y| Some((x, y)));
+        assert!(
+            (whole.at(40.0, 33.0).unwrap().variance
+                - whole.clone().overlapping(0.5).unwrap().at(40.0, 33.0).unwrap().variance)
+                .abs()
+                < 1e-15
+        );
+        // In the middle of four, by hand: c = (-1, 9, 9, -1) / 16 along either axis.
+        let c = [-1.0, 9.0, 9.0, -1.0].map(|c: f64| c / 16.0);
+        let middle = (10.0 + 2.5 * 16.0, 5.0 + 4.5 * 12.0);
+        for overlap in [0.0, 0.25, 0.5, 0.75, 0.9] {
+            let rho = |k: f64| (1.0 - (1.0 - overlap) * k).max(0.0);
+            let one = (c.map(|c| c * c).iter().sum::<f64>())
+                + 2.0
+                    * (rho(1.0) * (2.0 * c[0] * c[1] + c[1] * c[2])
+                        + rho(2.0) * 2.0 * c[0] * c[2]
+                        + rho(3.0) * c[0] * c[3]);
+            let found = whole.clone().overlapping(overlap).unwrap().at(middle.0, middle.1).unwrap().variance;
+            assert!((found - one * one).abs() < 1e-12, "{overlap}: {found} {}", one * one);
+        }
+        for wrong in [-0.1, 1.0, f64::NAN] {
+            assert!(whole.clone().overlapping(wrong).unwrap_err().to_string().contains("overlap"));
+        }
+        // A plane through what is left says as much of four windows that are one.
+        let holed = field(|x, y| (x != 90.0 || y != 41.0).then_some((x, y)));
+        let [apart, near] =
+            [0.0, 0.999].map(|o| holed.clone().overlapping(o).unwrap().at(91.0, 42.0).unwrap().variance);
+        assert!(apart < 0.7 && (near - 1.0).abs() < 0.02, "{apart} {near}");
     }
 
     #[test]

@@ -4,7 +4,11 @@
 //! |---|---|---|---|---|
 //! | CSV | `x_px,y_px,dx_px,dy_px` or `x_mm,y_mm,dx_mm,dy_mm`; further columns are ignored, but `flag` and `sigma_dx_mm,sigma_dy_mm` (`_px`) | as named | down in px, up in mm | `flag` other than 0, empty cells, `nan` |
 //! | OpenPIV | `# x y u v flags mask` (`flags` or `mask` may be missing) | px; mm where the user says so | up: rows were turned over by `transform_coordinates` | flagged or masked |
-//! | PIVlab | `PIVlab ...`, `FRAME: ...`, `x [px],y [px],u [px/frame],v [px/frame],Vector type [-]` | px, counted from 1 | down | vector type other than 1 |
+//! | PIVlab | `PIVlab ...`, `FRAME: ...`, `x [px],y [px],u [px/frame],v [px/frame],Vector type [-]` | px | down | vector type other than 1 |
+//!
+//! **Middles of windows.** The window of the pixels 0 to n - 1 has its middle at (n - 1) / 2. PIVlab counts pixels from 1 and calls the middle of that
+//! window 1 + n / 2: 1.5 px are taken off. OpenPIV calls it n / 2 (`get_coordinates`; (n - 1) / 2 in older releases, which for windows of even sides shows
+//! in positions of half pixels): 0.5 px are taken off whole positions in px. Both shift by whole pixels at most besides.
 //!
 //! A CSV with `x,y,u,v` (or `dx,dy`) leaves the unit open; the user says it. Columns are separated by commas, semicolons (then a
 //! decimal comma is understood), tabs or blanks.
@@ -303,8 +307,13 @@ impl FieldTable {
     #[must_use]
     pub fn in_unit(mut self, unit: FieldUnit) -> Self {
         let up = |unit: Option<FieldUnit>| unit == Some(FieldUnit::Millimetres);
-        if self.format == FieldFormat::OpenPiv && up(Some(unit)) != up(self.unit) {
-            self.turn_over();
+        if self.format == FieldFormat::OpenPiv {
+            if up(Some(unit)) != up(self.unit) {
+                self.turn_over();
+            }
+            if !up(Some(unit)) && self.is_whole() {
+                self.shift(-0.5);
+            }
         }
         self.unit = Some(unit);
         self
@@ -314,9 +323,18 @@ impl FieldTable {
     fn turn_to_our_convention(&mut self) {
         match self.format {
             FieldFormat::Csv => {}
-            FieldFormat::PivLab => self.x.iter_mut().chain(&mut self.y).for_each(|p| *p -= 1.0),
+            FieldFormat::PivLab => self.shift(-1.5),
             FieldFormat::OpenPiv => self.turn_over(),
         }
+    }
+
+    fn shift(&mut self, by: f64) {
+        self.x.iter_mut().chain(&mut self.y).for_each(|p| *p += by);
+    }
+
+    /// Positions at whole pixels: of windows of an even side they are half a pixel beyond the middle.
+    fn is_whole(&self) -> bool {
+        self.x.iter().chain(&self.y).all(|p| (p - p.round()).abs() < 1e-3)
     }
 
     /// Turns the y axis over, about the middle of the field.
@@ -339,22 +357,24 @@ mod tests {
     #[test]
     fn openpiv_and_pivlab_come_to_one_convention() {
         let ours = parse_field(
-            "x_px,y_px,dx_px,dy_px,flag\n15,15,1.5,0.5,0\n31,15,1.6,0.4,1\n15,31,1.7,0.3,0\n31,31,1.8,0.2,0\n",
+            "x_px,y_px,dx_px,dy_px,flag\n15.5,15.5,1.5,0.5,0\n31.5,15.5,1.6,0.4,1\n15.5,31.5,1.7,0.3,0\n31.5,31.5,1.8,0.2,0\n",
             "a",
         )
         .unwrap();
-        let openpiv = "# x\ty\tu\tv\tflags\tmask\n1.5000e+01\t3.1000e+01\t1.5000e+00\t-5.0000e-01\t0.0000e+00\t0.0000e+00\n\
-                       31.0\t31.0\t1.6\t-0.4\t1\t0\n15.0\t15.0\t1.7\t-0.3\t0\t0\n31.0\t15.0\t1.8\t-0.2\t0\t0\n";
+        // Windows of 32 px: their middles as OpenPIV names them, and as it did before.
+        let openpiv = "# x\ty\tu\tv\tflags\tmask\n1.6000e+01\t3.2000e+01\t1.5000e+00\t-5.0000e-01\t0.0000e+00\t0.0000e+00\n\
+                       32.0\t32.0\t1.6\t-0.4\t1\t0\n16.0\t16.0\t1.7\t-0.3\t0\t0\n32.0\t16.0\t1.8\t-0.2\t0\t0\n";
+        let older = "# x y u v flags mask\n15.5 31.5 1.5 -0.5 0 0\n31.5 31.5 1.6 -0.4 1 0\n15.5 15.5 1.7 -0.3 0 0\n31.5 15.5 1.8 -0.2 0 0\n";
         let pivlab = "PIVlab by W.Th. & E.J.S., ASCII chart output - 09-Jun-2015 14:02:30\n\
                       FRAME: 1, filenames: A.tif & B.tif, conversion factor xy (px -> m): 1, conversion factor uv (px/frame -> m/s): 1\n\
-                      x [px],y [px],u [px/frame],v [px/frame],Vector type [-]\n16,16,1.5,0.5,1\n32,16,1.6,0.4,2\n16,32,1.7,0.3,1\n32,32,1.8,0.2,1\n";
+                      x [px],y [px],u [px/frame],v [px/frame],Vector type [-]\n17,17,1.5,0.5,1\n33,17,1.6,0.4,2\n17,33,1.7,0.3,1\n33,33,1.8,0.2,1\n";
         // Options of PIVlab's export: without the lines about the file, with blanks or tabs between the cells.
         let table = pivlab.split_once("\nx [").map(|(_, rest)| format!("x [{rest}")).unwrap();
         let (blanks, tabs) = (table.replace(',', " "), pivlab.replace(',', "\t"));
-        let texts = [openpiv, pivlab, &table, &blanks, &tabs];
-        for (text, format) in texts.into_iter().zip([FieldFormat::OpenPiv].into_iter().chain([FieldFormat::PivLab; 4]))
-        {
-            let f = parse_field(text, "a").unwrap();
+        let texts = [openpiv, older, pivlab, &table, &blanks, &tabs];
+        let formats = [FieldFormat::OpenPiv; 2].into_iter().chain([FieldFormat::PivLab; 4]);
+        for (text, format) in texts.into_iter().zip(formats) {
+            let f = parse_field(text, "a").unwrap().in_unit(FieldUnit::RawPixels);
             assert_eq!((f.format, &f.x, &f.y), (format, &ours.x, &ours.y));
             for i in 0..4 {
                 assert!(f.dx[i] == ours.dx[i] || i == 1 && f.dx[i].is_nan() && ours.dx[i].is_nan(), "{format:?}");
@@ -371,6 +391,8 @@ mod tests {
         let mm = parse_field(text, "a").unwrap().in_unit(FieldUnit::Millimetres);
         assert_eq!((&mm.y, &mm.dy, mm.unit), (&csv.y, &csv.dy, Some(FieldUnit::Millimetres)));
         let px = parse_field(text, "a").unwrap();
+        // Not whole: left where they are.
+        assert_eq!(px.clone().in_unit(FieldUnit::DewarpedPixels).x, px.x);
         assert_eq!((&px.y, &px.dy), (&vec![5.5, 5.5, 7.0], &vec![-0.3, -0.4, -0.1]));
         assert_eq!(px.clone().in_unit(FieldUnit::DewarpedPixels).dy, px.dy);
     }

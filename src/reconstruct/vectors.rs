@@ -78,8 +78,12 @@ pub struct VectorField {
     pub w_mm: Vec<f64>,
     /// Standard deviations of u, v, w by the noise of the planar vectors, mm.
     pub sigma_mm: [Vec<f64>; 3],
+    /// Covariances of u and v, u and w, v and w by the noise of the planar vectors, mm^2.
+    pub covariance_mm2: [Vec<f64>; 3],
     /// Standard deviations of u, v, w by the calibration, mm; common to neighbours. `NaN` where not determined; empty where not asked for.
     pub calibration_sigma_mm: [Vec<f64>; 3],
+    /// Covariances of u and v, u and w, v and w by the calibration, mm^2; as the standard deviations.
+    pub calibration_covariance_mm2: [Vec<f64>; 3],
     /// How many times larger these are than the calibration's noise alone would tell ([`PerturbedMaps::enlarged`]).
     pub calibration_enlarged: [f64; 3],
     /// What four equations leave, raw px.
@@ -379,7 +383,7 @@ pub fn reconstruct(
         (None, Some(_)) if stated => Noise::even(1.0),
         (None, Some(noise)) => noise,
     };
-    let calibration = options.perturbed.as_ref().map(|p| calibration_variance(p, &measured, n, &place));
+    let calibration = options.perturbed.as_ref().map(|p| calibration_covariance(p, &measured, n, &place));
     let found: Vec<&Solved> = solved.iter().flatten().collect();
     let level = Noise::fit(&chi2, &vec![0.0; chi2.len()]).map_or(f64::NAN, |n| n.still);
     let correlation = if stated { common(level, found.iter().map(|s| &s.shared)) } else { 0.0 };
@@ -432,28 +436,41 @@ fn stated_sigma(measured: &[Measured; 2]) -> f64 {
     all.get(all.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-/// Variance of u, v, w by the calibration at every point; `NaN` where a moved calibration gives nothing.
-fn calibration_variance(
+/// Components that a covariance is of, in the order in which covariances are told.
+const PAIRS: [(usize, usize); 3] = [(0, 1), (0, 2), (1, 2)];
+
+/// Covariance of u, v, w by the calibration at every point; `NaN` where a moved calibration gives nothing.
+fn calibration_covariance(
     perturbed: &PerturbedMaps,
     measured: &[Measured; 2],
     n: usize,
     place: &(dyn Fn(usize) -> Vector2<f64> + Sync),
-) -> Vec<Vector3<f64>> {
+) -> Vec<Matrix3<f64>> {
     let one = |i: usize| {
-        let mut sum = Vector3::zeros();
+        let mut sum = Matrix3::zeros();
         for sides in &perturbed.sides {
             let at = |maps: &[SheetMap]| match maps {
                 [a, b] => solve([a, b], measured, &place(i)).map(|s| s.d_mm),
                 _ => None,
             };
             match (at(&sides[0]), at(&sides[1])) {
-                (Some(p), Some(m)) => sum += ((p - m) / 2.0).map(|x| x * x),
-                _ => return Vector3::repeat(f64::NAN),
+                (Some(p), Some(m)) => {
+                    let step = (p - m) / 2.0;
+                    sum += step * step.transpose();
+                }
+                _ => return Matrix3::repeat(f64::NAN),
             }
         }
-        sum.component_mul(&Vector3::from(perturbed.enlarged.map(|f| f * f)))
+        let enlarged = Matrix3::from_diagonal(&Vector3::from(perturbed.enlarged));
+        enlarged * sum * enlarged
     };
     (0..n).into_par_iter().map(one).collect()
+}
+
+/// Standard deviations and covariances of one vector, to their lists.
+fn add(c: &Matrix3<f64>, sigmas: &mut [Vec<f64>; 3], covariances: &mut [Vec<f64>; 3]) {
+    sigmas.iter_mut().enumerate().for_each(|(a, list)| list.push(c[(a, a)].max(0.0).sqrt()));
+    covariances.iter_mut().zip(PAIRS).for_each(|(list, at)| list.push(c[at]));
 }
 
 impl VectorField {
@@ -467,7 +484,9 @@ impl VectorField {
             v_mm: v(),
             w_mm: v(),
             sigma_mm: [v(), v(), v()],
+            covariance_mm2: [v(), v(), v()],
             calibration_sigma_mm: [v(), v(), v()],
+            calibration_covariance_mm2: [v(), v(), v()],
             calibration_enlarged: [1.0; 3],
             residual_px: v(),
             flags: Vec::new(),
@@ -486,7 +505,7 @@ impl VectorField {
         noise: &Noise,
         correlation: f64,
         missing: impl Fn() -> [bool; 2],
-        calibration: Option<Vector3<f64>>,
+        calibration: Option<Matrix3<f64>>,
     ) {
         let nan = f64::NAN;
         let d = s.map_or(Vector3::repeat(nan), |s| s.d_mm);
@@ -496,14 +515,13 @@ impl VectorField {
         {
             list.push(value);
         }
-        for a in 0..3 {
-            let variance = |s: &Solved| {
-                noise.variance(s.unevenness) * (s.covariance[(a, a)] + correlation * s.shared.covariance[(a, a)])
-            };
-            self.sigma_mm[a].push(s.map_or(nan, |s| variance(s).max(0.0).sqrt()));
-            if let Some(c) = calibration {
-                self.calibration_sigma_mm[a].push(if s.is_some() { c[a].sqrt() } else { nan });
-            }
+        let covariance = s.map_or(Matrix3::repeat(nan), |s| {
+            (s.covariance + s.shared.covariance * correlation) * noise.variance(s.unevenness)
+        });
+        add(&covariance, &mut self.sigma_mm, &mut self.covariance_mm2);
+        if let Some(c) = calibration {
+            let c = if s.is_some() { c } else { Matrix3::repeat(nan) };
+            add(&c, &mut self.calibration_sigma_mm, &mut self.calibration_covariance_mm2);
         }
         self.residual_px.push(s.map_or(nan, |s| s.residual_px));
         self.flags.push(match s {
