@@ -94,6 +94,18 @@ fn what_does_not_belong_together_is_refused() {
     record.cameras[1].image_size_px = [1280, 1024];
     std::fs::write(&other, record.to_json().unwrap()).unwrap();
     refused(&text, &other, 2, &["v06_right.png", "1024 x 768", "1280 x 1024", "calibrate anew"]);
+    // A camera that moved by a twentieth of a millimetre: a disagreement far below a pixel, and far above what contours explain.
+    let mut record = Record::from_json(&json, "c").unwrap();
+    record.cameras[1].cam_from_rig.translation_mm[1] += 0.05;
+    (record.rig, record.sheet) = (None, None);
+    std::fs::write(&other, record.to_json().unwrap()).unwrap();
+    std::fs::write(&rig, &text).unwrap();
+    let moved = scratch.path().join("moved");
+    let output = sheet(&rig, &folder, &other, &moved);
+    let said = String::from_utf8_lossy(&output.stderr).to_string();
+    println!("{}", said.trim_end());
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("times as much as contours and cameras explain"), "{said}");
     // A camera that was turned: the discs meet nowhere near a plane, or transfer badly.
     let mut record = Record::from_json(&json, "c").unwrap();
     record.cameras[1].cam_from_rig.translation_mm[1] += 5.0;

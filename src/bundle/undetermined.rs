@@ -24,21 +24,25 @@ fn view_of(name: &str) -> Option<usize> {
     own.iter().any(|o| what.starts_with(o)).then(|| view.parse().ok())?
 }
 
-/// Undetermined and prior-dominated parameters.
+/// Undetermined and prior-dominated parameters: a sentence for what belongs together.
 pub(super) fn words(model: &Model, covariance: &NamedCovariance) -> Vec<String> {
     let mut out = vec![];
     for (c, camera) in model.cameras.iter().enumerate() {
+        let mut open = vec![];
         for (k, know) in covariance.intrinsics[c].iter().enumerate() {
             let what = intrinsic_words(k);
             match know {
-                ParameterKnowledge::Undetermined => out
-                    .push(format!("{what} of camera {} is not determined by the images or by any prior", camera.name)),
+                ParameterKnowledge::Undetermined => open.push(what.to_owned()),
                 ParameterKnowledge::Estimated { prior_share } if *prior_share > MOSTLY_PRIOR => {
                     let most = if *prior_share > ONLY_PRIOR { "only" } else { "mostly" };
                     out.push(format!("{what} of camera {} is known {most} from its prior", camera.name));
                 }
                 _ => {}
             }
+        }
+        if !open.is_empty() {
+            let (what, are) = (listed(&open), is_or_are(open.len()));
+            out.push(format!("{what} of camera {} {are} not determined by the images or by any prior", camera.name));
         }
     }
     let of_intrinsic =
@@ -52,21 +56,75 @@ pub(super) fn words(model: &Model, covariance: &NamedCovariance) -> Vec<String> 
     let of_view = |i: usize| by_themselves.iter().any(|(_, own)| own.contains(&i)) && !shared(i);
     let names = &covariance.names;
     let other = (0..names.len()).filter(|i| !covariance.determined[*i] && !of_intrinsic(&names[*i]) && !of_view(*i));
-    out.extend(other.map(|i| format!("{} is not determined", names[i])));
-    let mut open: Vec<(String, Vec<usize>)> = vec![];
-    for (v, own) in &by_themselves {
-        let what = open_of_target(&own.iter().map(|i| names[*i].clone()).collect::<Vec<_>>());
-        match open.iter_mut().find(|(other, _)| *other == what) {
-            Some((_, views)) => views.push(*v),
-            None => open.push((what, vec![*v])),
+    out.extend(grouped(&other.map(|i| names[i].as_str()).collect::<Vec<_>>()));
+    let own = by_themselves.iter().map(|(v, own)| (*v, own.iter().map(|i| names[*i].as_str()).collect()));
+    let alone = of_targets(own.collect());
+    out.extend(alone.iter().map(|(what, _)| format!("{what}: not determined, and no other number depends on it")));
+    out
+}
+
+fn is_or_are(count: usize) -> &'static str {
+    if count == 1 { "is" } else { "are" }
+}
+
+/// Numbers that are open, in a sentence for each camera, the sheet, the targets of the views, and the rest.
+fn grouped(names: &[&str]) -> Vec<String> {
+    let (mut motions, mut views, mut rest): (Vec<(String, Vec<&str>)>, Vec<(usize, Vec<&str>)>, Vec<String>) =
+        Default::default();
+    for name in names {
+        let camera = name.split_once(".cam_from_rig.").map(|(c, step)| (format!("camera {c} against the first"), step));
+        let sheet = name.strip_prefix("sheet.rig_from_sheet.").map(|step| ("the laser sheet".to_owned(), step));
+        if let Some((of, step)) = camera.or(sheet) {
+            add(&mut motions, of, step);
+        } else if let Some(view) = view_of(name) {
+            add(&mut views, view, name);
+        } else {
+            rest.push((*name).to_owned());
         }
     }
-    out.extend(open.iter().map(|(what, views)| {
-        let of = if views.len() == 1 { "the target of view" } else { "the targets of views" };
-        let listed = listed(&views.iter().map(usize::to_string).collect::<Vec<_>>());
-        format!("{what} of {of} {listed}: not determined, and no other number depends on it")
-    }));
+    let mut out: Vec<String> = motions
+        .iter()
+        .map(|(of, steps)| {
+            let about = |first: char| -> Vec<String> {
+                let axes = steps.iter().filter(|s| s.starts_with(first)).filter_map(|s| s.chars().nth(1));
+                axes.map(String::from).collect()
+            };
+            let (turns, shifts) = (about('r'), about('t'));
+            let parts = [("turn about", &turns), ("shift along", &shifts)];
+            let parts: Vec<String> =
+                parts.iter().filter(|p| !p.1.is_empty()).map(|p| format!("{} {}", p.0, listed(p.1))).collect();
+            format!("{} of {of} {} not determined", listed(&parts), is_or_are(steps.len()))
+        })
+        .collect();
+    out.extend(of_targets(views).iter().map(|(what, count)| format!("{what} {} not determined", is_or_are(*count))));
+    if !rest.is_empty() {
+        out.push(format!("{} {} not determined", listed(&rest), is_or_are(rest.len())));
+    }
     out
+}
+
+fn add<'a, K: PartialEq>(groups: &mut Vec<(K, Vec<&'a str>)>, key: K, name: &'a str) {
+    match groups.iter_mut().find(|g| g.0 == key) {
+        Some((_, list)) => list.push(name),
+        None => groups.push((key, vec![name])),
+    }
+}
+
+/// What of the targets of which views is open, and how many things that are; views alike together.
+fn of_targets(views: Vec<(usize, Vec<&str>)>) -> Vec<(String, usize)> {
+    let mut open: Vec<(Vec<String>, Vec<String>)> = vec![];
+    for (view, names) in views {
+        let what = open_of_target(&names);
+        match open.iter_mut().find(|(other, _)| *other == what) {
+            Some((_, views)) => views.push(view.to_string()),
+            None => open.push((what, vec![view.to_string()])),
+        }
+    }
+    let words = |(what, views): &(Vec<String>, Vec<String>)| {
+        let of = if views.len() == 1 { "the target of view" } else { "the targets of views" };
+        (format!("{} of {of} {}", listed(what), listed(views)), what.len())
+    };
+    open.iter().map(words).collect()
 }
 
 /// Views with directions of their own, each with the numbers that move along these.
@@ -88,14 +146,14 @@ fn moves(covariance: &NamedCovariance, direction: &DVectorView<'_, f64>, i: usiz
     direction[i].abs() > ROUNDED * covariance.scale[i]
 }
 
-/// What one view leaves open by itself, from the names of those numbers.
-fn open_of_target(names: &[String]) -> String {
+/// What of the target of one view is open, from the names of those numbers.
+fn open_of_target(names: &[&str]) -> Vec<String> {
     let any = |part: &str| names.iter().any(|n| n.contains(part));
     let place = any("_from_target.t") || any(".plane_z");
     let turn = names.iter().any(|n| n.ends_with("_rad"));
     let size = any("spacing") || any("radius") || any(".step");
     let parts = [(place, "place"), (turn, "direction"), (size, "size")];
-    listed(&parts.iter().filter(|p| p.0).map(|p| p.1.to_owned()).collect::<Vec<_>>())
+    parts.iter().filter(|p| p.0).map(|p| p.1.to_owned()).collect()
 }
 
 /// How round two printed discs are, where images do not tell.
@@ -135,4 +193,33 @@ pub(crate) fn intrinsic_words(k: usize) -> &'static str {
 /// A layer of a window in words, by its index in [`crate::camera::LAYER_NAMES`].
 pub(crate) fn layer_words(k: usize) -> &'static str {
     ["distance", "thickness", "index before the glass", "index of the glass", "index behind the glass"][k]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_belongs_together_is_one_sentence() {
+        let steps = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
+        let of = |whose: &str| steps.map(|s| format!("{whose}.{s}")).to_vec();
+        let mut names = of("right.cam_from_rig");
+        names.push("sheet.rig_from_sheet.tz_mm".into());
+        for v in [0, 1, 4] {
+            names.extend(of(&format!("view{v}.rig_from_target")));
+            names.push(format!("view{v}.radius0_mm"));
+        }
+        names.push("view2.plane_z_mm".into());
+        names.push("target.spacing_mm".into());
+        let told = grouped(&names.iter().map(String::as_str).collect::<Vec<_>>());
+        let wanted = [
+            "turn about x, y and z and shift along x, y and z of camera right against the first are not determined",
+            "shift along z of the laser sheet is not determined",
+            "place, direction and size of the targets of views 0, 1 and 4 are not determined",
+            "place of the target of view 2 is not determined",
+            "target.spacing_mm is not determined",
+        ];
+        assert_eq!(told, wanted);
+        assert!(grouped(&[]).is_empty());
+    }
 }

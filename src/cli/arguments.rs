@@ -144,7 +144,7 @@ pub(super) struct Check {
     /// Largest offset of the light that is looked for, mm [default: a tenth of the field]
     #[arg(long, value_name = "MM", allow_hyphen_values = true)]
     pub(super) search_mm: Option<f64>,
-    /// Start from the plane of the target of this view instead of the calibration's sheet
+    /// Start from the plane of the target of this view instead of the calibration's sheet; its frame is that of the target
     #[arg(long, value_name = "N")]
     pub(super) plane_of_view: Option<usize>,
 }
@@ -234,6 +234,9 @@ pub(super) struct Reconstruct {
     /// Standard deviation of one component of a planar vector, in the unit of the fields [default: estimated from the residuals]
     #[arg(long, value_name = "S", allow_hyphen_values = true)]
     pub(super) sigma: Option<f64>,
+    /// Part of a window that its neighbour shares: errors of vectors go together as far (0.5: windows of 32 px every 16 px)
+    #[arg(long, value_name = "PART", default_value_t = OVERLAP, allow_hyphen_values = true)]
+    pub(super) overlap: f64,
     /// Distance of the vectors of the result, mm; at least a tenth of that of the fields [default: that of the finer field]
     #[arg(long, value_name = "MM", allow_hyphen_values = true)]
     pub(super) spacing_mm: Option<f64>,

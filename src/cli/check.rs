@@ -79,7 +79,7 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         let what = "this folder holds a calibration, whose report.html would be replaced by that of the check; name another folder with -o";
         return Err(fault(&command.output, what));
     }
-    let words = words(&found.check, &command.output, &out.names());
+    let words = words(&found.check, command.plane_of_view, &command.output, &out.names());
     let json = json!({
         "output": command.output.display().to_string(), "files": out.names(), "offset_mm": value["offset_mm"], "tilt_deg": value["tilt_deg"],
         "offset_sigma_mm": value["offset_sigma_mm"], "tilt_sigma_deg": value["tilt_sigma_deg"], "thickness_mm": value["thickness_mm"],
@@ -128,9 +128,19 @@ fn pairs_of(patterns: &[String]) -> Result<Vec<[PathBuf; 2]>> {
     paired(matching(left)?, matching(right)?, left, right)
 }
 
-fn words(c: &SheetCheck, to: &Path, files: &[&str]) -> String {
+fn words(c: &SheetCheck, view: Option<usize>, to: &Path, files: &[&str]) -> String {
+    // The frame of a view's plane is that of its target, x and y turned and shifted against the frame that a calibration gives its sheet.
+    let (plane, frame) = match view {
+        Some(view) => (
+            format!("the plane of the target in view {view}"),
+            format!(
+                "x, y and z count along the axes of the target in view {view} and from its origin, in the corrected calibration, too\n"
+            ),
+        ),
+        None => ("the calibrated sheet".to_string(), String::new()),
+    };
     let mut text = format!(
-        "the light lies {:+.4} ± {:.4} mm from the calibrated sheet at x = {:.2}, y = {:.2} mm (towards camera \"{}\" is positive),\n\
+        "the light lies {:+.4} ± {:.4} mm from {plane} at x = {:.2}, y = {:.2} mm (towards camera \"{}\" is positive),\n\
          tilted by {:+.4} ± {:.4} degrees about x and {:+.4} ± {:.4} degrees about y\n\
          median disparity {:.3} px",
         c.offset_mm,
@@ -148,6 +158,7 @@ fn words(c: &SheetCheck, to: &Path, files: &[&str]) -> String {
         text.push_str(&format!(", after the correction {:.3} px ({} rounds)", after.median_px(), c.history.len()));
     }
     text.push('\n');
+    text.push_str(&frame);
     let m = c.misalignment_after.as_ref().unwrap_or(&c.misalignment_before);
     text.push_str(&format!(
         "of that, smooth over the field: {:.3} px along the direction of depth (the sheet; scatter alone gives {:.3}), {:.3} px across it (the \

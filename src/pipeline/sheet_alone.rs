@@ -28,6 +28,9 @@ use std::sync::Mutex;
 
 /// Transfer errors beyond this do not come from noise, px: the result is flagged.
 pub const TRANSFER_LIMIT_PX: f64 = 1.0;
+/// And beyond this many times what contours and cameras explain, where it is this much, px.
+const SCATTER_LIMIT: f64 = 5.0;
+const SCATTER_LIMIT_PX: f64 = 0.1;
 /// Another pairing must transfer worse by this factor before the better one is believed.
 const DISTINCT: f64 = 3.0;
 
@@ -412,6 +415,14 @@ fn flags(job: &RigDescription, views: &[SheetView], homography: &Homography, ima
         out.push(format!(
             "in the sheet the two cameras disagree by {rms:.2} px: the calibration may be of another rig, something may have moved \
              since, or the discs do not lie in one plane"
+        ));
+    }
+    if rms <= TRANSFER_LIMIT_PX && homography.scatter > SCATTER_LIMIT && rms > SCATTER_LIMIT_PX {
+        out.push(format!(
+            "in the sheet the two cameras disagree by {rms:.3} px, {:.0} times as much as contours and cameras explain: something may have moved since the \
+             calibration, it may be of another rig, or the plate is not flat; the sheet's sigmas hold that scatter, but not cameras that moved. Compare with \
+             spivcal check on particle images, or calibrate again",
+            homography.scatter
         ));
     }
     if !homography.estimate.sigmas.iter().all(|s| s.is_finite()) {
