@@ -189,7 +189,7 @@ pub enum Insufficient {
 pub enum Unusable {
     /// The adjustment did not reach its minimum.
     #[error(
-        "the adjustment stopped ({reason}) with a Newton decrement of {decrement:.2e}, wanted {wanted:.0e}, so there is no result; do the right images stand beside the right cameras and views, are nominal values near the truth, and is no sigma in the rig file far smaller than anyone can know?"
+        "the adjustment stopped ({reason}) with a Newton decrement of {decrement:.2e}, wanted {wanted:.0e}, so there is no result; do the right images stand beside the right cameras and views, are nominal values near the truth, and is no sigma in the rig file far smaller than anyone can know?{besides}"
     )]
     NotConverged {
         /// Name of the termination.
@@ -198,6 +198,8 @@ pub enum Unusable {
         decrement: f64,
         /// Newton decrement wanted, in sigmas.
         wanted: f64,
+        /// What else is known to stand in the way, a sentence after a blank; empty: nothing.
+        besides: String,
     },
     /// The caller stopped the work.
     #[error("the work was stopped before it was done")]

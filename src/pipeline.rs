@@ -7,6 +7,7 @@ mod images;
 mod leftovers;
 mod load;
 mod model;
+mod nominal;
 mod outcome;
 mod png;
 mod residual_rows;

@@ -113,7 +113,7 @@ fn the_checker_of_commands_sees_them() {
 #[test]
 fn exit_codes_are_those_of_the_errors() {
     let families: [(Error, u8); 4] = [
-        (Unusable::NotConverged { reason: "x".into(), decrement: 1.0, wanted: 0.1 }.into(), 3),
+        (Unusable::NotConverged { reason: "x".into(), decrement: 1.0, wanted: 0.1, besides: String::new() }.into(), 3),
         (Invalid::Contradiction("x".into()).into(), 2),
         (Insufficient::Degenerate("x".into()).into(), 3),
         (Error::Bug("x".into()), 4),

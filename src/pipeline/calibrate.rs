@@ -89,7 +89,7 @@ fn run(
         progress.lock().is_ok_and(|mut p| p(told))
     };
     let mut observe = |i: &Iteration| told(i);
-    let solution = calibrate_rig(&built.problem, &options.adjust, &mut observe)?;
+    let solution = calibrate_rig(&built.problem, &options.adjust, &mut observe).map_err(|e| explained(e, &images))?;
     take_labels(&mut built, &mut images, &solution);
     let RigSolution { mut adjustment, undecided, .. } = solution;
     let contours = adjustment.model.clone();
@@ -141,6 +141,17 @@ fn run(
         }));
     }
     Ok(CalibrationOutput { record, residuals, images, overlays })
+}
+
+/// Where nothing fits, what an image alone had left open may be why.
+fn explained(error: Error, images: &[SeenImage]) -> Error {
+    let first = images.iter().find_map(|i| Some(format!(" {}: {}", i.name, i.warnings.first()?)));
+    match (error, first) {
+        (Error::Unusable(Unusable::NotConverged { reason, decrement, wanted, .. }), Some(besides)) => {
+            Unusable::NotConverged { reason, decrement, wanted, besides }.into()
+        }
+        (error, _) => error,
+    }
 }
 
 /// The labels that the views have decided; what an image alone had left open is void then.

@@ -4,7 +4,7 @@ use super::exposure::{explained, saturated_about};
 use super::{Progress, Source};
 use crate::detect::pattern::{Labelling, label_discs};
 use crate::detect::{DetectMemory, DetectOptions, Detection, LabelledDisc, find_discs_with};
-use crate::error::{Insufficient, Invalid, Result, Unusable};
+use crate::error::{Error, Insufficient, Invalid, Result, Unusable};
 use crate::image::GrayImage;
 use crate::record::ImageFile;
 use crate::rig::OpenImage;
@@ -62,11 +62,12 @@ pub(super) fn see_all(
             wanted.extend(name.as_ref().map(|n| (view, camera, n.clone())));
         }
     }
+    let names: Vec<String> = wanted.iter().map(|w| w.2.clone()).collect();
     let total = wanted.len();
     let done = Mutex::new(0usize);
     let stopped = AtomicBool::new(false);
     let memory = DetectMemory::default();
-    // Every image is looked at even after one failed: the error told is the first in the order of the file.
+    // Every image is looked at even after one failed: the error told is the first in the order of the file, and the others are named.
     let all: Vec<Result<SeenImage>> = wanted
         .into_par_iter()
         .map(|(view, camera, name)| {
@@ -86,10 +87,38 @@ pub(super) fn see_all(
     if stopped.load(Ordering::Relaxed) {
         return Err(Unusable::Cancelled.into());
     }
-    let images: Vec<SeenImage> = all.into_iter().collect::<Result<_>>()?;
+    let failed = all.iter().zip(&names).filter(|(seen, _)| matches!(seen, Err(Error::Insufficient(_))));
+    let failed: Vec<&str> = failed.map(|(_, name)| name.as_str()).collect();
+    let enough = total > failed.len() + job.cameras.len();
+    let images: Vec<SeenImage> = all.into_iter().collect::<Result<_>>().map_err(|e| with_others(e, &failed, enough))?;
     check_sizes(job, &images)?;
     refuse_repeated(job, &images)?;
     Ok(images)
+}
+
+/// Images named in a message at most.
+const NAMED: usize = 4;
+
+/// What an image lacks, with the others that lack something; where there are enough without them they may be left out.
+fn with_others(e: Error, failed: &[&str], enough: bool) -> Error {
+    let others = match failed {
+        [] | [_] => String::new(),
+        [_, others @ ..] => {
+            let more = if others.len() > NAMED { ", ..." } else { "" };
+            let named = others.iter().take(NAMED).copied().collect::<Vec<_>>().join(", ");
+            format!("; so it is with {} more of the images: {named}{more}", others.len())
+        }
+    };
+    let without = if enough { "; an image may also be left out: a view may lack a camera" } else { "" };
+    match e {
+        Error::Insufficient(Insufficient::TooFewDiscs { image, found, needed, hint }) => {
+            Insufficient::TooFewDiscs { image, found, needed, hint: format!("{hint}{others}{without}") }.into()
+        }
+        Error::Insufficient(Insufficient::Pattern { image, message }) => {
+            Insufficient::Pattern { image, message: format!("{message}{others}{without}") }.into()
+        }
+        e => e,
+    }
 }
 
 /// What is known of the discs of a target.

@@ -1,6 +1,7 @@
 //! The adjustment as a record.
 
 use super::calibrate::Solved;
+use super::nominal::contradictions;
 use super::residual_rows::ImageFit;
 use crate::bundle::{Fact, Observed, ParameterKnowledge, TargetShape, Termination};
 use crate::camera::{Camera, INTRINSIC_NAMES, WINDOW_STEP_NAMES, Window};
@@ -311,6 +312,7 @@ fn fit(s: &Solved, fits: &[ImageFit], findings: &Findings) -> Fit {
         ));
     }
     flags.extend((0..s.job.cameras.len()).filter_map(|c| impossible_lens(s, c)));
+    flags.extend(contradictions(s));
     flags.extend(findings.flags.iter().cloned());
     flags.extend(s.undecided.iter().cloned());
     flags.extend(s.images.iter().flat_map(|i| i.warnings.iter().map(|w| format!("{}: {w}", i.name))));

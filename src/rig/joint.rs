@@ -80,6 +80,7 @@ pub fn calibrate_rig(problem: &RigProblem, options: &AdjustOptions, observe: Obs
                 reason: format!("{}{}", t.word(), weak_windows(&problem.model)),
                 decrement: adjustment.decrement,
                 wanted: options.solve.decrement,
+                besides: String::new(),
             }
             .into());
         }
