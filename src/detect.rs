@@ -7,6 +7,7 @@ mod candidate;
 mod contour;
 mod correlation;
 mod dense;
+mod dust;
 mod edge_model;
 mod exact;
 mod find;

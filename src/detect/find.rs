@@ -9,6 +9,7 @@ use crate::detect::around::{MOST_SMOKY, surroundings, wisps};
 use crate::detect::beside::{ask_beside, refine_beside};
 use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_odd, scaled};
 use crate::detect::correlation::NoiseCorrelation;
+use crate::detect::dust::refined_but_dust;
 use crate::detect::level::Level;
 use crate::detect::of_target::{keep_target, within};
 use crate::detect::plane::{self, Floats, Source, check_finite};
@@ -178,7 +179,7 @@ fn fit_all(
         start.smoke &= !(start.bright && shot_noise.is_some_and(|noise| noise.is_all_of(start)));
         start.shot_noise = shot_noise;
     }
-    let mut refined = threads::side_by_side(starts, |start| refine(view, start));
+    let mut refined = refined_but_dust(starts, |start| refine(view, start));
     let close = refine_beside(view, starts, &mut refined, sigma, again);
     if shot_noise.is_none() && close.contains(&true) && !starts.iter().any(|start| start.smoke && start.bright) {
         // Light of neighbours may have passed for noise.

@@ -1,12 +1,10 @@
 //! Which of the discs found are those of a target: of one polarity and no dust, with rings named and marks beside them.
 
 use crate::detect::candidate::Candidate;
+use crate::detect::dust::{is_dust, size, typical_radius_px};
 use crate::detect::{Detection, Disc, Rejection, RejectionReason, Shape};
 use crate::frames::Pixel;
 use crate::target::{MarkKind, Polarity};
-
-/// A disc with less than this part of the typical radius is dust.
-const DUST: f64 = 0.25;
 
 /// Whether two points are less than `limit_px` apart.
 pub(super) fn within(a: Pixel, b: Pixel, limit_px: f64) -> bool {
@@ -76,23 +74,14 @@ fn keep_one_polarity(detection: &mut Detection, polarity: Polarity) {
     }
 }
 
-/// Radius in whose size class the discs of the image lie, px (weighted by length times contrast).
-fn typical_radius_px(discs: &[Disc]) -> Option<f64> {
-    let mut sizes: Vec<(f64, f64)> =
-        discs.iter().map(|d| (d.ellipse.mean_radius_px(), d.contrast * d.ellipse.perimeter_px())).collect();
-    sizes.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let half = 0.5 * sizes.iter().map(|s| s.1).sum::<f64>();
-    let mut sum = 0.0;
-    sizes.into_iter().find_map(|(radius, weight)| {
-        sum += weight;
-        (sum >= half).then_some(radius)
-    })
+/// Radius in whose size class the discs of the image lie, px.
+fn typical_px(discs: &[Disc]) -> Option<f64> {
+    typical_radius_px(discs.iter().map(size))
 }
 
-/// Specks far smaller than the discs of the image are no discs of the target.
 fn drop_dust(detection: &mut Detection) {
-    let Some(typical) = typical_radius_px(&detection.discs) else { return };
-    let dust = detection.discs.extract_if(.., |d| d.ellipse.mean_radius_px() <= DUST * typical);
+    let Some(typical) = typical_px(&detection.discs) else { return };
+    let dust = detection.discs.extract_if(.., |d| is_dust(d.ellipse.mean_radius_px(), typical));
     detection.rejections.extend(dust.map(|d| Rejection {
         center_px: d.ellipse.center_px,
         radius_px: d.ellipse.mean_radius_px(),
@@ -116,7 +105,7 @@ fn keep_marks(detection: &mut Detection, marks: &[(Candidate, MarkKind)]) {
     if marks.is_empty() {
         return;
     }
-    let Some(typical) = typical_radius_px(&detection.discs) else { return };
+    let Some(typical) = typical_px(&detection.discs) else { return };
     let bright = detection.discs[0].polarity == Polarity::Bright;
     for (c, kind) in marks.iter().filter(|(c, _)| c.bright == bright) {
         let radius_px = c.ellipse.mean_radius_px();

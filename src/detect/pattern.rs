@@ -149,4 +149,4 @@ fn rejected_in_words(detection: &Detection) -> String {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

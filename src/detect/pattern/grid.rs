@@ -3,14 +3,17 @@
 use super::dots::{Dots, median};
 use super::lattice::{self, Between, Cell, Lattice};
 use super::{Labelling, Relabelling, pattern_error, rejected_in_words, turned};
-use crate::detect::{Detection, LabelledDisc};
+use crate::detect::{Detection, LabelledDisc, Shape};
 use crate::error::{Insufficient, Result};
 use crate::target::{DotId, Grid, Mark, MarkKind};
+use nalgebra::Vector2;
 
 /// A dot is a `Large` mark if its radius exceeds that of its neighbours by this factor.
 const LARGE: f64 = 1.25;
 /// Dots of the grid proper have radii within these factors of their neighbours'.
 const EQUAL: (f64, f64) = (0.7, 1.4);
+/// A square or triangle stands in the place of a dot where it is no further off, cells.
+const IN_PLACE: f64 = 0.2;
 /// Fewest dots of a grid that is worth using.
 const FEWEST: usize = 4;
 
@@ -94,6 +97,21 @@ fn no_grid(image: &str, detection: &Detection) -> crate::Error {
     )
 }
 
+/// Squares and triangles in the place of a dot, within the lattice or beside its rim.
+fn shapes_in_place(dots: &Dots, detection: &Detection, lattice: &Lattice, marks: &[Mark]) -> Vec<Sighting> {
+    let (low, high) = lattice.extent();
+    let one = |shape: &Shape| {
+        let p = Vector2::new(shape.center_px.u_px, shape.center_px.v_px);
+        let x = marks.iter().any(|m| m.kind == shape.mark).then(|| lattice.locate(dots, &p))??;
+        let cell = (x.x.round() as i32, x.y.round() as i32);
+        let off = (x - Vector2::new(f64::from(cell.0), f64::from(cell.1))).norm();
+        let inside = (low.0 - 1..=high.0 + 1).contains(&cell.0) && (low.1 - 1..=high.1 + 1).contains(&cell.1);
+        let free = !lattice.nodes.contains_key(&cell);
+        (off < IN_PLACE && inside && free).then_some(Sighting { cell, kind: shape.mark })
+    };
+    detection.shapes.iter().filter_map(one).collect()
+}
+
 /// Marks on the lattice; dots whose size is neither the grid's nor a mark's leave the lattice.
 fn sightings(dots: &Dots, detection: &Detection, lattice: &mut Lattice, marks: &[Mark]) -> Vec<Sighting> {
     let wanted = |kind: MarkKind| marks.iter().any(|m| m.kind == kind);
@@ -121,6 +139,7 @@ fn sightings(dots: &Dots, detection: &Detection, lattice: &mut Lattice, marks: &
     odd.iter().for_each(|cell| {
         lattice.nodes.remove(cell);
     });
+    out.extend(shapes_in_place(dots, detection, lattice, marks));
     out
 }
 

@@ -211,7 +211,9 @@ fn placements(
             ));
         }
         out.origin_is_arbitrary = true;
-        out.warnings.push("the plate has no marks: which level is in front, and the origin, are arbitrary".into());
+        out.warnings.push(
+            "the plate has no marks: which level is in front, and the origin, are arbitrary; list its square and triangle in [target] marks".into(),
+        );
         return Ok(unmarked());
     }
     if matched < needed {
@@ -227,7 +229,8 @@ fn placements(
         return Err(pattern_error(
             image,
             format!(
-                "{} places of the marks fit the plate equally well; cover stray squares and triangles",
+                "{} places of the marks fit the plate equally well; are kind, column, row and level of the marks in the rig file those of the plate? Else cover \
+                 stray squares and triangles",
                 placements.len()
             ),
         ));

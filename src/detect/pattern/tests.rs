@@ -60,7 +60,7 @@ impl View {
     }
 }
 
-fn disc(u: f64, v: f64, a: f64, b: f64, phi: f64) -> Disc {
+pub(in crate::detect) fn disc(u: f64, v: f64, a: f64, b: f64, phi: f64) -> Disc {
     let (a, b) = (a.max(b).max(0.6), a.min(b).max(0.5));
     Disc {
         ellipse: Ellipse { center_px: Pixel::new(u, v), semi_major_px: a, semi_minor_px: b, angle_rad: phi },
@@ -222,6 +222,35 @@ fn rings_fix_the_labels_at_any_turn_up_to_70_degrees() {
         let (roll, k1) = (r.in_range(0.0, 6.2), r.in_range(-0.05, 0.05));
         let view = View::new(r, oblique, roll, k1, Vector2::new(25.0, 15.0), 120.0);
         (grid_scene(r, (14, 11), &view, 0.2, ring_at, (-4, -4)), grid_target(None, None, three_rings()))
+    });
+    assert!(found > 0.95 && refused < 0.02, "{found} {refused}");
+}
+
+/// A square and a triangle in the place of two dots, as on commercial plates; letters beside the grid look like either.
+#[test]
+fn squares_and_triangles_fix_the_labels_of_a_grid() {
+    let marks = [(MarkKind::Square, (0, 0)), (MarkKind::Triangle, (3, 0))];
+    let (found, refused) = recall(21, 200, 60.0, |r, oblique| {
+        let roll = r.in_range(0.0, 6.2);
+        let view = View::new(r, oblique, roll, 0.02, Vector2::new(25.0, 25.0), 150.0);
+        let mut scene = grid_scene(r, (11, 9), &view, 0.1, |_, _| None, (-3, -3));
+        for (mark, (column, row)) in marks {
+            let p = Vector3::new(10.0 * f64::from(column), 10.0 * f64::from(row), 0.0);
+            let d = view.disc(r, &p, 2.5, 0.08);
+            let there = scene.truth.iter().position(|t| *t == Some(id(column, row, 0)));
+            if let Some(k) = there {
+                scene.detection.discs.remove(k);
+                scene.truth.remove(k);
+            }
+            let radius_px = d.ellipse.mean_radius_px();
+            scene.detection.shapes.push(Shape { center_px: d.ellipse.center_px, radius_px, mark });
+            // Print far from any dot.
+            let q = Vector3::new(10.0 * f64::from(column) + 4.0, -70.0, 0.0);
+            let letter = view.disc(r, &q, 2.5, 0.08).ellipse.center_px;
+            scene.detection.shapes.push(Shape { center_px: letter, radius_px, mark });
+        }
+        let marks = marks.map(|(kind, (column, row))| Mark { kind, at: id(column, row, 0) });
+        (scene, grid_target(None, None, marks.to_vec()))
     });
     assert!(found > 0.95 && refused < 0.02, "{found} {refused}");
 }
