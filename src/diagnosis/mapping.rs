@@ -182,6 +182,10 @@ fn map(field: &Field, all: &[&MappingSigma]) -> MappingMap {
         u_per_w: list(&|m| m.displacement[0][2]),
         v_per_w: list(&|m| m.displacement[1][2]),
         w_per_u: list(&|m| m.displacement[2][0]),
+        v_per_v: list(&|m| m.displacement[1][1]),
+        w_per_v: list(&|m| m.displacement[2][1]),
+        u_per_v: list(&|m| m.displacement[0][1]),
+        v_per_u: list(&|m| m.displacement[1][0]),
     }
 }
 

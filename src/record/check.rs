@@ -1,6 +1,6 @@
 //! Values that no calibration can have, found after the types are right.
 
-use super::diagnosis::{MappingMap, MappingUncertainty};
+use super::diagnosis::MappingUncertainty;
 use super::schema::{Camera, Covariance, FORMAT, Pose, Record, Sheet, VERSION, View};
 use std::collections::BTreeSet;
 use std::f64::consts::FRAC_PI_2;
@@ -220,19 +220,23 @@ fn check_mapping(m: &MappingUncertainty) -> Check {
     if let Some(by_views) = &m.by_views {
         check_square(&by_views.displacement, 3, "mapping_uncertainty.by_views.displacement")?;
     }
-    let MappingMap { x_mm, y_mm, in_plane_px, disparity_px, u_per_u, w_per_w, u_per_w, v_per_w, w_per_u, .. } = &m.map;
-    let n = x_mm.len();
-    if y_mm.len() != n {
-        return fault("mapping_uncertainty.map.y_mm", format!("{} numbers: expected {n}, as in x_mm", y_mm.len()));
+    let map = &m.map;
+    let n = map.x_mm.len();
+    if map.y_mm.len() != n {
+        return fault("mapping_uncertainty.map.y_mm", format!("{} numbers: expected {n}, as in x_mm", map.y_mm.len()));
     }
     let lists = [
-        ("in_plane_px", in_plane_px),
-        ("disparity_px", disparity_px),
-        ("u_per_u", u_per_u),
-        ("w_per_w", w_per_w),
-        ("u_per_w", u_per_w),
-        ("v_per_w", v_per_w),
-        ("w_per_u", w_per_u),
+        ("in_plane_px", &map.in_plane_px),
+        ("disparity_px", &map.disparity_px),
+        ("u_per_u", &map.u_per_u),
+        ("w_per_w", &map.w_per_w),
+        ("u_per_w", &map.u_per_w),
+        ("v_per_w", &map.v_per_w),
+        ("w_per_u", &map.w_per_u),
+        ("v_per_v", &map.v_per_v),
+        ("w_per_v", &map.w_per_v),
+        ("u_per_v", &map.u_per_v),
+        ("v_per_u", &map.v_per_u),
     ];
     match lists.into_iter().find(|(_, list)| !list.is_empty() && list.len() != n) {
         None => Ok(()),

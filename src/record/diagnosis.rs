@@ -360,4 +360,16 @@ pub struct MappingMap {
     /// Leak of u into w.
     #[serde(with = "maybe_list")]
     pub w_per_u: Vec<f64>,
+    /// Error of v per v.
+    #[serde(default, with = "maybe_list")]
+    pub v_per_v: Vec<f64>,
+    /// Leak of v into w.
+    #[serde(default, with = "maybe_list")]
+    pub w_per_v: Vec<f64>,
+    /// Leak of v into u.
+    #[serde(default, with = "maybe_list")]
+    pub u_per_v: Vec<f64>,
+    /// Leak of u into v.
+    #[serde(default, with = "maybe_list")]
+    pub v_per_u: Vec<f64>,
 }

@@ -24,14 +24,16 @@ pub(super) fn maps(m: &MappingUncertainty) -> Vec<Map> {
     let told = |of: &dyn Fn(&MappingByViews) -> f64| beyond_noise.map_or(f64::NAN, of);
     let entry = |i: usize, j: usize| told(&|v| v.displacement[i][j]);
     let (disparity, place) = (told(&|v| v.disparity), told(&|v| v.in_plane));
-    let all: [(&[f64], f64, &str, &str, f64); 7] = [
+    let all: [(&[f64], f64, &str, &str, f64); 9] = [
         (&map.disparity_px, 1.0, "px", "Disparity: how far the two cameras' dewarped images lie apart", disparity),
         (&map.in_plane_px, 1.0, "px", "Place: where in the sheet a pixel looks, beside a common shift and turn", place),
         (&map.u_per_u, 100.0, "%", "Error of u, in % of u", entry(0, 0)),
+        (&map.v_per_v, 100.0, "%", "Error of v, in % of v", entry(1, 1)),
         (&map.w_per_w, 100.0, "%", "Error of w, in % of w", entry(2, 2)),
         (&map.u_per_w, 100.0, "%", "Leak into u, in % of w", entry(0, 2)),
         (&map.v_per_w, 100.0, "%", "Leak into v, in % of w", entry(1, 2)),
         (&map.w_per_u, 100.0, "%", "Leak into w, in % of u", entry(2, 0)),
+        (&map.w_per_v, 100.0, "%", "Leak into w, in % of v", entry(2, 1)),
     ];
     let drawn = all.into_iter().filter(|(values, ..)| values.len() == map.x_mm.len() && !values.is_empty());
     drawn

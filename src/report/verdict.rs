@@ -233,16 +233,19 @@ fn determined(r: &Record) -> Vec<String> {
 /// What the calibration alone adds to a measured displacement.
 fn felt(m: &crate::record::MappingUncertainty) -> Option<String> {
     let (l, percent) = (&m.largest, |x: f64| format!("{} %", plain(100.0 * x, 2)));
-    let all = [l.displacement[0][0], l.displacement[1][1], l.displacement[2][2], l.displacement[0][2], l.disparity_px];
-    let [u, v, w, leak, disparity_px] = all;
-    all.iter().all(|x| x.is_finite()).then(|| {
+    let by = &l.displacement;
+    // A camera above the other makes of v what one beside it makes of u.
+    let all = [by[0][0], by[1][1], by[2][2], by[0][2].max(by[1][2]), by[2][0].max(by[2][1]), l.disparity_px];
+    let [u, v, w, of_w, into_w, disparity_px] = all;
+    by.iter().flatten().chain(&all).all(|x| x.is_finite()).then(|| {
         format!(
-            "To a measured displacement the calibration adds, at worst over the sheet, {} of u, {} of v, {} of w, and {} of w that leaks into u; the \
-             two cameras' images lie on each other to {} px (one sigma each).{}",
+            "To a measured displacement the calibration adds, at worst over the sheet, {} of u, {} of v, {} of w, {} of w that leaks into u or v, and {} of u or v \
+             that leaks into w; the two cameras' images lie on each other to {} px (one sigma each).{}",
             percent(u),
             percent(v),
             percent(w),
-            percent(leak),
+            percent(of_w),
+            percent(into_w),
             plain(disparity_px, 2),
             as_views_tell(m)
         )

@@ -348,7 +348,11 @@ pub fn mapping(beyond_noise: bool) -> MappingUncertainty {
         w_per_w: list.clone(),
         u_per_w: list.clone(),
         v_per_w: list.clone(),
-        w_per_u: list,
+        w_per_u: list.clone(),
+        v_per_v: list.clone(),
+        w_per_v: list.clone(),
+        u_per_v: list.clone(),
+        v_per_u: list,
     };
     MappingUncertainty { middle: sigma.clone(), largest: sigma, map, undetermined: vec![], by_views: Some(by_views) }
 }
