@@ -469,7 +469,9 @@ fn calibration_covariance(
 
 /// Standard deviations and covariances of one vector, to their lists.
 fn add(c: &Matrix3<f64>, sigmas: &mut [Vec<f64>; 3], covariances: &mut [Vec<f64>; 3]) {
-    sigmas.iter_mut().enumerate().for_each(|(a, list)| list.push(c[(a, a)].max(0.0).sqrt()));
+    // Rounding below zero is none; what is not known stays so.
+    let sigma = |variance: f64| if variance < 0.0 { 0.0 } else { variance.sqrt() };
+    sigmas.iter_mut().enumerate().for_each(|(a, list)| list.push(sigma(c[(a, a)])));
     covariances.iter_mut().zip(PAIRS).for_each(|(list, at)| list.push(c[at]));
 }
 
