@@ -445,7 +445,10 @@ fn what_an_ended_run_left_is_removed_by_the_next() {
     std::fs::create_dir(job.out()).unwrap();
     let left = [format!(".report.html.{process}.0.tmp"), format!(".report.html.{process}.1.old")];
     let kept = [format!(".x.{}.0.tmp", std::process::id()), format!("x.{process}.0.tmp"), ".x.tmp".to_string()];
-    left.iter().chain(&kept).for_each(|name| std::fs::write(job.out().join(name), "1").unwrap());
+    for name in left.iter().chain(&kept) {
+        let file = std::fs::File::create(job.out().join(name)).unwrap();
+        file.set_modified(std::time::SystemTime::now() - std::time::Duration::from_secs(3600)).unwrap();
+    }
     let image = job.path("v01_left.png");
     let found = spivcal(&["detect", image.to_str().unwrap(), "-o", job.out().to_str().unwrap()]);
     assert_eq!(found.status.code(), Some(0));

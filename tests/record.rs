@@ -266,7 +266,7 @@ fn impossible_values_are_refused_with_line_and_expectation() {
         ("/cameras/1/effective/cx_px", Value::from(-475.0), "contradicts f, principal point and tilt of the camera"),
         ("/cameras/1/effective/cy_px", Value::from(400.0), "contradicts f, principal point and tilt of the camera"),
         ("/covariance/names/1", Value::from("zzz.foo"), "\"zzz.foo\" is no number of this calibration: expected owner"),
-        ("/covariance/names/1", Value::from("left.k2"), "\"left.cx_px\" is missing, which has cameras[0].sigma.cx_px"),
+        ("/covariance/names/1", Value::from("left.k2"), "which contradicts cameras[0].sigma.k2 = 0.0"),
         ("/covariance/names/1", Value::from("view9.plane_z_mm"), "is no number of this calibration"),
         ("/covariance/matrix", zeros(12), "variance of left.f_px is 0.0, which contradicts cameras[0].sigma.f_px"),
         ("/cameras/1/sigma/beta_rad", Value::from(2e-3), "contradicts cameras[1].sigma.beta_rad = 0.002"),

@@ -2,6 +2,8 @@
 
 use std::fs;
 use std::path::Path;
+#[cfg(target_os = "linux")]
+use std::time::Duration;
 
 /// The process of a temporary name, `.NAME.PID.NUMBER.tmp` or `.old`; none of any other name.
 fn process_of(name: &str) -> Option<u32> {
@@ -14,9 +16,14 @@ fn process_of(name: &str) -> Option<u32> {
     plain(process).filter(|_| !own.is_empty())
 }
 
+/// Younger files stay: a folder that several machines share may hold those of a process that only another one shows.
+#[cfg(target_os = "linux")]
+const OLD: Duration = Duration::from_secs(600);
+
 /// Removes from a folder what processes left there that are no more; what cannot be removed stays.
 ///
-/// Only files of the own user, whose processes the system shows whatever else it hides; where it shows none, nothing is removed.
+/// Only files of the own user, whose processes the system shows whatever else it hides, that nobody has written to for ten minutes; where it shows none,
+/// nothing is removed.
 #[cfg(target_os = "linux")]
 pub(super) fn remove(folder: &Path) {
     use std::os::unix::fs::MetadataExt;
@@ -25,7 +32,8 @@ pub(super) fn remove(folder: &Path) {
         let Some(process) = entry.file_name().to_str().and_then(process_of) else { continue };
         let gone = || fs::symlink_metadata(format!("/proc/{process}")).is_err();
         // Not that of a link, which may lead anywhere.
-        let ours = entry.metadata().is_ok_and(|m| m.is_file() && m.uid() == own.uid());
+        let old = |m: &fs::Metadata| m.modified().ok().and_then(|t| t.elapsed().ok()).is_some_and(|age| age > OLD);
+        let ours = entry.metadata().is_ok_and(|m| m.is_file() && m.uid() == own.uid() && old(&m));
         if ours && gone() {
             let _ = fs::remove_file(entry.path());
         }
@@ -79,6 +87,13 @@ mod tests {
         ];
         for name in left.iter().chain(&kept) {
             fs::write(folder.join(name), "1").unwrap();
+        }
+        // Too young to be nobody's.
+        remove(folder);
+        assert!(left.iter().all(|name| folder.join(name).exists()));
+        for name in &left {
+            let then = std::time::SystemTime::now() - Duration::from_secs(601);
+            fs::File::options().write(true).open(folder.join(name)).unwrap().set_modified(then).unwrap();
         }
         fs::create_dir(folder.join(format!(".y.{NONE}.0.tmp"))).unwrap();
         remove(folder);

@@ -12,8 +12,6 @@ const ROUNDING: f64 = 1e-4;
 
 /// What a covariance may name.
 struct Number {
-    /// Those that are adjusted together: `left`, `right.cam_from_rig`, `view3`.
-    group: String,
     /// Name in the covariance.
     name: String,
     /// Path of its standard deviation in the file.
@@ -31,20 +29,8 @@ pub(super) fn check(r: &Record) -> Check {
     let numbers = numbers(r);
     let at: HashMap<&str, usize> = c.names.iter().enumerate().map(|(i, n)| (n.as_str(), i)).collect();
     check_names(c, &at, &numbers)?;
-    let groups: HashSet<&str> =
-        numbers.iter().filter(|n| at.contains_key(n.name.as_str())).map(|n| n.group.as_str()).collect();
-    for n in numbers.iter().filter(|n| n.sigma.is_finite()) {
-        match at.get(n.name.as_str()) {
-            Some(&i) => check_variance(c, i, n)?,
-            None if n.sigma > 0.0 && groups.contains(n.group.as_str()) => {
-                let message =
-                    format!("\"{}\" is missing, which has {} = {:?}: expected its name", n.name, n.path, n.sigma);
-                return fault("covariance.names", message);
-            }
-            None => {}
-        }
-    }
-    Ok(())
+    let known = numbers.iter().filter(|n| n.sigma.is_finite());
+    known.filter_map(|n| at.get(n.name.as_str()).map(|i| (*i, n))).try_for_each(|(i, n)| check_variance(c, i, n))
 }
 
 fn check_names(c: &Covariance, at: &HashMap<&str, usize>, numbers: &[Number]) -> Check {
@@ -85,7 +71,7 @@ fn check_variance(c: &Covariance, i: usize, n: &Number) -> Check {
 fn numbers(r: &Record) -> Vec<Number> {
     let mut out = vec![];
     let mut add = |group: &str, quantity: &str, path: String, sigma: f64| {
-        out.push(Number { group: group.into(), name: format!("{group}.{quantity}"), path, sigma });
+        out.push(Number { name: format!("{group}.{quantity}"), path, sigma });
     };
     for (i, c) in r.cameras.iter().enumerate() {
         let s = &c.sigma;

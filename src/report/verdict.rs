@@ -171,7 +171,7 @@ fn agreement(r: &Record) -> String {
     let used = r.views.iter().filter(|v| v.used).count();
     let per_camera: Vec<_> = r.cameras.iter().map(|c| format!("{} {}", c.name, plain(c.rms_px, 3))).collect();
     format!(
-        "{} of {} and {} agree to {} px rms ({} px); {}.",
+        "{} of {} and {}: the places of discs agree to {} px rms ({} px); {}.",
         count(r.fit.observations, "observation"),
         count(r.cameras.len(), "camera"),
         count(used, "view"),
