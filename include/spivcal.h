@@ -449,7 +449,7 @@
 #define SPIVCAL_CAMERA_HEIGHT_PX 323
 
 /**
- * Index: camera. Scalar observations of this camera. No sigma.
+ * Index: camera. Edge points of this camera. No sigma.
  */
 #define SPIVCAL_CAMERA_OBSERVATIONS 324
 

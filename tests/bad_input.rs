@@ -434,28 +434,6 @@ fn a_place_that_cannot_be_written_to() {
     refused(&found, 2, &["this folder for the results cannot be made", "is a file; name another place with -o"]);
 }
 
-/// What a run that was ended left under temporary names goes with the next; what only looks so stays.
-#[cfg(target_os = "linux")]
-#[test]
-fn what_an_ended_run_left_is_removed_by_the_next() {
-    let job = Job::new();
-    let mut ended = std::process::Command::new(env!("CARGO_BIN_EXE_spivcal")).arg("--version").spawn().unwrap();
-    let process = ended.id();
-    assert!(ended.wait().unwrap().success());
-    std::fs::create_dir(job.out()).unwrap();
-    let left = [format!(".report.html.{process}.0.tmp"), format!(".report.html.{process}.1.old")];
-    let kept = [format!(".x.{}.0.tmp", std::process::id()), format!("x.{process}.0.tmp"), ".x.tmp".to_string()];
-    for name in left.iter().chain(&kept) {
-        let file = std::fs::File::create(job.out().join(name)).unwrap();
-        file.set_modified(std::time::SystemTime::now() - std::time::Duration::from_secs(3600)).unwrap();
-    }
-    let image = job.path("v01_left.png");
-    let found = spivcal(&["detect", image.to_str().unwrap(), "-o", job.out().to_str().unwrap()]);
-    assert_eq!(found.status.code(), Some(0));
-    assert!(left.iter().all(|name| !job.out().join(name).exists()));
-    assert!(kept.iter().all(|name| job.out().join(name).exists()));
-}
-
 #[test]
 fn results_of_before_stay_when_a_later_run_fails() {
     let job = Job::new();

@@ -3,11 +3,12 @@
 //! Letters, screws and drops beside a target are candidates, too, and what is in them is no even light, which takes long to find out. So large ones
 //! are fitted first; what must be dust beside those that stood it is not fitted at all:
 //! ```text
-//! w = contrast * perimeter,    T_q = radius below which the part q of all w lies
+//! w = contrast * perimeter,    T_q = radius below which the part q of all w lies        of candidates of one polarity
 //! put off: radius <= DUST T_3/4          of all candidates
-//! dust:    radius <= DUST T_1/2          of the discs that were fitted, and of all that were put off, every second of which may be a disc: w / 2
+//! dust:    radius <= DUST T_1/2          of the discs that were fitted, and of all that are put off as if they were discs
 //! ```
-//! Where the large ones are none, those that were put off decide among themselves, and all are fitted.
+//! Discs that were none are taken out of T, and those that are put off and pull it down are fitted, the largest first: what is dropped here would have
+//! been dropped afterwards ([`super::of_target`]).
 
 use super::refine::Start;
 use super::{Disc, RejectionReason};
@@ -20,6 +21,8 @@ const DUST: f64 = 0.25;
 const SURELY: f64 = 0.9;
 /// Part of all contours that is smaller than what is fitted first.
 const LARGE: f64 = 0.75;
+/// So many of those that were put off are fitted first where they may be discs, and twice as many each time after.
+const BATCH: usize = 4;
 /// What is nearer to a disc than this, px, and than as many widths of its blur, may shine into it.
 const NEAR_PX: f64 = 4.0;
 const NEAR_BLURS: f64 = 4.0;
@@ -51,33 +54,53 @@ pub(super) fn is_dust(radius_px: f64, typical_px: f64) -> bool {
     radius_px <= DUST * typical_px
 }
 
-/// All starts refined, in their order; dust is turned down without.
+/// All starts refined, in their order, and which of them were turned down as dust without.
 pub(super) fn refined_but_dust(
     starts: &[Start],
     refine: impl Fn(&Start) -> Result<Disc, RejectionReason> + Sync + Send,
-) -> Vec<Result<Disc, RejectionReason>> {
+) -> (Vec<Result<Disc, RejectionReason>>, Vec<bool>) {
     let sizes: Vec<(f64, f64)> =
         starts.iter().map(|s| (s.ellipse.mean_radius_px(), s.contrast * s.ellipse.perimeter_px())).collect();
-    let surely = |i: usize, typical_px: f64| is_dust(sizes[i].0, SURELY * typical_px);
-    let typical_px = radius_px(sizes.iter().copied(), LARGE).unwrap_or(0.0);
-    let (small, large): (Vec<usize>, Vec<usize>) = (0..starts.len()).partition(|i| surely(*i, typical_px));
-    let (late, mut now): (Vec<usize>, Vec<usize>) =
-        small.into_iter().partition(|i| !large.iter().any(|k| may_shine_into(&starts[*i], &starts[*k])));
-    now.extend(large);
+    let mut late = put_off(starts, &sizes);
     let mut out: Vec<Option<Result<Disc, RejectionReason>>> = vec![None; starts.len()];
-    let fit = |of: &[usize], out: &mut Vec<Option<_>>| {
-        let found = threads::side_by_side(of, |i| refine(&starts[*i]));
-        of.iter().zip(found).for_each(|(i, disc)| out[*i] = Some(disc));
-    };
-    fit(&now, &mut out);
-    let told = out.iter().flatten().flatten().map(size).chain(late.iter().map(|i| (sizes[*i].0, 0.5 * sizes[*i].1)));
-    let typical_px = typical_radius_px(told).unwrap_or(0.0);
-    let (dust, rest): (Vec<usize>, Vec<usize>) = late.into_iter().partition(|i| surely(*i, typical_px));
-    fit(&rest, &mut out);
-    for i in dust {
-        out[i] = Some(Err(RejectionReason::TooSmall { semi_minor_px: starts[i].ellipse.semi_minor_px }));
+    let mut now: Vec<usize> = (0..starts.len()).filter(|i| !late.contains(i)).collect();
+    let mut batch = BATCH;
+    loop {
+        let found = threads::side_by_side(&now, |i| refine(&starts[*i]));
+        now.iter().zip(found).for_each(|(i, disc)| out[*i] = Some(disc));
+        let surely = [false, true].map(|bright| {
+            let of = |i: &usize| starts[*i].bright == bright;
+            let stood = (0..starts.len()).filter(of).filter_map(|i| out[i].as_ref()?.as_ref().ok().map(size));
+            let typical_px = typical_radius_px(stood.chain(late.iter().copied().filter(of).map(|i| sizes[i])));
+            SURELY * typical_px.unwrap_or(0.0)
+        });
+        let doubtful = |i: &usize| !is_dust(sizes[*i].0, surely[usize::from(starts[*i].bright)]);
+        now = late.iter().copied().filter(doubtful).take(batch).collect();
+        if now.is_empty() {
+            break;
+        }
+        late.retain(|i| !now.contains(i));
+        batch *= 2;
     }
-    out.into_iter().flatten().collect()
+    for i in &late {
+        out[*i] = Some(Err(RejectionReason::TooSmall { semi_minor_px: starts[*i].ellipse.semi_minor_px }));
+    }
+    let dust = (0..starts.len()).map(|i| late.contains(&i)).collect();
+    (out.into_iter().flatten().collect(), dust)
+}
+
+/// What may be dust, and shines into no larger one; the largest first.
+fn put_off(starts: &[Start], sizes: &[(f64, f64)]) -> Vec<usize> {
+    let mut out = vec![];
+    for bright in [false, true] {
+        let own: Vec<usize> = (0..starts.len()).filter(|i| starts[*i].bright == bright).collect();
+        let typical_px = radius_px(own.iter().map(|i| sizes[*i]), LARGE).unwrap_or(0.0);
+        let (small, large): (Vec<usize>, Vec<usize>) =
+            own.iter().partition(|i| is_dust(sizes[**i].0, SURELY * typical_px));
+        out.extend(small.into_iter().filter(|i| !large.iter().any(|k| may_shine_into(&starts[*i], &starts[*k]))));
+    }
+    out.sort_by(|a, b| sizes[*b].0.total_cmp(&sizes[*a].0).then(a.cmp(b)));
+    out
 }
 
 /// Whether light of a speck may reach the edge of a disc.
@@ -119,43 +142,66 @@ mod tests {
     /// Which starts were fitted, and what came of all, where `stands` says which are discs.
     fn fitted(starts: &[Start], stands: impl Fn(f64) -> bool + Sync + Send) -> (Vec<f64>, Vec<Result<f64, String>>) {
         let asked = Mutex::new(vec![]);
-        let found = refined_but_dust(starts, |s| {
+        let (found, dust) = refined_but_dust(starts, |s| {
             let (radius, at) = (s.ellipse.semi_major_px, s.ellipse.center_px);
             asked.lock().unwrap().push(radius);
             let found = disc(at.u_px, at.v_px, radius, radius, 0.0);
             if stands(radius) { Ok(found) } else { Err(RejectionReason::Overlapping) }
         });
+        let asked = asked.into_inner().unwrap();
+        assert_eq!(asked.len() + dust.iter().filter(|d| **d).count(), starts.len());
         let words = found.into_iter().map(|f| f.map(|d| d.ellipse.semi_major_px).map_err(|e| e.to_string()));
-        (asked.into_inner().unwrap(), words.collect())
+        (asked, words.collect())
+    }
+
+    /// Dots in rows, far from the middle.
+    fn dots(count: u32, radius_px: f64) -> Vec<Start<'static>> {
+        (0..count).map(|k| start([f64::from(k % 10) * 60.0, f64::from(k / 10) * 60.0], radius_px)).collect()
     }
 
     #[test]
     fn letters_beside_two_discs_are_not_fitted() {
-        let mut starts = vec![start([300.0, 300.0], 100.0), start([600.0, 300.0], 80.0)];
-        // As much contour as the discs have.
-        starts.extend((0..16).map(|k| start([100.0 + 60.0 * f64::from(k), 600.0], 12.0)));
+        let mut starts = vec![start([1300.0, 300.0], 100.0), start([1600.0, 300.0], 80.0)];
+        starts.extend(dots(12, 12.0));
         // One on the rim of a disc, whose light it may be in.
-        starts.push(start([300.0, 408.0], 10.0));
-        let (asked, found) = fitted(&starts, |_| true);
-        let mut sizes = asked.clone();
-        sizes.sort_by(f64::total_cmp);
-        assert_eq!(sizes, [10.0, 80.0, 100.0]);
+        starts.push(start([1300.0, 408.0], 10.0));
+        let (mut asked, found) = fitted(&starts, |_| true);
+        asked.sort_by(f64::total_cmp);
+        assert_eq!(asked, [10.0, 80.0, 100.0]);
         assert_eq!(found[0..2], [Ok(100.0), Ok(80.0)]);
-        assert!(found[2..18].iter().all(|f| f == &Err("too small: minor semi-axis 12.0 px".into())), "{found:?}");
-        assert_eq!(found[18], Ok(10.0));
+        assert!(found[2..14].iter().all(|f| f == &Err("too small: minor semi-axis 12.0 px".into())), "{found:?}");
+        assert_eq!(found[14], Ok(10.0));
     }
 
-    /// A shadow that is no disc does not make dust of the discs.
+    /// More contour than the discs have, most of it no disc: the largest of it is looked at, until the rest is dust.
+    #[test]
+    fn print_that_is_no_disc_is_dust_once_that_is_known() {
+        let mut starts = vec![start([1300.0, 300.0], 100.0), start([1600.0, 300.0], 80.0)];
+        starts.extend(dots(4, 15.0));
+        starts.extend(dots(12, 11.0));
+        let (asked, found) = fitted(&starts, |radius| radius > 50.0);
+        assert_eq!(asked[2..], [15.0; 4], "{asked:?}");
+        assert!(found[6..].iter().all(|f| f == &Err("too small: minor semi-axis 11.0 px".into())), "{found:?}");
+    }
+
+    /// A shadow that is no disc does not make dust of the discs, nor does a large disc of a grid, nor a lamp of the other polarity.
     #[test]
     fn what_stands_decides_what_is_dust() {
-        let starts = [start([500.0, 500.0], 300.0), start([100.0, 100.0], 30.0), start([900.0, 100.0], 25.0)];
+        let starts = [start([500.0, 500.0], 300.0), start([2100.0, 100.0], 30.0), start([2900.0, 100.0], 25.0)];
         let (asked, found) = fitted(&starts, |radius| radius < 100.0);
         assert_eq!(asked, [300.0, 30.0, 25.0]);
         assert!(found[0].is_err() && found[1..] == [Ok(30.0), Ok(25.0)], "{found:?}");
-        // Nor does a large one that is a disc among a hundred dots.
-        let mut dots: Vec<Start> =
-            (0..100).map(|k| start([f64::from(k % 10) * 40.0, f64::from(k / 10) * 40.0], 10.0)).collect();
-        dots.push(start([2000.0, 2000.0], 300.0));
-        assert_eq!(fitted(&dots, |_| true).0.len(), 101);
+        for (count, radius_px, large_px) in [(49, 10.0, 300.0), (25, 10.0, 200.0), (9, 10.0, 60.0)] {
+            let mut all = dots(count, radius_px);
+            all.push(start([4000.0, 4000.0], large_px));
+            let (asked, found) = fitted(&all, |_| true);
+            assert_eq!((asked.len(), found.iter().filter(|f| f.is_ok()).count()), (all.len(), all.len()));
+        }
+        for (count, lamp_px) in [(9, 400.0), (49, 2000.0)] {
+            let mut all = dots(count, 10.0);
+            all.push(Start { bright: true, contrast: 900.0, ..start([9000.0, 9000.0], lamp_px) });
+            assert_eq!(fitted(&all, |_| true).0.len(), all.len());
+        }
+        assert!(fitted(&[], |_| true).1.is_empty());
     }
 }

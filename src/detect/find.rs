@@ -179,7 +179,7 @@ fn fit_all(
         start.smoke &= !(start.bright && shot_noise.is_some_and(|noise| noise.is_all_of(start)));
         start.shot_noise = shot_noise;
     }
-    let mut refined = refined_but_dust(starts, |start| refine(view, start));
+    let (mut refined, dust) = refined_but_dust(starts, |start| refine(view, start));
     let close = refine_beside(view, starts, &mut refined, sigma, again);
     if shot_noise.is_none() && close.contains(&true) && !starts.iter().any(|start| start.smoke && start.bright) {
         // Light of neighbours may have passed for noise.
@@ -187,7 +187,7 @@ fn fit_all(
         if told.is_some() {
             starts.iter_mut().for_each(|start| start.shot_noise = told);
             // Close ones start from what is known of their neighbours.
-            let alone: Vec<usize> = (0..starts.len()).filter(|i| !close[*i]).collect();
+            let alone: Vec<usize> = (0..starts.len()).filter(|i| !close[*i] && !dust[*i]).collect();
             let found = threads::side_by_side(&alone, |i| refine(view, &starts[*i]));
             alone.into_iter().zip(found).for_each(|(i, disc)| refined[i] = disc);
             refine_beside(view, starts, &mut refined, sigma, again);

@@ -22,6 +22,8 @@ const REACH: f64 = 2.0;
 const PART: f64 = 0.35;
 /// Those beside the maximum already where they exceed this part: a peak of sharp images is no wider.
 const PART_BESIDE: f64 = 0.02;
+/// What of a normal equation the others may leave, at least; less is rounding.
+const DETERMINED: f64 = 1e-9;
 /// Fewest samples: the maximum and its four neighbours.
 const FEWEST: usize = 5;
 /// A second peak is looked for beyond this many standard deviations of the first.
@@ -172,11 +174,14 @@ impl CorrelationMap {
         if count < FEWEST {
             return None;
         }
-        // Without a sample off both axes nothing tells how they go together.
-        if normal[(4, 4)] == 0.0 {
-            normal[(4, 4)] = 1.0;
-        }
-        let s = normal.cholesky()?.solve(&right);
+        // Where samples off both axes do not tell how these go together, they are taken as they are along each.
+        let s = solved(&normal, &right).or_else(|| {
+            for k in 0..6 {
+                (normal[(4, k)], normal[(k, 4)]) = (0.0, 0.0);
+            }
+            (normal[(4, 4)], right[4]) = (1.0, 0.0);
+            solved(&normal, &right)
+        })?;
         let h = Matrix2::new(-2.0 * s[3], -s[4], -s[4], -2.0 * s[5]);
         let shape = h.try_inverse()?;
         let place = shape * Vector2::new(s[1], s[2]);
@@ -222,6 +227,14 @@ impl CorrelationMap {
         }
         peak.height * root(peak.shift_px.x, self.width) * root(peak.shift_px.y, self.height) / second.max(1e-12)
     }
+}
+
+/// The solution of normal equations that determine it.
+fn solved(normal: &SMatrix<f64, 6, 6>, right: &SVector<f64, 6>) -> Option<SVector<f64, 6>> {
+    let factor = normal.cholesky()?;
+    let l = factor.l_dirty();
+    let determined = (0..6).all(|i| l[(i, i)] * l[(i, i)] > DETERMINED * normal[(i, i)]);
+    determined.then(|| factor.solve(right))
 }
 
 /// A covariance with standard deviations of at most `sigma_px` in all directions: a window cannot tell a wider peak from what lies beside it.
@@ -285,6 +298,15 @@ mod tests {
                 let p = map.peak(8).unwrap();
                 assert!((p.shift_px - shift).norm() < 0.06, "{sigma} {part} {p:?}");
             }
+        }
+        // Nor are samples that do not determine a peak: two rows of three, and a cross that lacks an arm, whatever is beside it.
+        for lacking in [&[(-1, -1), (0, -1), (1, -1)][..], &[(0, -1), (-1, -1), (-1, 1), (1, -1)]] {
+            let mut map = hills(33, &[(0.8, Vector2::new(0.1, 0.2), Matrix2::identity() * 0.3)]);
+            let at = |(x, y): (isize, isize)| ((y + 16) * 33 + x + 16) as usize;
+            let far: Vec<_> = map.shifts().filter(|d| d.0.abs() > 1 || d.1.abs() > 1).collect();
+            far.into_iter().for_each(|d| map.values[at(d)] = 0.0);
+            lacking.iter().for_each(|d| map.values[at(*d)] = 0.0);
+            assert_eq!(map.peak(8), None, "{lacking:?}");
         }
         // A single sample is none.
         let mut map = hills(33, &[]);

@@ -118,7 +118,7 @@ pub const SPIVCAL_CAMERA_RMS_PX: i32 = 321;
 pub const SPIVCAL_CAMERA_WIDTH_PX: i32 = 322;
 /// Index: camera. Height of its images, px. No sigma.
 pub const SPIVCAL_CAMERA_HEIGHT_PX: i32 = 323;
-/// Index: camera. Scalar observations of this camera. No sigma.
+/// Index: camera. Edge points of this camera. No sigma.
 pub const SPIVCAL_CAMERA_OBSERVATIONS: i32 = 324;
 /// Index: camera. Pixel pitch as the rig description gives it, mm. No sigma.
 pub const SPIVCAL_CAMERA_PIXEL_PITCH_MM: i32 = 325;

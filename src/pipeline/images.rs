@@ -62,7 +62,7 @@ pub(super) fn see_all(
             wanted.extend(name.as_ref().map(|n| (view, camera, n.clone())));
         }
     }
-    let names: Vec<String> = wanted.iter().map(|w| w.2.clone()).collect();
+    let names: Vec<([usize; 2], String)> = wanted.iter().map(|w| ([w.0, w.1], w.2.clone())).collect();
     let total = wanted.len();
     let done = Mutex::new(0usize);
     let stopped = AtomicBool::new(false);
@@ -87,10 +87,13 @@ pub(super) fn see_all(
     if stopped.load(Ordering::Relaxed) {
         return Err(Unusable::Cancelled.into());
     }
-    let failed = all.iter().zip(&names).filter(|(seen, _)| matches!(seen, Err(Error::Insufficient(_))));
-    let failed: Vec<&str> = failed.map(|(_, name)| name.as_str()).collect();
-    let enough = total > failed.len() + job.cameras.len();
-    let images: Vec<SeenImage> = all.into_iter().collect::<Result<_>>().map_err(|e| with_others(e, &failed, enough))?;
+    let lacks = |seen: &Result<SeenImage>| matches!(seen, Err(Error::Insufficient(_)));
+    let failed = all.iter().zip(&names).filter(|(seen, _)| lacks(seen));
+    let failed: Vec<([usize; 2], &str)> = failed.map(|(_, (at, name))| (*at, name.as_str())).collect();
+    let without = left_out(job, &failed);
+    let failed: Vec<&str> = failed.iter().map(|(_, name)| *name).collect();
+    let images: Vec<SeenImage> =
+        all.into_iter().collect::<Result<_>>().map_err(|e| with_others(e, &failed, without))?;
     check_sizes(job, &images)?;
     refuse_repeated(job, &images)?;
     Ok(images)
@@ -99,17 +102,32 @@ pub(super) fn see_all(
 /// Images named in a message at most.
 const NAMED: usize = 4;
 
-/// What an image lacks, with the others that lack something; where there are enough without them they may be left out.
-fn with_others(e: Error, failed: &[&str], enough: bool) -> Error {
+/// What can be done without the images (view and camera) that lack something: leave them out, or their views.
+fn left_out(job: &RigDescription, failed: &[([usize; 2], &str)]) -> &'static str {
+    let kept = |v: usize| -> usize {
+        let named = |c: &usize| job.views[v].images[*c].is_some() && !failed.iter().any(|f| f.0 == [v, *c]);
+        (0..job.cameras.len()).filter(named).count()
+    };
+    let views = |least: usize| (0..job.views.len()).filter(|v| kept(*v) >= least).count();
+    let every_view_stays = failed.iter().all(|f| kept(f.0[0]) > 0);
+    match job.cameras.len() {
+        // As many as a camera needs, and one that both see.
+        2 if every_view_stays && views(2) >= 2 => "; an image may also be left out: a view may lack a camera",
+        _ if views(job.cameras.len()) >= 2 => "; the view may also be left out",
+        _ => "",
+    }
+}
+
+/// What an image lacks, with the others that lack something, and what can be done without them.
+fn with_others(e: Error, failed: &[&str], without: &str) -> Error {
     let others = match failed {
         [] | [_] => String::new(),
         [_, others @ ..] => {
             let more = if others.len() > NAMED { ", ..." } else { "" };
             let named = others.iter().take(NAMED).copied().collect::<Vec<_>>().join(", ");
-            format!("; so it is with {} more of the images: {named}{more}", others.len())
+            format!("; {} more of the images lack something, too: {named}{more}", others.len())
         }
     };
-    let without = if enough { "; an image may also be left out: a view may lack a camera" } else { "" };
     match e {
         Error::Insufficient(Insufficient::TooFewDiscs { image, found, needed, hint }) => {
             Insufficient::TooFewDiscs { image, found, needed, hint: format!("{hint}{others}{without}") }.into()

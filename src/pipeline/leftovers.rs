@@ -22,17 +22,23 @@ const OLD: Duration = Duration::from_secs(600);
 
 /// Removes from a folder what processes left there that are no more; what cannot be removed stays.
 ///
-/// Only files of the own user, whose processes the system shows whatever else it hides, that nobody has written to for ten minutes; where it shows none,
+/// Only files of the own user, whose processes the system shows whatever else it hides, that have had their names for ten minutes; where it shows none,
 /// nothing is removed.
 #[cfg(target_os = "linux")]
 pub(super) fn remove(folder: &Path) {
+    remove_older(folder, OLD);
+}
+
+#[cfg(target_os = "linux")]
+fn remove_older(folder: &Path, than: Duration) {
     use std::os::unix::fs::MetadataExt;
     let (Ok(own), Ok(entries)) = (fs::metadata("/proc/self"), fs::read_dir(folder)) else { return };
     for entry in entries.flatten() {
         let Some(process) = entry.file_name().to_str().and_then(process_of) else { continue };
         let gone = || fs::symlink_metadata(format!("/proc/{process}")).is_err();
         // Not that of a link, which may lead anywhere.
-        let old = |m: &fs::Metadata| m.modified().ok().and_then(|t| t.elapsed().ok()).is_some_and(|age| age > OLD);
+        // When it got its name (a link to an old result has the time of that otherwise), before this process was first looked at.
+        let old = |m: &fs::Metadata| own.ctime().saturating_sub(m.ctime()).max(0) as u64 >= than.as_secs();
         let ours = entry.metadata().is_ok_and(|m| m.is_file() && m.uid() == own.uid() && old(&m));
         if ours && gone() {
             let _ = fs::remove_file(entry.path());
@@ -91,12 +97,8 @@ mod tests {
         // Too young to be nobody's.
         remove(folder);
         assert!(left.iter().all(|name| folder.join(name).exists()));
-        for name in &left {
-            let then = std::time::SystemTime::now() - Duration::from_secs(601);
-            fs::File::options().write(true).open(folder.join(name)).unwrap().set_modified(then).unwrap();
-        }
         fs::create_dir(folder.join(format!(".y.{NONE}.0.tmp"))).unwrap();
-        remove(folder);
+        remove_older(folder, Duration::ZERO);
         assert!(left.iter().all(|name| !folder.join(name).exists()));
         assert!(kept.iter().all(|name| folder.join(name).exists()));
         assert!(folder.join(format!(".y.{NONE}.0.tmp")).exists());

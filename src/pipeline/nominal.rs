@@ -45,7 +45,8 @@ fn words(l: &Stated) -> String {
 
 fn lengths(s: &Solved) -> Vec<Stated> {
     let shape = s.adjustment.state.shape_mm;
-    let sigma = |name: &str| s.covariance.sigma(name).unwrap_or(0.0);
+    // What is not determined contradicts nothing.
+    let sigma = |name: &str| s.covariance.sigma(name).unwrap_or(f64::NAN);
     let of = |name, stated_mm: Option<f64>, found_mm, key: &str, limit| {
         stated_mm.map(|stated_mm| Stated { name, stated_mm, found_mm, sigma_mm: sigma(key), limit })
     };

@@ -12,9 +12,6 @@ use std::collections::BTreeSet;
 /// Files written with five digits agree to this, relative to lengths and in sines and cosines of angles.
 const ROUNDING: f64 = 1e-4;
 
-/// How far an effective pinhole may be from that of the model, over its image distance; files written with 8 digits pass.
-const EFFECTIVE: f64 = 1e-6;
-
 /// Values of `target.kind`; the last where a calibration comes from another package.
 const KINDS: [&str; 5] = ["two-discs", "bubbles", "dot-grid", "two-level-plate", "none"];
 
@@ -68,7 +65,7 @@ pub(super) fn check_effective(stated: &Effective, model: &EffectivePinhole, at: 
     let all =
         [("f_px", stated.f_px, model.f_px), ("cx_px", stated.cx_px, model.cx_px), ("cy_px", stated.cy_px, model.cy_px)];
     for (key, x, expected) in all {
-        if x.is_finite() && (x - expected).abs() > EFFECTIVE * (model.f_px.abs() + expected.abs()) {
+        if x.is_finite() && (x - expected).abs() > ROUNDING * (model.f_px.abs() + expected.abs()) {
             let message = format!("{x} contradicts f, principal point and tilt of the camera: expected {expected}");
             return fault(format!("{at}.effective.{key}"), message);
         }
