@@ -52,8 +52,8 @@ fn check_names(c: &Covariance, at: &HashMap<&str, usize>, numbers: &[Number]) ->
 
 fn check_variance(c: &Covariance, i: usize, n: &Number) -> Check {
     let by_matrix = c.known(i, i).sqrt();
-    // What is not determined has none.
-    if !by_matrix.is_finite() || (by_matrix - n.sigma).abs() <= ROUNDING * by_matrix.max(n.sigma) {
+    // What is not determined has none, and of 0 nothing is stated beside the matrix.
+    if !by_matrix.is_finite() || n.sigma == 0.0 || (by_matrix - n.sigma).abs() <= ROUNDING * by_matrix.max(n.sigma) {
         return Ok(());
     }
     let message = format!(
