@@ -1,13 +1,19 @@
 //! Specks far smaller than the discs of an image are no discs of the target.
 //!
 //! Letters, screws and drops beside a target are candidates, too, and what is in them is no even light, which takes long to find out: a hundred times
-//! what the contour takes. So it is not asked of what must be dust:
+//! what the contour takes. So it is not asked of what is dust:
 //! ```text
 //! w = contrast * perimeter,    T_q = radius below which the part q of all w lies        of one polarity
-//! put off: radius <= DUST T_3/4          of all candidates; fitted without asking for smoke
-//! dust:    radius <= DUST T_1/2          of the discs that all these fits give
+//! put off: r <= SURELY DUST T_3/4          of all candidates; fitted without asking for smoke
+//! dust:    r <= SURELY DUST T_1/2          of the discs that all these fits give
 //! ```
-//! What is put off and no dust is fitted as all others. What is dropped here would have been dropped afterwards ([`super::of_target`]).
+//! What is put off and no dust is fitted as all others. The same rule without `SURELY` is that of all discs afterwards ([`super::of_target`]).
+//!
+//! | symbol | identifier | unit | frame | meaning |
+//! |---|---|---|---|---|
+//! | r | first of `sizes` | px | image | mean radius of a candidate's ellipse, before it is fitted |
+//! | w | second of `sizes` | grey px | image | how much of a contour there is |
+//! | T | `typical_px` | px | image | radius in whose size class the contours lie |
 
 use super::refine::Start;
 use super::{Disc, RejectionReason};
@@ -68,7 +74,9 @@ pub(super) fn refined_but_dust(
         let found = threads::side_by_side(of, start);
         of.iter().zip(found).for_each(|(i, disc)| out[*i] = Some(disc));
     };
-    let now: Vec<usize> = (0..starts.len()).filter(|i| !late.contains(i)).collect();
+    let mut waits = vec![false; starts.len()];
+    late.iter().for_each(|i| waits[*i] = true);
+    let now: Vec<usize> = (0..starts.len()).filter(|i| !waits[*i]).collect();
     fit(&now, true, &mut out);
     fit(&late, false, &mut out);
     let surely = [false, true].map(|bright| {
@@ -163,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn letters_beside_two_discs_are_not_fitted() {
+    fn letters_beside_two_discs_are_not_asked_for_smoke() {
         let mut starts = vec![start([1300.0, 300.0], 100.0), start([1600.0, 300.0], 80.0)];
         starts.extend(dots(12, 12.0));
         // One on the rim of a disc, whose light it may be in.

@@ -1,8 +1,10 @@
 //! Lengths of the target that are stated, against those that the images give it: two of them that contradict each other mean that one is wrong, and
 //! the one that sets the scale may be it. A wrong scale alone shows in nothing.
+//! ```text
+//! told where |l - l_0| > limit l_0  and  |l - l_0| > SIGMAS s        l by the images, l_0 as stated, s its standard deviation, mm, frame of the target
+//! ```
 
 use super::calibrate::Solved;
-use crate::bundle::TargetShape;
 use crate::target::Target;
 
 /// A step or a radius of two discs that is off by more than this part was not made so; ink and blur change dots of a grid by more.
@@ -22,9 +24,6 @@ struct Stated {
 
 /// What is to be told of lengths that contradict the one that sets the scale.
 pub(super) fn contradictions(s: &Solved) -> Vec<String> {
-    if s.adjustment.model.target.per_view() {
-        return vec![];
-    }
     let far = |l: &Stated| {
         let off = (l.found_mm - l.stated_mm).abs();
         off > l.limit * l.stated_mm && off > SIGMAS * l.sigma_mm
@@ -50,9 +49,8 @@ fn lengths(s: &Solved) -> Vec<Stated> {
     let of = |name, stated_mm: Option<f64>, found_mm, key: &str, limit| {
         stated_mm.map(|stated_mm| Stated { name, stated_mm, found_mm, sigma_mm: sigma(key), limit })
     };
-    let pair = matches!(s.adjustment.model.target.shape, TargetShape::Pair { .. });
     let all = match &s.job.target.target {
-        Target::TwoDiscs(p) | Target::Bubbles(p) if pair => {
+        Target::TwoDiscs(p) => {
             let radius = |k: usize| p.radii_mm.map(|r| r[k]);
             vec![
                 of("distance of the two discs", p.spacing_mm, shape[0], "target.spacing_mm", OFF),
@@ -60,7 +58,8 @@ fn lengths(s: &Solved) -> Vec<Stated> {
                 of("radius of the second disc", radius(1), shape[2], "target.radius1_mm", OFF),
             ]
         }
-        Target::TwoDiscs(_) | Target::Bubbles(_) => vec![],
+        // Of another size in each view.
+        Target::Bubbles(_) => vec![],
         Target::DotGrid(g) => vec![
             of("pitch of the grid", g.spacing_mm, shape[0], "target.spacing_mm", OFF),
             of("radius of its dots", g.radius_mm, shape[1], "target.radius_mm", OFF_DOTS),
