@@ -46,12 +46,12 @@ if [ "${1-}" = --renew ]; then
     cp "$work/renewed" "$list"
 fi
 failed=0
-while read -r name now; do
-    recorded=$(sed -n "s/^$name //p" "$list")
-    echo "$name: $now MB, recorded ${recorded:-nothing} MB"
-    if ! awk -v now="$now" -v recorded="${recorded:-0}" 'BEGIN { exit !(now <= 1.2 * recorded) }'; then
-        echo "FAILED: $name: more than a fifth above what is recorded"
+while read -r name recorded; do
+    now=$(sed -n "s/^$name //p" "$work/rows")
+    echo "$name: ${now:-nothing measured} MB, recorded $recorded MB"
+    if ! awk -v now="$now" -v recorded="$recorded" 'BEGIN { exit !(now + 0 > 0 && now + 0 <= 1.2 * recorded) }'; then
+        echo "FAILED: $name: more than a fifth above what is recorded, or nothing measured"
         failed=1
     fi
-done <"$work/rows"
+done < <(grep -v '^#' "$list")
 exit $failed

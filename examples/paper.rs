@@ -204,9 +204,9 @@ fn table(text: &mut String, title: &str, words: &str, quantities: &[Quantity]) {
     let _ = writeln!(text, "## {title}\n\n{words}\n");
     let _ = writeln!(
         text,
-        "| quantity | printed | truth | mean | sampled sigma | predicted sigma | sampled / predicted | predicted, axis points known | is the printed sigma possible? |"
+        "| quantity | printed | truth | mean | sampled sigma | predicted sigma | sampled / predicted | predicted, axis points known |"
     );
-    let _ = writeln!(text, "|---|---|---|---|---|---|---|---|---|");
+    let _ = writeln!(text, "|---|---|---|---|---|---|---|---|");
     for q in quantities {
         let n = q.sampled.len() as f64;
         let mean = q.sampled.iter().sum::<f64>() / n;
@@ -216,10 +216,10 @@ fn table(text: &mut String, title: &str, words: &str, quantities: &[Quantity]) {
         let (name, ratio) = (q.name, sigma / q.predicted);
         let (truth, mean, sigma, predicted) = (r(q.truth), r(mean), r(sigma), r(q.predicted));
         let known = if q.name.contains("axis point") { "given".into() } else { rounded(q.axis_known, q.axis_known) };
-        let (printed, possible) = (printed(title, name), possible_sigma(name));
+        let printed = printed(title, name);
         let _ = writeln!(
             text,
-            "| {name}{unit} | {printed} | {truth} | {mean} | {sigma} | {predicted} | {ratio:.2} | {known} | {possible} |"
+            "| {name}{unit} | {printed} | {truth} | {mean} | {sigma} | {predicted} | {ratio:.2} | {known} |"
         );
     }
     text.push('\n');
@@ -230,15 +230,6 @@ fn printed(table: &str, quantity: &str) -> &'static str {
     match (table, quantity) {
         ("Table 1", "left f" | "right f") => "8067",
         ("Table 1", "left beta" | "right beta") => "2.8 (size)",
-        _ => "-",
-    }
-}
-
-/// What is known of the printed sigmas.
-fn possible_sigma(quantity: &str) -> &'static str {
-    match quantity.split_once(' ').map_or(quantity, |q| q.1) {
-        "f" | "beta" => "no: 14 to 500 times below the bound",
-        "alpha" | "k1" => "plausible",
         _ => "-",
     }
 }

@@ -576,7 +576,7 @@
 #define SPIVCAL_SHEET_DISPARITY_RMS_PX 422
 
 /**
- * Distance of the centres of a pair, or pitch of a grid, mm.
+ * Distance of the centres of a pair, or pitch of a grid, mm. Bubbles, whose spacing changes from view to view, have none.
  */
 #define SPIVCAL_TARGET_SPACING_MM 431
 

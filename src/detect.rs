@@ -30,7 +30,7 @@ mod surface;
 mod trace;
 mod whole;
 
-pub use find::{find_discs, find_discs_with};
+pub use find::{find_discs, find_discs_while, find_discs_with};
 pub(crate) use plane::noise;
 pub use rejection::{Rejection, RejectionReason, counted, counted_words, missing_words};
 pub use whole::DetectMemory;

@@ -57,6 +57,8 @@ pub struct Subject<'a> {
     pub covariance: &'a NamedCovariance,
     /// Indices of the facts that the program assumed and the user did not state.
     pub assumed: &'a [usize],
+    /// Whether how far dots lie off their places was stated, where each is estimated.
+    pub point_sigma_stated: bool,
     /// Label of each disc of the target.
     pub labels: &'a [DotId],
     /// Width and height of each camera's images, px.

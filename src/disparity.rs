@@ -40,6 +40,7 @@ mod check;
 mod correlate;
 mod lattice;
 mod light;
+mod masks;
 mod misalignment;
 mod peak;
 mod planar;
@@ -52,6 +53,6 @@ mod scatter;
 mod smear;
 mod stepped;
 
-pub use check::{CheckOptions, CheckOutput, ParticlePair, check_sheet};
+pub use check::{CheckOptions, CheckOutput, ParticlePair, check_sheet, check_sheet_masked};
 pub use planar::{PlanarOptions, PlanarVectors, planar_displacements};
 pub use plane::sheet_of_view;

@@ -24,7 +24,7 @@ pub use model::{AXIS_POINT_SIGMA, LOSS_SIGMAS, POINT_SIGMA};
 pub use png::png_bytes;
 pub use sheet_alone::{SheetOptions, SheetOutput, TRANSFER_LIMIT_PX, find_sheet};
 pub use tiff_file::{ImageScale, tiff_bytes};
-pub use workers::{MOST_THREADS, Workers};
+pub use workers::{MOST_THREADS, STACK_BYTES, Workers};
 
 use crate::error::Result;
 use crate::image::GrayImage;
@@ -45,6 +45,8 @@ pub enum Progress<'a> {
         /// Name of the image.
         name: &'a str,
     },
+    /// An image is being searched: nothing new, but a question whether to go on.
+    Searching,
     /// A step of the adjustment.
     Iteration {
         /// Linearisations so far in this solve.

@@ -406,6 +406,13 @@ pub struct ViewDescription {
     pub line: usize,
 }
 
+impl ViewDescription {
+    /// Its known position along the sheet's normal, mm: that of the sheet itself is 0.
+    pub fn position_mm(&self) -> Option<f64> {
+        if self.sheet { Some(0.0) } else { self.plane_z_mm?.value_mm() }
+    }
+}
+
 /// Position of a view along a traverse: parallel to the sheet, counted towards the viewer of the target.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PlaneZ {

@@ -132,7 +132,7 @@ pub fn preset_text(name: &str) -> Option<&'static str> {
 /// Render every view in every camera, and write down what is true and what is known.
 ///
 /// # Errors
-/// [`crate::Error::Bug`] only: a scene that was read can be rendered.
+/// [`Invalid::Value`] where cameras see so much of the light that there are too many particles.
 pub fn simulate(scene: &Scene) -> Result<Simulation> {
     let mut images = Vec::new();
     for view in 0..scene.setup.views.len() {
@@ -148,13 +148,13 @@ pub fn simulate(scene: &Scene) -> Result<Simulation> {
 /// Images of the particles alone, with their names: of every moment one per camera, or two with a flow (`a`, `b`); empty without a table `[particles]`.
 ///
 /// # Errors
-/// [`crate::Error::Bug`] only: a scene that was read can be rendered.
+/// [`Invalid::Value`] where cameras see so much of the light that there are too many particles.
 pub fn simulate_particles(scene: &Scene) -> Result<Vec<(String, GrayImage)>> {
     let Some(keys) = &scene.file.particles else { return Ok(Vec::new()) };
     let (setup, seed) = (&scene.setup, scene.file.seed);
     let mut images = Vec::new();
     for moment in 0..keys.pairs {
-        let all = Particles::new(keys, &setup.cameras, &setup.bench_from_light, seed, moment);
+        let all = Particles::new(keys, &setup.cameras, &setup.bench_from_light, seed, moment)?;
         let exposures = match &keys.flow {
             None => vec![("", all)],
             Some(flow) => vec![("a", all.carried(flow, -0.5)), ("b", all.carried(flow, 0.5))],

@@ -547,6 +547,12 @@ fn fields_of_another_calibration_or_camera_are_told() {
     assert!(code == 2 && said.contains("another calibration") && said.contains("dewarp them again"), "{said}");
     let (code, said) = reconstruct("c.json", fields, "before/dewarp.json");
     assert!(code == 2 && said.contains("z = 1.5 mm"), "{said}");
+    // A dewarp.json that does not say which calibration it is of.
+    let mut silent: serde_json::Value = serde_json::from_str(&text).unwrap();
+    silent["grid_in_images_px"] = serde_json::json!({});
+    std::fs::write(at("silent.json"), silent.to_string()).unwrap();
+    let (code, said) = reconstruct("c.json", fields, "silent.json");
+    assert!(code == 2 && said.contains("cannot be told"), "{said}");
     let (code, said) = reconstruct("c.json", [fields[1], fields[0]], "sheet/dewarp.json");
     assert!(
         code == 1 && said.contains("stands for camera \"left\", but its name is that of camera \"right\""),

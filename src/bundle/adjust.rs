@@ -49,7 +49,7 @@ pub struct Outlier {
     pub camera: usize,
     /// Disc of the target.
     pub disc: usize,
-    /// Distance of its image from where the adjustment without it expects it, px.
+    /// Distance of its image from where the adjustment expects it after which it was set aside, px.
     pub distance_px: f64,
 }
 
@@ -409,7 +409,7 @@ fn variance_factor(chi2: f64, dof: f64) -> f64 {
     if dof < 1.0 || chi_square_above(chi2, dof) > CHANCE { 1.0 } else { chi2 / dof }
 }
 
-/// Takes out discs that lie off by more than the limit; never more than a fifth of an image.
+/// Takes out discs that lie off by more than the limit; never more than a fifth of an image, those of earlier rounds included.
 ///
 /// `all` are the residuals of the images; those of the discs taken out leave with them.
 fn set_outliers_aside(
@@ -441,7 +441,8 @@ fn set_outliers_aside(
                 .filter(|d| is_bad(d))
                 .map(|d| Outlier { view: image.view, camera: c, disc: d.disc, distance_px: d.distance_px() })
                 .collect();
-            if bad.is_empty() || bad.len() * 5 > discs.len() {
+            let before = outliers.iter().filter(|o| [o.view, o.camera] == [image.view, c]).count();
+            if bad.is_empty() || 5 * (before + bad.len()) > before + discs.len() {
                 continue;
             }
             found = true;

@@ -138,6 +138,9 @@ pub(super) struct Check {
     /// Correct the cameras, too, by what no sheet explains, as far as the calibration's covariance allows
     #[arg(long, requires = "refine")]
     pub(super) refine_cameras: bool,
+    /// Masks of both cameras, of the size of their images: where a mask is 0 (black), nothing is measured in any image (a model, a wall, reflections)
+    #[arg(long, num_args = 2, value_names = ["LEFT", "RIGHT"])]
+    pub(super) masks: Option<Vec<PathBuf>>,
     /// Side of a window of the disparity map, px of the dewarped image
     #[arg(long, value_name = "PX", default_value_t = 64)]
     pub(super) window_px: usize,

@@ -44,6 +44,7 @@ pub(super) fn tell(bar: &Bar, progress: &Progress<'_>) {
             }
             bar.step();
         }
+        Progress::Searching => {}
         Progress::Iteration { number, cost, decrement } => {
             bar.say(format!("adjusting: iteration {number}, cost {cost:.6e}, Newton decrement {decrement:.1e}"));
         }

@@ -7,8 +7,8 @@ use super::files::{Output, can_write, fault, read_text, spares, tell_further_pag
 use super::progress::Bar;
 use super::threads;
 use crate::diagnosis::mapping_of_record;
-use crate::disparity::{CheckOptions, ParticlePair, check_sheet, sheet_of_view};
-use crate::error::{Error, Invalid, Result};
+use crate::disparity::{CheckOptions, ParticlePair, check_sheet_masked, sheet_of_view};
+use crate::error::{Error, Invalid, Result, of_the_system};
 use crate::frames::{Rig, Sheet};
 use crate::image::GrayImage;
 use crate::record::{CamerasRefined, Record, SheetCheck};
@@ -36,6 +36,7 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
     }
     let files = pairs_of(&command.pairs)?;
     spared(command)?;
+    let masks = masks(command, &record)?;
     progress.stage("reading images", files.len());
     let mut images: Vec<[GrayImage; 2]> = vec![];
     for pair in &files {
@@ -59,7 +60,10 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         reference_mm,
     };
     let pool = threads::pool(threads)?;
-    let mut found = pool.install(|| check_sheet(&record, &pairs, &options))?;
+    let mut found = pool.install(|| {
+        let masks = masks.each_ref().map(|mask| mask.as_ref().map(GrayImage::view));
+        check_sheet_masked(&record, &pairs, masks, &options)
+    })?;
     if let Some(corrected) = &mut found.record
         && let Some((mapping, told)) = pool.install(|| mapping_of_record(corrected, record.views_of_another_sheet()))
     {
@@ -92,6 +96,12 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
     out.commit_beside(&command.output, &[&command.calibration])?;
     tell_further_pages(progress, files.iter().flatten());
     Ok(Done { text: words, json, flags: found.check.flags })
+}
+
+/// The masks of both cameras.
+fn masks(command: &Check, record: &Record) -> Result<[Option<GrayImage>; 2]> {
+    let Some([left, right]) = command.masks.as_deref() else { return Ok([None, None]) };
+    Ok([Some(load_sized(left, record, 0)?), Some(load_sized(right, record, 1)?)])
 }
 
 /// That results can be written, and not over the calibration: known before the work.
@@ -224,7 +234,8 @@ fn matching(pattern: &str) -> Result<Vec<PathBuf>> {
     let path = Path::new(pattern);
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let listing = std::fs::read_dir(folder).map_err(|e| fault(folder, format!("this folder cannot be read: {e}")))?;
+    let listing = std::fs::read_dir(folder)
+        .map_err(|e| fault(folder, format!("this folder cannot be read: {}", of_the_system(&e))))?;
     let mut found: Vec<PathBuf> = listing
         .filter_map(|entry| entry.ok().map(|e| e.path()))
         .filter(|p| p.is_file() && p.file_name().is_some_and(|n| matches(&name, &n.to_string_lossy())))

@@ -58,10 +58,16 @@ impl Dewarped {
             return Err(fault(path, what));
         }
         let own = Self::new(record, maps, told.grid, 0.0);
-        for name in told.grid_in_images_px.keys() {
+        if let Some(name) = told.grid_in_images_px.keys().find(|n| !own.grid_in_images_px.contains_key(*n)) {
+            let what =
+                format!("the images were dewarped with a calibration that has a camera \"{name}\"; this one has none");
+            return Err(fault(path, what));
+        }
+        for name in own.grid_in_images_px.keys() {
             let Some(apart) = told.apart_px(&own, name) else {
                 let what = format!(
-                    "the images were dewarped with a calibration that has a camera \"{name}\"; this one has none"
+                    "it does not say where its grid lies in the images of camera \"{name}\", or nowhere where that sees it with this calibration: whether \
+                     the images were dewarped with it cannot be told; dewarp them again with this one"
                 );
                 return Err(fault(path, what));
             };
@@ -76,11 +82,11 @@ impl Dewarped {
         Ok(told.grid)
     }
 
-    /// How far the grid lies elsewhere in the images of a camera, px; none where the other has no such camera.
+    /// How far the grid lies elsewhere in the images of a camera, px; none where no point of it is known in both.
     fn apart_px(&self, other: &Self, camera: &str) -> Option<f64> {
         let [then, now] = [self, other].map(|d| d.grid_in_images_px.get(camera));
         let pairs = then?.iter().zip(now?).filter_map(|(a, b)| a.zip(*b));
-        Some(pairs.map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).fold(0.0, f64::max))
+        pairs.map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).reduce(f64::max)
     }
 
     /// What a folder says of images that are there besides those of the files named, which are to be written.

@@ -6,6 +6,7 @@ use super::files::{Output, can_write, fault, read_text};
 use super::progress::Bar;
 use crate::error::Result;
 use crate::pipeline::png_bytes;
+use crate::rig_file::RigDescription;
 use crate::simulate::{PRESETS, Scene, preset_text, simulate};
 use serde_json::json;
 use std::path::Path;
@@ -21,6 +22,7 @@ pub(super) fn run(command: &Simulate, progress: &Bar) -> Result<Done> {
             (Scene::preset(name)?, preset_text(name))
         }
     };
+    RigDescription::parse(&scene.rig_toml(), "the rig.toml of this scene")?;
     can_write(&command.output)?;
     if preset.is_some() {
         spare_scene(&command.output.join("scene.toml"))?;

@@ -22,7 +22,7 @@ use crate::detect::shot_noise::ShotNoise;
 use crate::detect::trace::{Line, Tracer};
 use crate::detect::whole::{self, DetectMemory, LEVELS, Rows};
 use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason};
-use crate::error::{self, Invalid, Result};
+use crate::error::{self, Invalid, Result, Unusable};
 use crate::image::GrayView;
 use crate::target::{MarkKind, Polarity};
 use crate::threads::{self, OwnMemory};
@@ -77,6 +77,20 @@ pub fn find_discs(view: &GrayView, options: &DetectOptions) -> Result<Detection>
 /// # Errors
 /// Those of [`find_discs`].
 pub fn find_discs_with(view: &GrayView, options: &DetectOptions, memory: &DetectMemory) -> Result<Detection> {
+    find_discs_while(view, options, memory, &|| true)
+}
+
+/// As [`find_discs_with`], as long as `go_on` says so, which is asked before each disc: images of particles, which nobody should take for discs, have
+/// thousands.
+///
+/// # Errors
+/// Those of [`find_discs`]; [`Unusable::Cancelled`] where `go_on` said no.
+pub fn find_discs_while(
+    view: &GrayView,
+    options: &DetectOptions,
+    memory: &DetectMemory,
+    go_on: &(dyn Fn() -> bool + Sync),
+) -> Result<Detection> {
     check_options(options)?;
     check_finite(view)?;
     let (width, height) = (view.width(), view.height());
@@ -89,7 +103,10 @@ pub fn find_discs_with(view: &GrayView, options: &DetectOptions, memory: &Detect
     drop_texture(&mut seen, f64::from(noise), options);
     drop_repeats(&mut seen);
     let mut detection = Detection::default();
-    let (candidates, refined) = refine_all(view, &seen.candidates, [noise, range], options);
+    let (candidates, refined) = refine_all(view, &seen.candidates, [noise, range], options, go_on);
+    if !go_on() {
+        return Err(Unusable::Cancelled.into());
+    }
     let keep = drop_twins(&refined);
     let mut turned_down = |c: &Candidate, reason| detection.rejections.push(rejection(c, told(reason, view, c)));
     // Discs are large: where they lie they are collected.
@@ -115,6 +132,7 @@ fn refine_all<'a>(
     candidates: &'a [Candidate],
     [noise_grey, range]: [f32; 2],
     options: &DetectOptions,
+    go_on: &(dyn Fn() -> bool + Sync),
 ) -> (Vec<&'a Candidate>, Vec<std::result::Result<Disc, RejectionReason>>) {
     let (around, sigma) = (surroundings(candidates), f64::from(noise_grey));
     let wanted: Vec<_> = candidates.iter().zip(&around).filter(|(c, _)| wanted(c.bright, options.polarity)).collect();
@@ -149,7 +167,7 @@ fn refine_all<'a>(
         }
     });
     let mut starts: Vec<Start> = each.collect();
-    let mut refined = fit_all(view, &mut starts, [noise_grey, range], options);
+    let mut refined = fit_all(view, &mut starts, [noise_grey, range], options, go_on);
     roughen_all(&mut refined, options);
     (all, refined)
 }
@@ -160,18 +178,30 @@ fn fit_all(
     starts: &mut [Start],
     [noise_grey, range]: [f32; 2],
     options: &DetectOptions,
+    go_on: &(dyn Fn() -> bool + Sync),
 ) -> Vec<std::result::Result<Disc, RejectionReason>> {
     let sigma = f64::from(noise_grey);
     let memory = OwnMemory::<Scratch>::new();
-    let ask = |view: &GrayView, start: &Start| memory.with(|scratch| noise_told(view, start, options, scratch));
-    let refine = |view: &GrayView, start: &Start| memory.with(|scratch| refine(view, start, options, scratch));
+    let ask = |view: &GrayView, start: &Start| {
+        if go_on() { memory.with(|scratch| noise_told(view, start, options, scratch)) } else { None }
+    };
+    // Of a search that was stopped nothing is used, whatever is said of its discs.
+    let stopped = Err(RejectionReason::NoGreyLevels);
+    let refine = |view: &GrayView, start: &Start| {
+        if go_on() { memory.with(|scratch| refine(view, start, options, scratch)) } else { stopped.clone() }
+    };
     let again = |patch: &GrayView, start: &Start| {
+        if !go_on() {
+            return stopped.clone();
+        }
         let line = seen_again(patch, start, [noise_grey, range], options);
         refine(patch, &line.as_ref().map_or(*start, |line| start.by(line)))
     };
     let shot_noise = ShotNoise::of(starts, |asked| threads::side_by_side(asked, |start| ask(view, start)));
     let shot_noise = shot_noise.filter(|noise| {
-        let ask = |start: &Start| memory.with(|scratch| smoke_told(view, start, noise, options, scratch));
+        let ask = |start: &Start| {
+            if go_on() { memory.with(|scratch| smoke_told(view, start, noise, options, scratch)) } else { None }
+        };
         !starts.iter().any(|start| start.full_of_smoke)
             && noise.without_smoke(starts, |asked| threads::side_by_side(asked, ask))
     });
@@ -475,6 +505,27 @@ mod tests {
     fn candidate(u_px: f64, v_px: f64, semi_px: (f64, f64), level: u32) -> Candidate {
         let ellipse = Ellipse::new(Pixel::new(u_px, v_px), semi_px.0, semi_px.1, 0.3).expect("an ellipse");
         Candidate { ellipse, blur_px: 1.0, bright: true, contrast: 100.0, rms_px: 0.1, level }
+    }
+
+    /// A search of many dots that is stopped looks at no more of them.
+    #[test]
+    fn a_search_ends_where_it_is_told_to() {
+        let (w, h) = (400, 300);
+        let out_px = |i: usize| ((i % w % 20) as f64 - 9.7).hypot((i / w % 20) as f64 - 10.2) - 5.5;
+        let light = |i: usize| 50.0 + 150.0 / (1.0 + out_px(i).exp()) + (i * i % 7) as f64;
+        let grey: Vec<u8> = (0..w * h).map(|i| light(i) as u8).collect();
+        let view = GrayView::new(crate::image::Samples::U8(&grey), w, h, w).expect("an image");
+        let asked = std::sync::atomic::AtomicUsize::new(0);
+        let search = |most: usize| {
+            asked.store(0, std::sync::atomic::Ordering::Relaxed);
+            let go_on = || asked.fetch_add(1, std::sync::atomic::Ordering::Relaxed) < most;
+            find_discs_while(&view, &DetectOptions::default(), &DetectMemory::default(), &go_on)
+        };
+        let whole = search(usize::MAX).expect("a search");
+        assert!(whole.discs.len() > 200, "{}", whole.discs.len());
+        assert_eq!(whole, find_discs(&view, &DetectOptions::default()).expect("a search"));
+        let stopped = search(10).expect_err("stopped");
+        assert!(matches!(stopped, crate::Error::Unusable(Unusable::Cancelled)), "{stopped}");
     }
 
     /// Two specks of smoke that touch, each finer than 1.5 px, lay near the centre of a bubble: it went with them.

@@ -34,7 +34,7 @@ use crate::target::Polarity;
 use nalgebra::SMatrix;
 use pixels::{Exactly, clean_disc, fit_exactly};
 
-/// Rounds before a disc is given up.
+/// Rounds at most: a disc that is not still by then is judged as it is.
 const MOST_ROUNDS: usize = 10;
 /// A change of the geometry below this ends the rounds, px: what is left of it is of third order in the ratio to the blur.
 const STILL_PX: f64 = 0.02;
@@ -332,7 +332,10 @@ fn moved_px(model: &EdgeModel, start: &Start) -> (f64, f64) {
 fn check_course(model: &EdgeModel, start: &Start) -> Result<(), RejectionReason> {
     let (gap, limit_px) = moved_px(model, start);
     let blurred = model.blur_px > BLURRED * start.ellipse.semi_minor_px.max(start.blur_px);
-    if gap > STRAYED * limit_px || blurred { Err(not_elliptical(gap.max(model.blur_px), limit_px)) } else { Ok(()) }
+    if gap > STRAYED * limit_px {
+        return Err(not_elliptical(gap, limit_px));
+    }
+    if blurred { Err(RejectionReason::TooSmall { semi_minor_px: 0.0 }) } else { Ok(()) }
 }
 
 fn check_size(model: &EdgeModel, start: &Start, options: &DetectOptions) -> Result<(), RejectionReason> {
@@ -341,8 +344,11 @@ fn check_size(model: &EdgeModel, start: &Start, options: &DetectOptions) -> Resu
         return Err(RejectionReason::TooSmall { semi_minor_px: e.semi_minor_px });
     }
     let (gap, limit_px) = moved_px(model, start);
-    if gap > limit_px || model.blur_px > 0.9 * e.semi_minor_px {
-        return Err(not_elliptical(gap.max(model.blur_px), limit_px));
+    if gap > limit_px {
+        return Err(not_elliptical(gap, limit_px));
+    }
+    if model.blur_px > 0.9 * e.semi_minor_px {
+        return Err(RejectionReason::TooSmall { semi_minor_px: 0.0 });
     }
     let noise = (0.5 * (model.variance[0] + model.variance[1])).sqrt();
     let contrast_to_noise = model.step.abs() / noise;
@@ -567,8 +573,10 @@ mod tests {
         };
         // May move by 3 px in the end.
         assert!(course(20.0, 4.0, 1.0).is_ok() && course(0.0, 0.01, 1.0).is_ok() && course(0.0, 4.0, 11.0).is_ok());
-        for lost in [course(25.0, 4.0, 1.0), course(0.0, 29.0, 1.0), course(0.0, 4.0, 13.0)] {
+        for lost in [course(25.0, 4.0, 1.0), course(0.0, 29.0, 1.0)] {
             assert!(matches!(lost, Err(RejectionReason::NotElliptical { rms_px, .. }) if rms_px > 12.0), "{lost:?}");
         }
+        let blurred = course(0.0, 4.0, 13.0);
+        assert!(matches!(blurred, Err(RejectionReason::TooSmall { semi_minor_px: 0.0 })), "{blurred:?}");
     }
 }

@@ -14,9 +14,9 @@ use std::fmt;
 pub enum RejectionReason {
     /// It touches the border of the image.
     CutByBorder,
-    /// Contour and ellipse differ too much: largest gap and limit, px.
+    /// Contour and ellipse differ too much, or the fit does not stay where the contour is.
     NotElliptical {
-        /// Root mean square distance of the contour from its ellipse, px.
+        /// Root mean square distance of the contour from its ellipse, or of the ellipse fitted from that of the contour, px.
         rms_px: f64,
         /// The limit that it exceeds, px.
         limit_px: f64,

@@ -14,6 +14,7 @@ const LARGEST_PX: usize = 32_768;
 
 /// Square pixels in the plane z = const: pixel (i, j) is centred on `(x0 + s i, y0 - s j)`, so that y goes up.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "AsRead")]
 pub struct SheetGrid {
     /// Centre of the first (upper left) pixel, sheet frame, mm.
     pub origin_mm: [f64; 2],
@@ -23,6 +24,23 @@ pub struct SheetGrid {
     pub width_px: usize,
     /// Pixels along y.
     pub height_px: usize,
+}
+
+/// A grid in a file, which may say anything.
+#[derive(Deserialize)]
+struct AsRead {
+    origin_mm: [f64; 2],
+    mm_per_px: f64,
+    width_px: usize,
+    height_px: usize,
+}
+
+impl TryFrom<AsRead> for SheetGrid {
+    type Error = crate::Error;
+
+    fn try_from(read: AsRead) -> Result<Self> {
+        Self::at(read.origin_mm, read.mm_per_px, [read.width_px, read.height_px])
+    }
 }
 
 impl SheetGrid {
@@ -179,4 +197,23 @@ fn footprint_mm(map: &SheetMap) -> Option<[f64; 4]> {
         }
     }
     (out[2] > out[0] && out[3] > out[1]).then_some(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_grid_that_a_file_says_is_one_that_could_be_made() {
+        let read = |mm_per_px: f64, width_px: u64| {
+            let text = format!(
+                r#"{{"origin_mm": [1.0, 2.0], "mm_per_px": {mm_per_px:?}, "width_px": {width_px}, "height_px": 5}}"#
+            );
+            serde_json::from_str::<SheetGrid>(&text)
+        };
+        assert_eq!(read(0.1, 4).unwrap(), SheetGrid::at([1.0, 2.0], 0.1, [4, 5]).unwrap());
+        for (mm_per_px, width_px) in [(0.0, 4), (-0.1, 4), (0.1, 0), (0.1, 1 << 63)] {
+            assert!(read(mm_per_px, width_px).is_err(), "{mm_per_px} {width_px}");
+        }
+    }
 }

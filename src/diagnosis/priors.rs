@@ -203,7 +203,7 @@ fn dots(s: &Subject<'_>, checks: &[PriorCheck]) -> Option<Prior> {
     let share = own.iter().map(|c| c.share).sum::<f64>() / own.len().max(1) as f64;
     Some(Prior {
         name,
-        stated: true,
+        stated: s.point_sigma_stated,
         unit: "mm".into(),
         prior: 0.0,
         prior_sigma: sigma,

@@ -7,6 +7,7 @@
 //! ```
 //! The best of all planes wins where it is worth more than chance gives. Likenesses have long tails: a root mean square holds them, a median does not.
 
+use super::masks::{Mask, eroded, set_at};
 use super::prepare::{BACKGROUND_PX, particles};
 use crate::dewarp::{Kernel, Sampler, SheetGrid, SheetMap};
 use crate::image::{GrayView, Samples};
@@ -35,21 +36,29 @@ pub(super) struct Binned {
     sampler: Sampler,
     factor: usize,
     size_px: [usize; 2],
+    /// Where interpolation meets nothing that the mask leaves out.
+    clear: Option<Vec<bool>>,
 }
 
 impl Binned {
     /// Particles of an image, averaged over squares of `factor` px.
-    pub(super) fn new(levels: &[f32], size_px: [usize; 2], factor: usize) -> Option<Self> {
+    pub(super) fn new(levels: &[f32], size_px: [usize; 2], factor: usize, mask: Option<&Mask>) -> Option<Self> {
         let [w, h] = size_px.map(|n| n / factor);
+        // The other camera may see the field far more finely.
+        if w == 0 || h == 0 {
+            return None;
+        }
         let mut out = vec![0.0; w * h];
         for v in 0..h * factor {
             for u in 0..w * factor {
                 out[(v / factor) * w + u / factor] += levels[v * size_px[0] + u];
             }
         }
-        particles(&mut out, w, BACKGROUND_PX);
+        let used = mask.map(|m| m.binned([w, h], factor));
+        particles(&mut out, used.as_ref().unwrap_or(&vec![true; w * h]), w, BACKGROUND_PX);
         let view = GrayView::new(Samples::F32(&out), w, h, w).ok()?;
-        Some(Self { sampler: Sampler::new(&view, Kernel::Linear), factor, size_px: [w, h] })
+        let clear = used.map(|used| eroded(&used, w, 1));
+        Some(Self { sampler: Sampler::new(&view, Kernel::Linear), factor, size_px: [w, h], clear })
     }
 
     fn at(&self, q: &Vector2<f64>) -> Option<f32> {
@@ -57,7 +66,8 @@ impl Binned {
         let b = Vector2::new((q.x + 0.5) / f - 0.5, (q.y + 0.5) / f - 0.5);
         let inside =
             b.x >= 0.0 && b.y >= 0.0 && b.x <= (self.size_px[0] - 1) as f64 && b.y <= (self.size_px[1] - 1) as f64;
-        inside.then(|| self.sampler.at(b.x, b.y))
+        let clear = || self.clear.as_ref().is_none_or(|clear| set_at(clear, self.size_px[0], &b));
+        (inside && clear()).then(|| self.sampler.at(b.x, b.y))
     }
 }
 
@@ -215,4 +225,15 @@ fn best_plane(
     }
     let (b, c) = (tx * tilt_step, ty * tilt_step);
     Some(Acquired { plane: Vector3::new(z0 * step - b * middle.x - c * middle.y, b, c), significance: top / noise })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn images_smaller_than_a_coarse_pixel_show_nothing() {
+        assert!(Binned::new(&[1.0; 63], [9, 7], 10, None).is_none());
+        assert!(Binned::new(&[1.0; 63], [9, 7], 2, None).is_some());
+    }
 }

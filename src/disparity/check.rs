@@ -3,11 +3,12 @@
 use super::acquire::{Acquired, Binned, MOST_PLANES, SIGNIFICANT, acquire, factor, furthest_mm};
 use super::cameras::{Prior, Update, with_sigmas};
 use super::light::{Light, light};
+use super::masks::Mask;
 use super::misalignment::misalignment;
 use super::plane::{Match, cameras_held, moved_sheet, see};
 use super::prepare::{SATURATED, levels, saturated_part};
 use super::propagate::{Propagated, against, against_by_plane, propagate};
-use super::round::{FEWEST, Moment, Round, maps_of, measure};
+use super::round::{FEWEST, Moment, Round, Series, maps_of, measure};
 use crate::dewarp::{Kernel, Sampler, SheetGrid, SheetMap};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::frames::{Rig, Sheet};
@@ -79,10 +80,28 @@ pub struct CheckOutput {
 /// [`Invalid`] for a calibration without two cameras or a sheet, or other image sizes; [`Insufficient`] where the images are flat,
 /// saturated, or show no common particles.
 pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptions) -> Result<CheckOutput> {
+    check_sheet_masked(record, pairs, [None, None], options)
+}
+
+/// As [`check_sheet`], where the masks of the first and the second camera allow it: pixels that are 0 in a mask of the size of the camera's images are
+/// left out of all of them (a model, a wall, reflections), those within reach of interpolation with them.
+///
+/// # Errors
+/// Those of [`check_sheet`]; [`Invalid`] for a mask of another size, [`Insufficient`] for one that leaves nothing.
+pub fn check_sheet_masked(
+    record: &Record,
+    pairs: &[ParticlePair],
+    masks: [Option<GrayView>; 2],
+    options: &CheckOptions,
+) -> Result<CheckOutput> {
     let maps = maps_of(record)?;
     let [first, second] = &maps;
+    let mask = |c: usize| -> Result<Option<Mask>> {
+        masks[c].map(|view| Mask::of(&view, maps[c].size_px(), &record.cameras[c].name)).transpose()
+    };
+    let masks = &[mask(0)?, mask(1)?];
     let mut flags = vec![];
-    check_images(pairs, &maps, &mut flags)?;
+    check_images(pairs, &maps, masks, &mut flags)?;
     if !(16..=512).contains(&options.window_px) {
         return Err(Invalid::value("window", options.window_px as f64, "16 to 512 px").into());
     }
@@ -92,11 +111,12 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
     }
     let prior = if options.refine_cameras { Some(Prior::of(record)?) } else { None };
     let grid = SheetGrid::common(&[first, second], None)?;
-    let found = coarse_plane([first, second], pairs, &grid, options)?;
-    let moments: Vec<Moment> = pairs
+    let found = coarse_plane([first, second], pairs, masks, &grid, options)?;
+    let moments = pairs
         .par_iter()
         .map(|p| Moment { samplers: p.images.each_ref().map(|i| Sampler::new(i, Kernel::Cubic)) })
         .collect();
+    let series = Series { moments, masks };
     let mut current = moved(record, &found.plane, &Matrix6::zeros())?;
     let mut history = vec![];
     let (mut converged, mut last) = (false, None);
@@ -106,7 +126,7 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
     for round in 0..ROUNDS {
         let fine = round > 0;
         let window = if fine || !enough { options.window_px } else { coarse };
-        let result = measure(&current, &moments, window, fine)?;
+        let result = measure(&current, &series, window, fine)?;
         let abc = result.fit.abc;
         let step_sigmas = result.fit.covariance.try_inverse().map_or(f64::INFINITY, |w| abc.dot(&(w * abc)).sqrt());
         let next = moved(&current, &result.fit.abc, &cameras_held(&result.fit.covariance))?;
@@ -122,7 +142,7 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
         flags.push(format!("the plane still moves after {ROUNDS} rounds; more image pairs would hold it"));
     }
     let refined = match &prior {
-        Some(prior) => Some(refine_cameras(record, prior, current.clone(), &moments, options, &mut history)?),
+        Some(prior) => Some(refine_cameras(record, prior, current.clone(), &series, options, &mut history)?),
         None => None,
     };
     let refined = refined.map(|r| {
@@ -145,11 +165,19 @@ pub fn check_sheet(record: &Record, pairs: &[ParticlePair], options: &CheckOptio
         reference = moved;
     }
     let ends = [record, &reference];
-    let light = light(&current, &moments, options.window_px)?;
+    let light = light(&current, &series, options.window_px)?;
     flags.extend(light.flags());
     let mut out = output(ends, current, pairs, result, history, &found, converged, options, shared, light, flags)?;
     out.check.cameras_refined = cameras_refined;
     if let Some(corrected) = &mut out.record {
+        let masked = if masks.iter().any(Option::is_some) { ", masked" } else { "" };
+        let how = match (options.refine_cameras, out.check.sigmas_hold_calibration) {
+            (true, _) => ", cameras refined with it",
+            (false, true) => "",
+            (false, false) => ", cameras held",
+        };
+        let from = format!("self-calibration on {} particle image pair(s){masked}{how}", pairs.len());
+        corrected.provenance.options.insert("sheet".into(), from);
         corrected.fit.forget_check_flags();
         corrected.fit.keep_check_flags(&out.check.flags);
     }
@@ -171,7 +199,7 @@ fn refine_cameras(
     start: &Record,
     prior: &Prior,
     mut now: Record,
-    moments: &[Moment],
+    series: &Series,
     options: &CheckOptions,
     history: &mut Vec<CheckRound>,
 ) -> Result<Refined> {
@@ -183,7 +211,7 @@ fn refine_cameras(
     let mut w = prior.start();
     let mut place: Vector3<f64> = Vector3::zeros();
     for k in 1.. {
-        let mut round = measure(&now, moments, options.window_px, true)?;
+        let mut round = measure(&now, series, options.window_px, true)?;
         let update = prior.update(start, &now, &round.matches, &round.fit, &w).ok_or_else(lost)?;
         round.fit.abc = update.abc;
         let reference = prior.record_at(start, &update.w).ok_or_else(lost)?;
@@ -212,7 +240,12 @@ fn refine_cameras(
     Err(crate::Error::Bug("no round of the cameras".into()))
 }
 
-fn check_images(pairs: &[ParticlePair], maps: &[SheetMap; 2], flags: &mut Vec<String>) -> Result<()> {
+fn check_images(
+    pairs: &[ParticlePair],
+    maps: &[SheetMap; 2],
+    masks: &[Option<Mask>; 2],
+    flags: &mut Vec<String>,
+) -> Result<()> {
     if pairs.is_empty() {
         return Err(Invalid::Contradiction("no image pair was given; name the images of both cameras".into()).into());
     }
@@ -228,7 +261,7 @@ fn check_images(pairs: &[ParticlePair], maps: &[SheetMap; 2], flags: &mut Vec<St
                 );
                 return Err(Invalid::Contradiction(what).into());
             }
-            let part = saturated_part(image, name)?;
+            let part = saturated_part(image, masks[c].as_ref().map(Mask::used), name)?;
             if part > SATURATED {
                 flags.push(format!(
                     "{name}: {:.2} % of the pixels are saturated; bright particles are cut off, so reduce the exposure",
@@ -243,12 +276,13 @@ fn check_images(pairs: &[ParticlePair], maps: &[SheetMap; 2], flags: &mut Vec<St
 fn coarse_plane(
     maps: [&SheetMap; 2],
     pairs: &[ParticlePair],
+    masks: &[Option<Mask>; 2],
     grid: &SheetGrid,
     options: &CheckOptions,
 ) -> Result<Acquired> {
     let by = factor(grid);
     let bin = |p: &ParticlePair| -> Option<[Binned; 2]> {
-        let one = |c: usize| Binned::new(&levels(&p.images[c]), maps[c].size_px(), by);
+        let one = |c: usize| Binned::new(&levels(&p.images[c]), maps[c].size_px(), by, masks[c].as_ref());
         Some([one(0)?, one(1)?])
     };
     let binned: Option<Vec<[Binned; 2]>> = pairs.par_iter().map(bin).collect();
@@ -335,7 +369,8 @@ fn told(before: &Misalignment, now: &Misalignment, refine: bool, flags: &mut Vec
     if off(now, 0) {
         flags.push(format!(
             "disparities of {:.2} px (root mean square, smooth over the field) along the direction of depth remain about the best plane: the light is \
-             bent, or the cameras' calibration is off; a plane through it is a mean, and vectors away from it are off",
+             bent, a wall or reflections pass for particles (--masks leaves them out), or the cameras' calibration is off; a plane through it is a mean, \
+             and vectors away from it are off",
             now.smooth_px[0]
         ));
     }
@@ -417,22 +452,12 @@ fn output(
         profile: light.profile,
         flags,
     };
-    let record = options.refine.then(|| corrected_record(corrected, shared, pairs.len(), options)).transpose()?;
+    let record = options.refine.then(|| corrected_record(corrected, shared, options)).transpose()?;
     Ok(CheckOutput { check, record })
 }
 
 /// The calibration with the sheet's sigmas and rows of the covariance.
-fn corrected_record(
-    corrected: Record,
-    shared: Option<Propagated>,
-    pairs: usize,
-    options: &CheckOptions,
-) -> Result<Record> {
-    let how = match (options.refine_cameras, &shared) {
-        (true, _) => ", cameras refined with it",
-        (false, Some(_)) => "",
-        (false, None) => ", cameras held",
-    };
+fn corrected_record(corrected: Record, shared: Option<Propagated>, options: &CheckOptions) -> Result<Record> {
     let mut r = corrected;
     if let Some(s) = shared {
         r = moved(&r, &Vector3::zeros(), &s.plane_and_center)?;
@@ -449,7 +474,6 @@ fn corrected_record(
         r.covariance = r.covariance.only(&kept);
     }
     r.forget_sheet();
-    r.provenance.options.insert("sheet".into(), format!("self-calibration on {pairs} particle image pair(s){how}"));
     Ok(r)
 }
 

@@ -7,7 +7,7 @@ use super::correlate::{Correlator, Dewarped, Sums};
 use super::lattice::Lattice;
 use super::prepare::BACKGROUND_PX;
 use super::profile::profile;
-use super::round::{Moment, depth_px, dewarped, maps_of};
+use super::round::{Series, depth_px, dewarped, maps_of};
 use super::smear::Smear;
 use crate::dewarp::SheetGrid;
 use crate::error::Result;
@@ -52,7 +52,7 @@ impl Light {
 }
 
 /// Looks at the light in the record's sheet, in windows of `window_px` at least.
-pub(super) fn light(record: &Record, moments: &[Moment], window_px: usize) -> Result<Light> {
+pub(super) fn light(record: &Record, series: &Series, window_px: usize) -> Result<Light> {
     let maps = maps_of(record)?;
     let maps = [&maps[0], &maps[1]];
     let grid = SheetGrid::common(&maps, None)?;
@@ -66,7 +66,7 @@ pub(super) fn light(record: &Record, moments: &[Moment], window_px: usize) -> Re
     }
     for _ in 0..LOOKS {
         let correlator = Correlator::new(window);
-        let particles = dewarped(moments, maps, &grid, background);
+        let particles = dewarped(series, maps, &grid, background);
         let lattice = Lattice::centred([grid.width_px, grid.height_px], window, window);
         let Some(sums) = summed(&correlator, &particles, grid.width_px, &lattice) else { break };
         let (cross, autos) = (correlator.map(sums.cross), sums.auto.map(|a| correlator.map(a)));

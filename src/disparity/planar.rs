@@ -195,7 +195,7 @@ pub fn planar_displacements(
         return Err(Invalid::value("distance of the windows", 0.0, "1 px or more").into());
     }
     let lattice = Lattice::centred([width, height], window_px, step_px);
-    let exposed: Vec<Exposed> = pairs.iter().map(|p| prepare(p, width)).collect::<Result<_>>()?;
+    let exposed: Vec<Exposed> = pairs.iter().map(|p| prepare(p, seen, width)).collect::<Result<_>>()?;
     let mut guide = vec![[0.0; 2]; lattice.len()];
     let mut found = vec![];
     for round in 0..ROUNDS {
@@ -226,10 +226,10 @@ pub fn planar_displacements(
     Ok(out)
 }
 
-fn prepare(pair: &[GrayView<'_>; 2], width: usize) -> Result<Exposed> {
+fn prepare(pair: &[GrayView<'_>; 2], seen: &[bool], width: usize) -> Result<Exposed> {
     let sampler = |view: &GrayView<'_>| -> Result<Sampler> {
         let mut grey = levels(view);
-        particles(&mut grey, width, BACKGROUND_PX);
+        particles(&mut grey, seen, width, BACKGROUND_PX);
         Ok(Sampler::new(&GrayView::new(Samples::F32(&grey), width, view.height(), width)?, Kernel::BSpline))
     };
     Ok(Exposed { samplers: [sampler(&pair[0])?, sampler(&pair[1])?] })

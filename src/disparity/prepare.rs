@@ -1,4 +1,4 @@
-//! Particle images made ready for correlation: background taken off, bright outliers capped, saturation counted.
+//! Particle images made ready for correlation: background taken off, bright outliers capped, saturation counted; all of that where they are seen.
 
 use crate::error::{Insufficient, Result};
 use crate::image::GrayView;
@@ -12,24 +12,29 @@ pub(super) const SATURATED: f64 = 1e-3;
 /// Beyond this part nothing can be measured.
 const ALL_SATURATED: f64 = 0.2;
 
-/// Part of the pixels that have the image's largest value.
+/// Part of the pixels that have the image's largest value, of those that may be used (rows packed; all where it is not said).
 ///
 /// # Errors
 /// [`Insufficient::Degenerate`] where the image is flat or mostly saturated.
-pub(super) fn saturated_part(view: &GrayView<'_>, name: &str) -> Result<f64> {
-    let [low, high] = view.range();
+pub(super) fn saturated_part(view: &GrayView<'_>, used: Option<&[bool]>, name: &str) -> Result<f64> {
+    let mut row = vec![];
+    let mut over_used = |each: &mut dyn FnMut(f32)| {
+        for v in 0..view.height() {
+            view.row(v, &mut row);
+            let used = used.map(|used| &used[v * view.width()..]);
+            row.iter().enumerate().filter(|(u, _)| used.is_none_or(|used| used[*u])).for_each(|(_, g)| each(*g));
+        }
+    };
+    let (mut low, mut high, mut count) = (f32::INFINITY, f32::NEG_INFINITY, 0.0);
+    over_used(&mut |g| (low, high, count) = (low.min(g), high.max(g), count + 1.0));
     if !(high > low) {
         let what =
             format!("{name}: the image is flat (every pixel is {high}); check the exposure and that the laser fired");
         return Err(Insufficient::Degenerate(what).into());
     }
-    let mut row = vec![];
-    let mut equal = |v: usize| {
-        view.row(v, &mut row);
-        row.iter().filter(|g| **g == high).count()
-    };
-    let count: usize = (0..view.height()).map(&mut equal).sum();
-    let part = count as f64 / (view.width() * view.height()) as f64;
+    let mut equal = 0.0;
+    over_used(&mut |g| equal += f64::from(u8::from(g == high)));
+    let part = equal / count;
     let end = view.may_saturate_at(high);
     if end && part > ALL_SATURATED {
         let what = format!(
@@ -41,7 +46,7 @@ pub(super) fn saturated_part(view: &GrayView<'_>, name: &str) -> Result<f64> {
     Ok(if end { part } else { 0.0 })
 }
 
-/// Sum of rows or columns over a sliding box, mirrored at the ends by shrinking it.
+/// Mean of a row or column over a sliding box, which ends where the line does.
 fn sliding(line: &[f32], out: &mut [f32], half: usize) {
     let n = line.len();
     let mut sum = 0.0_f64;
@@ -76,14 +81,24 @@ fn box_mean(levels: &[f32], width: usize, half: usize) -> Vec<f32> {
     rows
 }
 
-/// Particles alone: what is above the mean of the box that reaches `background_px` to all sides, capped.
-pub(super) fn particles(levels: &mut [f32], width: usize, background_px: usize) {
-    let mean = box_mean(levels, width, background_px);
+/// Particles alone: what is above the mean of what is seen in the box that reaches `background_px` to all sides, capped; 0 where nothing is seen.
+pub(super) fn particles(levels: &mut [f32], seen: &[bool], width: usize, background_px: usize) {
+    let unseen = seen.contains(&false);
+    if unseen {
+        levels.iter_mut().zip(seen).filter(|(_, seen)| !**seen).for_each(|(l, _)| *l = 0.0);
+    }
+    let mut mean = box_mean(levels, width, background_px);
+    if unseen {
+        let part: Vec<f32> = seen.iter().map(|s| f32::from(u8::from(*s))).collect();
+        let part = box_mean(&part, width, background_px);
+        mean.iter_mut().zip(part.iter().zip(seen)).filter(|(_, (_, seen))| **seen).for_each(|(m, (p, _))| *m /= p);
+    }
     levels.iter_mut().zip(&mean).for_each(|(l, m)| *l = (*l - m).max(0.0));
     let step = (levels.len() / 100_000).max(1);
-    let mut seen: Vec<f32> = levels.iter().copied().step_by(step).collect();
-    seen.sort_by(f32::total_cmp);
-    let cap = seen[((seen.len() - 1) as f64 * CAP) as usize];
+    let looked_at = levels.iter().zip(seen).step_by(step);
+    let mut looked_at: Vec<f32> = looked_at.filter(|(_, seen)| **seen).map(|(l, _)| *l).collect();
+    looked_at.sort_by(f32::total_cmp);
+    let cap = looked_at.get((looked_at.len().saturating_sub(1) as f64 * CAP) as usize).copied().unwrap_or(0.0);
     if cap > 0.0 {
         levels.iter_mut().for_each(|l| *l = l.min(cap));
     }
@@ -115,9 +130,28 @@ mod tests {
         }
     }
 
+    /// Ground of any height beside what is not seen is no particle.
+    #[test]
+    fn the_rim_of_what_is_seen_is_no_particle() {
+        let (w, h) = (40, 30);
+        let seen: Vec<bool> = (0..w * h).map(|i| i % w > 12 || i / w > 20).collect();
+        for ground in [0.0, 1000.0] {
+            let mut levels = vec![ground; w * h];
+            let particle = [10 * w + 30, 4 * w + 36, 25 * w + 2];
+            particle.iter().for_each(|i| levels[*i] += 50.0);
+            particles(&mut levels, &seen, w, 8);
+            for (i, l) in levels.iter().enumerate() {
+                assert!(if particle.contains(&i) { *l > 40.0 } else { *l < 0.5 }, "{ground} {i}: {l}");
+            }
+        }
+        let mut none = vec![3.0; w * h];
+        particles(&mut none, &vec![false; w * h], w, 8);
+        assert!(none.iter().all(|l| *l == 0.0));
+    }
+
     #[test]
     fn saturation_and_flat_images_are_told() {
-        let part = |data: &[u8]| saturated_part(&GrayView::new(Samples::U8(data), 10, 10, 10).unwrap(), "a.tif");
+        let part = |data: &[u8]| saturated_part(&GrayView::new(Samples::U8(data), 10, 10, 10).unwrap(), None, "a.tif");
         assert!(part(&[7; 100]).unwrap_err().to_string().contains("a.tif: the image is flat"));
         let mut data = [3; 100];
         data[..30].fill(255);
@@ -126,5 +160,18 @@ mod tests {
         assert_eq!(part(&data).unwrap(), 0.02);
         data[..2].fill(90);
         assert_eq!(part(&data).unwrap(), 0.0);
+        // A flare that is left out.
+        data[..50].fill(255);
+        let used: Vec<bool> = (0..100).map(|i| i >= 50).collect();
+        let view = GrayView::new(Samples::U8(&data), 10, 10, 10).unwrap();
+        assert!(
+            saturated_part(&view, Some(&used), "a.tif")
+                .unwrap_err()
+                .to_string()
+                .contains("the image is flat (every pixel is 3)")
+        );
+        data[60] = 90;
+        let view = GrayView::new(Samples::U8(&data), 10, 10, 10).unwrap();
+        assert_eq!(saturated_part(&view, Some(&used), "a.tif").unwrap(), 0.0);
     }
 }

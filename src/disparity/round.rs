@@ -2,6 +2,7 @@
 
 use super::correlate::{Correlator, Dewarped};
 use super::lattice::Lattice;
+use super::masks::Mask;
 use super::plane::{Match, PlaneFit, Seen, fit_plane, see, weighted_plane};
 use super::prepare::{BACKGROUND_PX, particles};
 use crate::dewarp::{Sampler, SheetGrid, SheetMap, resample};
@@ -19,9 +20,15 @@ const ANYWHERE: f64 = 0.25;
 /// Fewest windows that fix a plane with something to spare.
 pub(super) const FEWEST: usize = 8;
 
-/// Images ready to be dewarped.
+/// Images of one moment ready to be dewarped.
 pub(super) struct Moment {
     pub(super) samplers: [Sampler; 2],
+}
+
+/// Those of all moments, and what of them may be used.
+pub(super) struct Series<'a> {
+    pub(super) moments: Vec<Moment>,
+    pub(super) masks: &'a [Option<Mask>; 2],
 }
 
 /// Windows of a sheet, and the plane through them.
@@ -45,19 +52,24 @@ pub(super) fn maps_of(record: &Record) -> Result<[SheetMap; 2]> {
 }
 
 /// Particles of all moments in the sheet.
-pub(super) fn dewarped(
-    moments: &[Moment],
-    maps: [&SheetMap; 2],
-    grid: &SheetGrid,
-    background_px: usize,
-) -> Vec<Dewarped> {
-    let one = |m: &Moment| {
-        let [(mut a, sa), (mut b, sb)] = [0, 1].map(|c| resample(&m.samplers[c], maps[c], grid, 0.0));
-        particles(&mut a, grid.width_px, background_px);
-        particles(&mut b, grid.width_px, background_px);
-        Dewarped { levels: [a, b], seen: sa.iter().zip(&sb).map(|(a, b)| *a && *b).collect() }
+pub(super) fn dewarped(series: &Series, maps: [&SheetMap; 2], grid: &SheetGrid, background_px: usize) -> Vec<Dewarped> {
+    // What a camera sees is the same at every moment.
+    let mut seen: [Option<Vec<bool>>; 2] = [None, None];
+    let mut one = |m: &Moment| {
+        let levels = [0, 1].map(|c| {
+            let (mut levels, valid) = resample(&m.samplers[c], maps[c], grid, 0.0);
+            let seen = seen[c].get_or_insert_with(|| {
+                let mut valid = valid;
+                series.masks[c].iter().for_each(|mask| mask.take_off(&mut valid, maps[c], grid));
+                valid
+            });
+            particles(&mut levels, seen, grid.width_px, background_px);
+            levels
+        });
+        let both = seen.iter().flatten().cloned().reduce(|a, b| a.iter().zip(&b).map(|(a, b)| *a && *b).collect());
+        Dewarped { levels, seen: both.unwrap_or_default() }
     };
-    moments.iter().map(one).collect()
+    series.moments.iter().map(&mut one).collect()
 }
 
 /// What depth moves the second image against the first by in the middle of the field, s_2 - s_1 over the size of a pixel: px per mm, y down.
@@ -69,11 +81,11 @@ pub(super) fn depth_px(maps: [&SheetMap; 2], grid: &SheetGrid) -> Vector2<f64> {
 }
 
 /// One round in the record's sheet. Once the plane is known (`near`), peaks far away are chance.
-pub(super) fn measure(record: &Record, moments: &[Moment], window_px: usize, near: bool) -> Result<Round> {
+pub(super) fn measure(record: &Record, series: &Series, window_px: usize, near: bool) -> Result<Round> {
     let maps = maps_of(record)?;
     let maps = [&maps[0], &maps[1]];
     let grid = SheetGrid::common(&maps, None)?;
-    let dewarped = dewarped(moments, maps, &grid, BACKGROUND_PX);
+    let dewarped = dewarped(series, maps, &grid, BACKGROUND_PX);
     let lattice = Lattice::centred([grid.width_px, grid.height_px], window_px, window_px);
     let correlator = Correlator::new(window_px);
     let search = if near { (window_px / 8).max(6) } else { 2 * window_px / 5 };

@@ -10,6 +10,7 @@
 
 use super::distorted::OpenCvCamera;
 use super::marks::{Marks, camera_of_marks};
+use super::storage::pixels;
 use super::xml::Xml;
 use super::{Found, ImportOptions, NamedText, WorldCamera};
 use crate::error::{Invalid, Result};
@@ -89,11 +90,12 @@ fn pinhole<'a>(xml: &Xml<'a>, mapper: Node<'_, 'a>, name: String, options: &Impo
     let image_size_px = match mapper.descendants().find(|n| n.has_tag_name("OriginalImageSize")) {
         Some(n) => {
             let size = [xml.number(n, "Width")?, xml.number(n, "Height")?];
-            if size.iter().any(|x| !(*x >= 1.0)) {
-                let message = format!("images of {} x {} px: expected numbers above 0", size[0], size[1]);
+            let [Some(width), Some(height)] = size.map(pixels) else {
+                let message =
+                    format!("images of {} x {} px: expected numbers above 0 without a fraction", size[0], size[1]);
                 return Err(xml.fault(n, message));
-            }
-            size.map(|x| x as usize)
+            };
+            [width, height]
         }
         None => image_size(options)?,
     };

@@ -60,6 +60,11 @@ pub(super) fn camera_of_marks(marks: &Marks, image_size_px: [usize; 2]) -> Resul
 fn projection_matrix(seen: &[Seen]) -> Result<Matrix3x4<f64>> {
     let (x0, xs) = spread(seen.iter().map(|s| s.xyz_mm));
     let (q0, qs) = spread(seen.iter().map(|s| s.pixel));
+    if !(xs > 0.0 && qs > 0.0) {
+        let what =
+            "all marks lie in one point of space or of the image; export the marks with their places in mm and px";
+        return Err(Insufficient::Degenerate(what.into()).into());
+    }
     let mut a = DMatrix::zeros(2 * seen.len(), 12);
     for (i, s) in seen.iter().enumerate() {
         let x = ((s.xyz_mm - x0) / xs).push(1.0);

@@ -5,7 +5,7 @@
 //! `camera_matrix` and `distortion_coefficients` is read as one camera.
 
 use super::distorted::{OpenCvCamera, fit_scheimpflug};
-use super::storage::{self, Matrix, Node, Storage, Syntax};
+use super::storage::{self, Matrix, Node, Storage, Syntax, pixels};
 use super::{Cameras, Conversion, Found, ImportOptions, Loss, NamedText, WorldCamera};
 use crate::camera::{Camera, Intrinsics, OpenCvTilted};
 use crate::error::{Error, Invalid, Result};
@@ -165,9 +165,7 @@ impl<'a> Source<'a> {
     }
     fn size(&self, n: &str, options: &ImportOptions) -> Result<[usize; 2]> {
         let numbers = &self.storage.numbers;
-        let of = |key: &str| {
-            numbers.get(&format!("{key}{n}")).or(numbers.get(key)).copied().filter(|x| *x >= 1.0).map(|x| x as usize)
-        };
+        let of = |key: &str| numbers.get(&format!("{key}{n}")).or(numbers.get(key)).copied().and_then(pixels);
         match (of("image_width"), of("image_height"), options.image_size_px) {
             (Some(w), Some(h), _) => Ok([w, h]),
             (_, _, Some(given)) => Ok(given),

@@ -5,6 +5,7 @@ use super::xml::Xml;
 use crate::error::{Invalid, Result};
 use std::collections::BTreeMap;
 use std::fmt::Write;
+use yaml_rust2::parser::{Event, Parser};
 use yaml_rust2::{Yaml, YamlLoader};
 
 /// How the storage is written.
@@ -118,6 +119,11 @@ fn whole(x: f64) -> Option<usize> {
     (x >= 0.0 && x.fract() == 0.0 && x < 1e6).then_some(x as usize)
 }
 
+/// Width or height of an image: a whole number from 1.
+pub(super) fn pixels(x: f64) -> Option<usize> {
+    whole(x).filter(|n| *n > 0)
+}
+
 fn matrix(rows: Option<f64>, columns: Option<f64>, data: Vec<f64>) -> std::result::Result<Matrix, String> {
     let (rows, columns) = (rows.and_then(whole), columns.and_then(whole));
     let (Some(rows), Some(columns)) = (rows, columns) else {
@@ -141,12 +147,28 @@ fn yaml_number(y: &Yaml) -> Option<f64> {
     }
 }
 
+/// References make a few lines grow to more than any memory, and OpenCV writes none.
+fn spared_of_aliases(file: &NamedText, text: &str) -> Result<()> {
+    let mut parser = Parser::new_from_str(text);
+    loop {
+        match parser.next_token() {
+            Ok((Event::Alias(_), at)) => {
+                return Err(fault(file, at.line().max(1), "a reference (*name): OpenCV writes values in full".into()));
+            }
+            // What is no YAML is told by the reader.
+            Ok((Event::StreamEnd, _)) | Err(_) => return Ok(()),
+            Ok(_) => {}
+        }
+    }
+}
+
 fn read_yaml(file: &NamedText) -> Result<Storage> {
     // OpenCV's directive "%YAML:1.0" has a colon that YAML does not know; a line end in its place keeps line numbers.
     let text = match file.text.strip_prefix('\u{feff}').unwrap_or(&file.text).split_once('\n') {
         Some((first, rest)) if first.starts_with('%') => format!("\n{rest}"),
         _ => file.text.clone(),
     };
+    spared_of_aliases(file, &text)?;
     let documents = YamlLoader::load_from_str(&text)
         .map_err(|e| fault(file, e.marker().line().max(1), format!("this is not YAML: {}", e.info())))?;
     let Some(Yaml::Hash(nodes)) = documents.first() else {

@@ -322,6 +322,7 @@ fn what_makes_no_sense_is_refused_by_name() {
             ImportFormat::OpenCv,
             "9 numbers, found 2",
         ),
+        ("%YAML:1.0\n---\na: &a [1, 1]\nb: [*a, *a]\n", ImportFormat::OpenCv, "x.yml:4: a reference"),
         ("<a", ImportFormat::DaVis, "not XML"),
         ("<a/>", ImportFormat::DaVis, "CoordinateMapper"),
         ("<a/>", ImportFormat::Uvmat, "GeometryCalib"),
@@ -339,6 +340,23 @@ fn what_makes_no_sense_is_refused_by_name() {
     assert!(export(&record, ExportFormat::OpenPtv).unwrap_err().to_string().contains("pixel_pitch_mm"));
     record.sheet = None;
     assert!(export(&record, ExportFormat::OpenCv).unwrap_err().to_string().contains("no laser sheet"));
+}
+
+/// Marks that a broken export puts into one place, and sizes that are no numbers of pixels.
+#[test]
+fn marks_in_one_place_and_parts_of_a_pixel_are_refused() {
+    let mark =
+        |x: f64, u: f64| format!("<Mark><WorldPos x=\"{x}\" y=\"1\" z=\"1\"/><RawPos x=\"{u}\" y=\"1\"/></Mark>");
+    for place in [|_| [1.0, 1.0], |k: f64| [k, 1.0], |k: f64| [1.0, k]] {
+        let marks: String = (0..20).map(|k| place(f64::from(k))).map(|[x, u]| mark(x, u)).collect();
+        let text =
+            format!("<MarkPositionTable><Camera CameraNumber=\"1\"><View>{marks}</View></Camera></MarkPositionTable>");
+        let message = davis(&text).unwrap_err().to_string();
+        assert!(message.contains("in one point"), "{message}");
+    }
+    for (size, expected) in [(640.0, Some(640)), (640.7, None), (0.0, None), (f64::NAN, None)] {
+        assert_eq!(super::storage::pixels(size), expected);
+    }
 }
 
 #[test]

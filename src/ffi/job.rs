@@ -9,7 +9,7 @@ use super::results::{CalibrationState, calibration_of, keep};
 use super::rig::{Task, rig_state};
 use super::table::{self, Body, Kind, Object};
 use crate::error::{Error, Invalid};
-use crate::pipeline::{CalibrateOptions, Progress, SheetOptions, calibrate, find_sheet};
+use crate::pipeline::{CalibrateOptions, Progress, STACK_BYTES, SheetOptions, calibrate, find_sheet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
@@ -70,6 +70,7 @@ impl Shared {
         let mut stage = lock(&self.stage);
         match progress {
             Progress::Image { done, total, .. } => (stage.images_done, stage.images) = (done as u64, total as u64),
+            Progress::Searching => {}
             Progress::Iteration { number, decrement, .. } => {
                 (stage.iteration, stage.decrement) = (number as u64, decrement);
             }
@@ -117,6 +118,7 @@ impl Job {
         let own = Arc::clone(&shared);
         let thread = std::thread::Builder::new()
             .name("spivcal-job".into())
+            .stack_size(STACK_BYTES)
             .spawn(move || own.work(&work))
             .map_err(|e| Error::from(Invalid::Threads { threads: 1, message: e.to_string() }))?;
         Ok(Self { shared, thread: Mutex::new(Some(thread)) })

@@ -173,7 +173,7 @@ pub const SPIVCAL_SHEET_ANGLE3_DEG: i32 = 420;
 pub const SPIVCAL_SHEET_ANGLE_TO_BASELINE_DEG: i32 = 421;
 /// Root mean square disparity of the sheet's views, px. No sigma.
 pub const SPIVCAL_SHEET_DISPARITY_RMS_PX: i32 = 422;
-/// Distance of the centres of a pair, or pitch of a grid, mm.
+/// Distance of the centres of a pair, or pitch of a grid, mm. Bubbles, whose spacing changes from view to view, have none.
 pub const SPIVCAL_TARGET_SPACING_MM: i32 = 431;
 /// Distance of the two levels of a plate, mm.
 pub const SPIVCAL_TARGET_STEP_MM: i32 = 432;

@@ -125,6 +125,9 @@ fn of_sheet(sheet: &Sheet, key: i32) -> Number {
 fn of_target(record: &Record, key: i32, index: u64) -> Number {
     let t = &record.target;
     Ok(match key {
+        SPIVCAL_TARGET_SPACING_MM if t.spacing_mm.is_nan() => {
+            return Err(missing("one spacing: each view has its own"));
+        }
         SPIVCAL_TARGET_SPACING_MM => (t.spacing_mm, t.sigma.spacing_mm),
         SPIVCAL_TARGET_STEP_MM => {
             (t.step_mm.ok_or_else(|| missing("second level"))?, t.sigma.step_mm.unwrap_or(NO_SIGMA))

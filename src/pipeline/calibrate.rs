@@ -120,6 +120,7 @@ fn run(
         adjustment: &adjustment,
         covariance: &covariance,
         assumed: &built.assumed,
+        point_sigma_stated: job.target.point_sigma_mm.is_some(),
         labels: &built.labels,
         sizes_px: &sizes,
         sheet_frame: stated_frame(&solved)?,

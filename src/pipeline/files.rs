@@ -1,7 +1,7 @@
 //! Files read and written: all results of a command or none, each under a temporary name first.
 
 use super::leftovers;
-use crate::error::{Error, Invalid, Result};
+use crate::error::{Error, Invalid, Result, of_the_system};
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ pub fn read_text(path: &Path, what: &str) -> Result<String> {
     let bytes = fs::read(path).map_err(|e| match e.kind() {
         std::io::ErrorKind::NotFound => fault(path, format!("there is no such file; expected {what}")),
         _ if path.is_dir() => fault(path, format!("this is a folder; expected {what}")),
-        _ => fault(path, format!("cannot be read: {e}")),
+        _ => fault(path, format!("cannot be read: {}", of_the_system(&e))),
     })?;
     String::from_utf8(bytes).map_err(|_| fault(path, format!("this is not text in UTF-8; expected {what}")))
 }
@@ -20,6 +20,10 @@ fn fault(path: &Path, message: impl Into<String>) -> Error {
     Invalid::File { path: path.display().to_string(), message: message.into() }.into()
 }
 
+/// Bytes of a name that stand in the temporary one: with numbers it is to have 255 at most.
+const LONGEST_KEPT: usize = 200;
+/// Links from one to the next at most; a ring of them leads nowhere.
+const MOST_LINKS: usize = 40;
 /// Results of more bytes than this do not wait in memory.
 const MOST_HELD: usize = if cfg!(test) { 1000 } else { 256 << 20 };
 
@@ -119,9 +123,10 @@ pub fn can_write(folder: &Path) -> Result<()> {
         return Err(fault(folder, what));
     }
     let trial = Staged { folder: there.to_path_buf(), made: None, files: vec![], published: false };
-    let written = trial.temporary("trial").and_then(|(_, path)| fs::remove_file(path));
+    let written = trial.temporary(&there.join("trial")).and_then(|(_, path)| fs::remove_file(path));
     written.map_err(|e| {
-        fault(folder, format!("nothing can be written in {}: {e}; name another place with -o", there.display()))
+        let why = of_the_system(&e);
+        fault(folder, format!("nothing can be written in {}: {why}; name another place with -o", there.display()))
     })
 }
 
@@ -141,29 +146,38 @@ impl Staged {
             folder.ancestors().filter(|p| !p.as_os_str().is_empty() && !p.exists()).last().map(Path::to_path_buf);
         let staged = Self { folder: folder.to_path_buf(), made, files: Vec::new(), published: false };
         fs::create_dir_all(folder)
-            .map_err(|e| fault(folder, format!("this folder for the results cannot be made: {e}")))?;
+            .map_err(|e| fault(folder, format!("this folder for the results cannot be made: {}", of_the_system(&e))))?;
         // Of a run that was ended while it wrote.
         leftovers::remove(folder);
         Ok(staged)
     }
     fn write(&mut self, name: &str, bytes: &[u8]) -> Result<()> {
-        let place = self.folder.join(name);
+        let place = followed(self.folder.join(name));
         if place.is_dir() {
             return Err(fault(&place, "there is a folder where a result must be written; remove or rename it"));
         }
-        let written = self.temporary(name).and_then(|(mut f, temporary)| {
+        let old = fs::metadata(&place).ok();
+        if old.as_ref().is_some_and(|old| !old.is_file()) {
+            return Err(fault(
+                &place,
+                "there is a device or a pipe where a result must be written; name another place",
+            ));
+        }
+        let written = self.temporary(&place).and_then(|(mut f, temporary)| {
             self.files.push((temporary, place.clone()));
+            // Who may read the old result may read the new one.
+            old.map_or(Ok(()), |old| f.set_permissions(old.permissions()))?;
             f.write_all(bytes)?;
             // Without it a power failure could leave the new name with nothing in it.
             f.sync_all()
         });
-        written.map_err(|e| fault(&place, format!("cannot be written: {e}")))
+        written.map_err(|e| fault(&place, format!("cannot be written: {}", of_the_system(&e))))
     }
-    /// A new file: other threads and processes may be writing the same result.
-    fn temporary(&self, name: &str) -> std::io::Result<(fs::File, PathBuf)> {
+    /// A new file beside its place: other threads and processes may be writing the same result.
+    fn temporary(&self, place: &Path) -> std::io::Result<(fs::File, PathBuf)> {
         let mut number = 0u32;
         loop {
-            let path = self.folder.join(format!(".{name}.{}.{number}.tmp", std::process::id()));
+            let path = beside(place, number, "tmp");
             match fs::File::create_new(&path) {
                 Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => number += 1,
                 file => return Ok((file?, path)),
@@ -180,7 +194,7 @@ impl Staged {
                 Ok(old) => done.push((place.clone(), old)),
                 Err(e) => {
                     done.iter().for_each(|(place, old)| restore(place, old.as_deref()));
-                    return Err(fault(place, format!("cannot be written: {e}")));
+                    return Err(fault(place, format!("cannot be written: {}", of_the_system(&e))));
                 }
             }
             self.files.pop();
@@ -193,13 +207,35 @@ impl Staged {
     }
 }
 
+/// Another name beside a place, of no more bytes than file systems give names.
+fn beside(place: &Path, number: u32, ending: &str) -> PathBuf {
+    let name = place.file_name().unwrap_or_default().to_string_lossy();
+    let mut kept = name.len().min(LONGEST_KEPT);
+    while !name.is_char_boundary(kept) {
+        kept -= 1;
+    }
+    place.with_file_name(format!(".{}.{}.{number}.{ending}", &name[..kept], std::process::id()))
+}
+
+/// Where a link at a place leads, be it there or not.
+fn followed(place: PathBuf) -> PathBuf {
+    let linked = |at: &Path| Some(at.parent()?.join(fs::read_link(at).ok()?));
+    let mut end = place.clone();
+    for _ in 0..MOST_LINKS {
+        match linked(&end) {
+            Some(next) => end = next,
+            None => return end,
+        }
+    }
+    place
+}
+
 /// A second name for the file at `place`, if any, until all results are under their names.
 fn spare(place: &Path) -> std::io::Result<Option<PathBuf>> {
     use std::io::ErrorKind::{AlreadyExists, NotFound};
-    let name = place.file_name().unwrap_or_default().to_string_lossy();
     let mut number = 0u32;
     while place.is_file() {
-        let old = place.with_file_name(format!(".{name}.{}.{number}.old", std::process::id()));
+        let old = beside(place, number, "old");
         // Some file systems give a file one name only.
         let copied = || {
             let (mut from, mut to) = (fs::File::open(place)?, fs::File::create_new(&old)?);

@@ -3,7 +3,7 @@
 use super::exposure::{explained, saturated_about};
 use super::{Progress, Source};
 use crate::detect::pattern::{Labelling, label_discs};
-use crate::detect::{DetectMemory, DetectOptions, Detection, LabelledDisc, find_discs_with};
+use crate::detect::{DetectMemory, DetectOptions, Detection, LabelledDisc, find_discs_while};
 use crate::error::{Error, Insufficient, Invalid, Result, Unusable};
 use crate::image::GrayImage;
 use crate::record::ImageFile;
@@ -74,7 +74,16 @@ pub(super) fn see_all(
             if stopped.load(Ordering::Relaxed) {
                 return Err(Unusable::Cancelled.into());
             }
-            let seen = see(job, source, (view, camera, &name), &memory);
+            let go_on = || {
+                // Whoever holds it asks for himself.
+                if let Ok(mut tell) = progress.try_lock()
+                    && !tell(Progress::Searching)
+                {
+                    stopped.store(true, Ordering::Relaxed);
+                }
+                !stopped.load(Ordering::Relaxed)
+            };
+            let seen = see(job, source, (view, camera, &name), &memory, &go_on);
             if let (Ok(mut n), Ok(mut tell)) = (done.lock(), progress.lock()) {
                 *n += 1;
                 if !tell(Progress::Image { done: *n, total, name: &name }) {
@@ -150,9 +159,10 @@ fn see(
     source: &Source,
     (view, camera, name): (usize, usize, &str),
     memory: &DetectMemory,
+    go_on: &(dyn Fn() -> bool + Sync),
 ) -> Result<SeenImage> {
     let image = source(view, camera)?;
-    let detection = find_discs_with(&image.view(), &options_for(&job.target), memory)?;
+    let detection = find_discs_while(&image.view(), &options_for(&job.target), memory, go_on)?;
     let labelling: Labelling = label_discs(name, &detection, &job.target.target)
         .map_err(|e| explained(e, &job.target, name, &image.view()))?;
     if labelling.discs.is_empty() {

@@ -1,6 +1,6 @@
 //! Files to grey images: PNG, TIFF, BMP, PGM, JPEG.
 
-use crate::error::{self, Error, Invalid, Result};
+use crate::error::{self, Error, Invalid, Result, of_the_system};
 use crate::image::{GrayImage, Pixels};
 use image::{DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits};
 use std::io::{Cursor, ErrorKind, Read};
@@ -111,7 +111,7 @@ fn cannot_read(path: &Path, error: &std::io::Error) -> String {
         }
         std::io::ErrorKind::PermissionDenied => "no permission to read the file".to_string(),
         _ if path.is_dir() => "this is a folder; expected an image file".to_string(),
-        _ => format!("cannot be read: {error}"),
+        _ => format!("cannot be read: {}", of_the_system(error)),
     }
 }
 

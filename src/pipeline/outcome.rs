@@ -11,7 +11,7 @@ use crate::record::{
     self, CameraSigma, Covariance, Effective, Fit, Known, Parameter, PlacedCamera, Pose, PoseSigma, Provenance, Record,
     Rig, RigSigma, SameLight, Scale, Sheet, Target, TargetPoint, TargetSigma, View, ViewTarget, WindowSigma,
 };
-use crate::rig_file::{Adjust, Length, Loss, Observations, Scale as ScaleFact};
+use crate::rig_file::{Adjust, Length, Loss, Observations, Scale as ScaleFact, ViewDescription};
 use crate::rigid::AxesAngle;
 use crate::target::Target as Kind;
 use std::collections::BTreeMap;
@@ -235,7 +235,7 @@ fn scale(s: &Solved) -> Scale {
         ScaleFact::TargetRadius { radius: l, .. } | ScaleFact::ViewRadius { radius: l, .. } => of("radius", l),
         ScaleFact::Baseline(l) => of("baseline", l),
         ScaleFact::Traverse { sigma_mm } => {
-            let z: Vec<f64> = s.job.views.iter().filter_map(|v| v.plane_z_mm?.value_mm()).collect();
+            let z: Vec<f64> = s.job.views.iter().filter_map(ViewDescription::position_mm).collect();
             let range =
                 z.iter().copied().fold(f64::NEG_INFINITY, f64::max) - z.iter().copied().fold(f64::INFINITY, f64::min);
             of("traverse", Length { value_mm: range, sigma_mm })

@@ -342,7 +342,7 @@ fn output(
     let mut record = calibration.clone();
     let by_views = record.views_of_another_sheet();
     forget_old_sheet(&mut record);
-    let first = record.views.len();
+    let first = record.views.iter().map(|v| v.index + 1).max().unwrap_or(0);
     let place = |view: usize| views.iter().position(|v| v.view == view).map(|k| first + k);
     images.retain(|i| place(i.view).is_some());
     images.iter_mut().for_each(|i| i.view = place(i.view).unwrap_or(first));
@@ -381,8 +381,8 @@ fn forget_old_sheet(record: &mut Record) {
     record.fit.flags.retain(|f| !f.starts_with(FLAG));
     record.views.iter_mut().for_each(|v| v.in_sheet = false);
     record.views.retain(|v| v.used || v.why_unused != record::SHEET_ALONE);
-    let kept = record.views.len();
-    record.provenance.images.retain(|i| i.view < kept);
+    let kept = &record.views;
+    record.provenance.images.retain(|i| kept.iter().any(|v| v.index == i.view));
     let stays: Vec<usize> =
         (0..record.covariance.names.len()).filter(|i| !record.covariance.names[*i].starts_with("sheet.")).collect();
     record.covariance = record.covariance.only(&stays);

@@ -120,10 +120,36 @@ pub(super) fn common_features(cameras: [&Camera; 2], seen: [&[(DotId, &DiscObser
     let mut common: Vec<DotId> =
         seen[0].iter().map(|(id, _)| *id).filter(|id| id.level == 0 && contour(1, *id).is_some()).collect();
     common.sort_unstable();
-    let step = (common.len() / (2 * PAIRS_PER_VIEW)).max(1);
-    let pair = |p: &[DotId]| {
+    let pair = |p: &[DotId; 2]| {
         let both = |c: usize| Some([contour(c, p[0])?, contour(c, p[1])?]);
         PairFeatures::of(cameras, [both(0)?, both(1)?])
     };
-    common.chunks_exact(2).step_by(step).filter_map(pair).collect()
+    let pairs = in_pairs(&common);
+    pairs.iter().step_by(pairs.len().div_ceil(PAIRS_PER_VIEW).max(1)).filter_map(pair).collect()
+}
+
+/// Neighbours of one column or row, each in one pair alone; discs sorted column by column.
+fn in_pairs(discs: &[DotId]) -> Vec<[DotId; 2]> {
+    let (mut out, mut rest) = (vec![], discs);
+    while let [a, b, beyond @ ..] = rest {
+        let together = a.column == b.column || a.row == b.row;
+        rest = if together { beyond } else { &rest[1..] };
+        out.extend(together.then_some([*a, *b]));
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Columns of three dots: the third of each has no neighbour left, and is no pair with the first of the next.
+    #[test]
+    fn no_pair_reaches_across_the_field() {
+        let id = |column, row| DotId { column, row, level: 0 };
+        let grid: Vec<DotId> = (0..4).flat_map(|c| (0..3).map(move |r| id(c, r))).collect();
+        assert_eq!(in_pairs(&grid), (0..4).map(|c| [id(c, 0), id(c, 1)]).collect::<Vec<_>>());
+        assert_eq!(in_pairs(&[id(0, 0), id(1, 0)]), [[id(0, 0), id(1, 0)]], "two discs are one row");
+        assert!(in_pairs(&[id(0, 2), id(1, 0)]).is_empty() && in_pairs(&grid[..1]).is_empty());
+    }
 }

@@ -7,6 +7,9 @@ use std::thread::JoinHandle;
 /// More threads than any machine has come from a mistaken argument.
 pub const MOST_THREADS: usize = 1024;
 
+/// Stack of a thread that the library starts.
+pub const STACK_BYTES: usize = 2 << 20;
+
 /// A thread pool of its own whose threads have ended when it is dropped.
 ///
 /// A pool of rayon tells its threads to end but does not wait for them; in a host that unloads the library they would
@@ -28,7 +31,10 @@ impl Workers {
         }
         let all = || std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
         let threads = if threads == 0 { all() } else { threads };
-        Self::started(threads, |worker| std::thread::Builder::new().name("spivcal".into()).spawn(|| worker.run()))
+        Self::started(threads, |worker| {
+            // Said here, or a variable of the host's environment decides.
+            std::thread::Builder::new().name("spivcal".into()).stack_size(STACK_BYTES).spawn(|| worker.run())
+        })
     }
 
     fn started(

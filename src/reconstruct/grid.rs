@@ -82,6 +82,16 @@ fn axis(table: &FieldTable, name: &str, values: &[f64]) -> Result<(f64, f64, usi
     // Positions are rounded: the spacing over the whole width is the better one.
     let steps = ((last - sorted[0]) / middle).round().max(1.0);
     let spacing = (last - sorted[0]) / steps;
+    // Each step of a column has a vector, but for holes.
+    if !(spacing > 0.0 && steps <= (4 * values.len() + 16) as f64) {
+        let what = format!(
+            "the positions do not form a regular grid: {name} runs from {} to {last} in {steps} steps of {middle}, with {} vectors; export the field on \
+             its grid",
+            sorted[0],
+            values.len()
+        );
+        return Err(not_a_grid(table, what));
+    }
     if let Some(off) = values
         .iter()
         .find(|v| (((**v - sorted[0]) / spacing).round() * spacing + sorted[0] - **v).abs() > OFF_GRID * spacing)
@@ -312,6 +322,19 @@ mod tests {
             }
         }
         PlanarField::new(&parse_field(&text, "f").unwrap()).unwrap()
+    }
+
+    /// Positions so far apart that their distance is no number, or that no file holds as many steps.
+    #[test]
+    fn positions_without_a_spacing_are_no_grid() {
+        for far in [0.8e308, 1e12, 1e9] {
+            let places = [-2.125 * far, -far, 0.0, far, 2.125 * far, 1.0, 2.0];
+            let rows: Vec<String> =
+                places.iter().flat_map(|x| [0, 1].map(|y| format!("{x:e},{y},0.1,0.2\n"))).collect();
+            let text = format!("x_mm,y_mm,dx_mm,dy_mm\n{}", rows.concat());
+            let error = PlanarField::new(&parse_field(&text, "f").unwrap()).unwrap_err().to_string();
+            assert!(error.contains("grid") || error.contains("two vectors"), "{far}: {error}");
+        }
     }
 
     #[test]

@@ -155,8 +155,9 @@ pub fn parse_field(text: &str, file: &str) -> Result<FieldTable> {
         FieldTable { file: file.into(), format, unit, x: vec![], y: vec![], dx: vec![], dy: vec![], sigma: None };
     table.sigma = columns.sigma.map(|_| [vec![], vec![]]);
     // OpenPIV writes tabs below a header with blanks or tabs.
-    let separator = lines.peek().map_or(separator, |(_, l)| separator_of(l));
-    for (line, row) in lines.filter(|(_, l)| !l.starts_with('#')) {
+    let mut rows = lines.filter(|(_, l)| !l.starts_with('#')).peekable();
+    let separator = rows.peek().map_or(separator, |(_, l)| separator_of(l));
+    for (line, row) in rows {
         table.push(&cells(row, separator), &columns, line)?;
     }
     if table.x.is_empty() {
@@ -381,6 +382,14 @@ mod tests {
                 assert!(f.dy[i] == ours.dy[i] || i == 1 && f.dy[i].is_nan() && ours.dy[i].is_nan(), "{format:?}");
             }
         }
+    }
+
+    /// A line of words between header and numbers has separators of its own.
+    #[test]
+    fn comments_below_the_header_say_nothing_of_the_columns() {
+        let text = "x_mm,y_mm,dx_mm,dy_mm\n# made by foo; windows of 32 px\n1,2,0.1,0.2\n# more;\n3,4,0.1,0.3\n";
+        let table = parse_field(text, "a").unwrap();
+        assert_eq!((table.x, table.dy), (vec![1.0, 3.0], vec![0.2, 0.3]));
     }
 
     /// In mm y is up in the file as in the sheet, whoever wrote it.

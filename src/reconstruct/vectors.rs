@@ -277,6 +277,11 @@ fn coverage(m: &Measured, camera: &str) -> Result<([f64; 4], f64)> {
     let unseen = all - field.positions().filter(seen).count();
     match spacing {
         Some(spacing) if spacing > 0.0 && unseen as f64 <= UNSEEN * all as f64 => Ok((out, spacing)),
+        _ if unseen == 0 => Err(fault(format!(
+            "positions run from ({}, {}) to ({}, {}), which camera \"{camera}\" sees in one point of the sheet; check their unit and, where they are px of \
+             dewarped images, mm_per_px of dewarp.json",
+            e[0], e[1], e[2], e[3]
+        ))),
         _ => Err(fault(format!(
             "positions run from ({}, {}) to ({}, {}); camera \"{camera}\" does not see {unseen} of the {all} vectors. Check unit and origin: mm count from \
              the origin of the sheet frame (dewarp.json: origin_mm of the first pixel), px of dewarped images from their first pixel (--dewarped dewarp.json)",

@@ -298,7 +298,7 @@ pub struct Sheet {
     pub sigma: SheetSigma,
     /// Pose of the sheet frame: rig coordinates from sheet coordinates.
     pub rig_from_sheet: Pose,
-    /// How it was found: `joint` or `homography`.
+    /// How it was found: `joint`, `homography`, `self-calibration`, `target plane`, or the package whose calibration gave it.
     #[serde(default)]
     pub method: String,
     /// Views recorded in the sheet that were used.

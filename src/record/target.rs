@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// The target as it was adjusted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Target {
-    /// `two-discs`, `bubbles`, `dot-grid` or `two-level-plate`.
+    /// `two-discs`, `bubbles`, `dot-grid`, `two-level-plate`; `none` for a calibration of another package.
     pub kind: String,
     /// Radii, mm; one for a grid, two for a pair; empty where only centres were used.
     #[serde(with = "maybe_list")]

@@ -255,9 +255,14 @@ pub(super) struct Trial {
 impl Trial {
     /// Whether its chi-square is not larger than the other's by more than chance.
     pub(super) fn as_good_as(&self, other: &Self) -> bool {
-        // Too few observations never make a factor below one.
-        self.chi2 < other.chi2 + AS_GOOD * (other.chi2 / other.observations).max(1.0)
+        as_good(self.chi2, [other.chi2, other.observations])
     }
+}
+
+/// Whether a chi-square is not larger than one of so many observations by more than chance.
+fn as_good(chi2: f64, [other, observations]: [f64; 2]) -> bool {
+    // Too few observations never make a factor below one.
+    chi2 < other + AS_GOOD * (other / observations).max(1.0)
 }
 
 /// The best of some ways; none where none has an adjustment.
@@ -290,26 +295,24 @@ fn cheapest(starts: &[(RigProblem, Agreed, State)], undecided: &mut Vec<String>,
         let counts = model.counts();
         let state = State { offsets_mm: vec![], ..state.clone() };
         let trial = adjust(&model, state, &quick, &mut |i| told(i));
-        (trial.termination, (2.0 * trial.cost, (counts.observations as f64).max(1.0)))
+        (trial.termination, [2.0 * trial.cost, (counts.observations as f64).max(1.0)])
     });
     // Whoever stopped it stops the adjustment that follows as well.
     if tried.iter().any(|(t, _)| *t == Termination::Cancelled) {
         return 0;
     }
-    let chi2: Vec<(f64, f64)> = tried.into_iter().map(|(_, chi2)| chi2).collect();
-    let least = chi2.iter().map(|c| c.0).fold(f64::INFINITY, f64::min);
-    // Too few observations never make a factor below one.
-    let unit = chi2.iter().filter(|c| c.0 == least).map(|c| (least / c.1).max(1.0)).fold(1.0, f64::max);
-    let as_good: Vec<usize> = (0..chi2.len()).filter(|&i| chi2[i].0 < least + AS_GOOD * unit).collect();
-    if as_good.len() > 1 && !is_pair(&starts[0].0) {
+    let chi2: Vec<[f64; 2]> = tried.into_iter().map(|(_, chi2)| chi2).collect();
+    let least = chi2.iter().copied().reduce(|a, b| if b[0] < a[0] { b } else { a }).unwrap_or([f64::INFINITY, 1.0]);
+    let alike: Vec<usize> = (0..chi2.len()).filter(|&i| as_good(chi2[i][0], least)).collect();
+    if alike.len() > 1 && !is_pair(&starts[0].0) {
         undecided.push(format!(
             "how the dots' labels of the two cameras belong together is not decided by the images ({} ways fit equally well): taken with \
              both cameras upright (target y up) and the grids' middles as near to each other as the images allow; record the \
              target in clearly different tilts and turns, or mark one of its dots",
-            as_good.len()
+            alike.len()
         ));
     }
-    as_good.first().copied().unwrap_or(0)
+    alike.first().copied().unwrap_or(0)
 }
 
 /// The problem with the labels of a choice, and what its views agree on.

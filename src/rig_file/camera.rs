@@ -134,7 +134,7 @@ pub(crate) fn name_fault(name: &str) -> Option<String> {
     let allowed = |c: char| c.is_alphanumeric() || c == '-' || c == '_';
     let fits = !name.is_empty() && name.len() <= 64 && name.chars().all(allowed);
     (!fits).then(|| {
-        format!("\"{name}\" cannot be a name: expected 1 to 64 letters, digits, \"-\" or \"_\" (output files are called after it)")
+        format!("\"{name}\" cannot be a name: expected letters, digits, \"-\" or \"_\", 1 to 64 bytes of them (output files are called after it)")
     })
 }
 

@@ -56,7 +56,7 @@ pub(super) fn read(
 }
 
 fn has_steps(views: &[ViewDescription]) -> bool {
-    let mut positions = views.iter().filter_map(|v| v.plane_z_mm?.value_mm());
+    let mut positions = views.iter().filter_map(ViewDescription::position_mm);
     positions.next().is_some_and(|first| positions.any(|z| z != first))
 }
 

@@ -73,6 +73,12 @@ pub(super) fn read(root: &Section<'_>) -> Result<(TargetDescription, Option<Scal
         complete(&section, kind, &target)?;
     }
     let point_sigma_mm = point_sigma(&section, adjust)?;
+    if adjust == Adjust::Points && point_sigma_mm.is_none() && spacing.is_none() {
+        return Err(section.require("adjust", "")?.refuse(
+            "\"points\" estimates every dot about its place, which is taken to be known to a hundredth of the pitch, but spacing_mm is missing; say how far \
+             dots lie off their places with point_sigma_mm, in mm",
+        ));
+    }
     Ok((TargetDescription { target, polarity, adjust, point_sigma_mm }, scale))
 }
 

@@ -349,6 +349,13 @@ fn contradictions_about_the_target_are_refused() {
     refused(BUBBLES, "[scale]", "adjust = \"none\"\n[scale]", 7, &["always estimated"]);
     refused(GRID, "rows = 8", "adjust = \"none\"", 7, &["radii_mm is missing"]);
     refused(GRID, "rows = 8", "point_sigma_mm = 0.01", 7, &["adjust = \"points\""]);
+    // A hundredth of which pitch?
+    let unscaled = GRID.replace("spacing_mm = 3.5", "radii_mm = [1.0]");
+    refused(&unscaled, "rows = 8", "adjust = \"points\"", 7, &["point_sigma_mm", "spacing_mm is missing"]);
+    assert_eq!(
+        parse(&unscaled.replace("rows = 8", "adjust = \"points\"\npoint_sigma_mm = 0.02")).target.point_sigma_mm,
+        Some(0.02)
+    );
     refused(GRID, "[[view]]", "[solve]\nobservations = \"bitangent\"\n[[view]]", 14, &["pair"]);
 }
 
@@ -361,6 +368,8 @@ fn contradictions_about_the_scale_are_refused() {
     let bare = BUBBLES.replace("[scale]\nbaseline_mm = 707\n", "");
     refused(&bare, "plane_z_mm = 2.0", "plane_z_mm = 0.0", 5, &["nothing sets the scale", "two different"]);
     refused(&bare, "plane_z_mm = 2.0", "", 5, &["nothing sets the scale"]);
+    // The sheet itself is a position, whether it is written or not.
+    assert_eq!(parse(&bare.replace("plane_z_mm = 0.0\n", "sheet = true\n")).scale, Scale::Traverse { sigma_mm: None });
     let steps = BUBBLES.replace("baseline_mm = 707", "plane_z_mm = true");
     refused(&steps, "plane_z_mm = 2.0", "plane_z_mm = 0.0", 8, &["two views"]);
     refused(&steps, "plane_z_mm = 2.0\nsheet = false", "plane_z_mm = \"unknown\"", 8, &["two views"]);

@@ -27,7 +27,7 @@ pub(super) fn read_all(root: &Section<'_>, cameras: &[CameraDescription]) -> Res
         }
         views.push(view);
     }
-    let counted = |v: &ViewDescription| v.sheet || v.plane_z_mm.is_some_and(|z| z.value_mm().is_some());
+    let counted = |v: &ViewDescription| v.position_mm().is_some();
     let unknown = views.iter().position(|v| v.plane_z_mm == Some(PlaneZ::Unknown));
     if let Some(index) = unknown.filter(|_| !views.iter().any(counted)) {
         return Err(items[index].refuse(

@@ -15,12 +15,15 @@
 use super::random::{Stream, Use};
 use super::scene::{FlowKeys, ImageKeys, ParticleKeys};
 use super::setup::{Bench, PlacedCamera};
+use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Sheet};
 use crate::rigid::Motion;
 use nalgebra::{Vector2, Vector3};
 
 /// Half of the depth in which there are particles, over the sheet's full width.
 const DEPTH: f64 = 0.9;
+/// Most particles of a moment.
+const MOST: f64 = 2e7;
 /// Gauss points and weights of a pixel.
 const GAUSS: [(f64, f64); 3] =
     [(-0.387_298_334_620_741_7, 5.0 / 18.0), (0.0, 8.0 / 18.0), (0.387_298_334_620_741_7, 5.0 / 18.0)];
@@ -74,11 +77,19 @@ impl Particles {
         bench_from_light: &Motion<Bench, Sheet>,
         seed: u64,
         moment: usize,
-    ) -> Self {
+    ) -> Result<Self> {
         let mut stream = Stream::new(seed, Use::Particles, &[moment]);
         let [x0, y0, x1, y1] = field_mm(cameras, bench_from_light);
         let area = (x1 - x0).max(0.0) * (y1 - y0).max(0.0);
-        let count = stream.poisson(keys.per_mm2 * area * 2.0 * DEPTH) as usize;
+        let expected = keys.per_mm2 * area * 2.0 * DEPTH;
+        // A camera that looks along the light sees it to the horizon.
+        if !(expected <= MOST) {
+            let what = format!(
+                "at most {MOST:.0} in the {area:.3e} mm^2 of the light that the cameras see; look at it less slantingly, or take fewer per_mm2"
+            );
+            return Err(Invalid::value("particles of a moment", expected, what).into());
+        }
+        let count = stream.poisson(expected) as usize;
         let mut out = Self {
             points_mm: Vec::with_capacity(count),
             brightness: Vec::with_capacity(count),
@@ -90,7 +101,7 @@ impl Particles {
             out.points_mm.push(p);
             out.brightness.push(keys.level * stream.between(0.4, 1.0));
         }
-        out
+        Ok(out)
     }
 
     /// The same particles after a part of the way that the flow carries them, -1/2 for the first exposure.

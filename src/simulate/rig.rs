@@ -56,7 +56,8 @@ fn target(out: &mut String, scene: &SceneFile) -> std::fmt::Result {
     let polarity = if t.polarity == PolarityKey::Bright { "bright" } else { "dark" };
     writeln!(out, "[target]\nkind = \"{}\"\npolarity = \"{polarity}\"", t.kind.word())?;
     let gives_scale = matches!(scene.rig.scale, None | Some(ScaleKey::Target));
-    if let (true, Some(spacing)) = (gives_scale || !t.kind.is_pair(), t.spacing_mm) {
+    // The depth of a plate's second level is told beside its pitch.
+    if let (true, Some(spacing)) = (gives_scale || t.kind == Kind::TwoLevelPlate, t.spacing_mm) {
         writeln!(out, "spacing_mm = {spacing:?}")?;
     }
     if let (true, Some([a, b])) = (scene.rig.radii_known, t.radii_mm) {

@@ -377,3 +377,13 @@ fn a_value_of_another_type_is_told_by_its_key() {
     let expected = format!("s.toml:{line}: target.spacing_mm: invalid type: string \"14 mm\", expected a number");
     assert_eq!(message, expected);
 }
+
+/// A light that a camera looks along reaches to the horizon: more particles than any memory holds.
+#[test]
+fn light_without_end_is_refused_with_its_particles() {
+    let text = preset_text("printed").unwrap().replace("\n[particles]", "\n[old]");
+    let particles = "\n[particles]\npairs = 1\nper_mm2 = 1e4\nthickness_mm = 100.0\ntilt_deg = [0.0, 44.9]\n";
+    let scene = Scene::parse(&format!("{text}{particles}"), "scene.toml").unwrap();
+    let refused = simulate_particles(&scene).unwrap_err().to_string();
+    assert!(refused.contains("particles of a moment") && refused.contains("per_mm2"), "{refused}");
+}

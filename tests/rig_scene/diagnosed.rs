@@ -25,6 +25,7 @@ pub(crate) fn diagnosed_while(a: &Adjustment, observe: &(dyn Fn(&Iteration) -> b
         adjustment: a,
         covariance: &covariance,
         assumed: &[],
+        point_sigma_stated: true,
         labels: &labels,
         sizes_px: &[[1024.0, 768.0]; 2],
         sheet_frame: None,

@@ -57,7 +57,18 @@ pub(super) fn label(image: &str, detection: &Detection, target: &Grid) -> Result
     let Some(mut lattice) = found.filter(|l| l.nodes.len() >= FEWEST) else {
         return Err(no_grid(image, detection));
     };
+    let seen = lattice.nodes.len();
     let sightings = sightings(&dots, detection, &mut lattice, &target.marks);
+    if lattice.nodes.len() < FEWEST {
+        return Err(pattern_error(
+            image,
+            format!(
+                "of {seen} discs on a square grid {} differ in size from their neighbours by more than dots of one target do, and {FEWEST} are needed; \
+                 check that the image shows the target described",
+                seen - lattice.nodes.len()
+            ),
+        ));
+    }
     let mut out = Labelling::default();
     let mut placements = placements(image, &lattice, &sightings, target, &mut out)?;
     // Up in the image is the last resort, and the order of preference among the alternatives.

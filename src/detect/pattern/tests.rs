@@ -346,6 +346,16 @@ fn hidden_marks_are_told() {
     assert!(scene.all_right(&l.discs) || l.alternatives.iter().any(|a| scene.all_right(&l.relabelled(a))));
 }
 
+/// Four discs on a square of which no two neighbours are of one size: each leaves the lattice, and nothing is left to label.
+#[test]
+fn a_square_of_unlike_discs_is_refused_with_their_number() {
+    let place = [(400.0, 400.0, 14.0), (500.0, 400.0, 14.0), (400.0, 500.0, 20.3), (500.0, 500.0, 20.3)];
+    let discs = place.map(|(u, v, a)| disc(u, v, a, a, 0.0)).to_vec();
+    let detection = Detection { discs, ..Detection::default() };
+    let refused = label_discs("image", &detection, &grid_target(None, None, vec![])).unwrap_err().to_string();
+    assert!(refused.contains("of 4 discs on a square grid") && refused.contains("differ in size"), "{refused}");
+}
+
 #[test]
 fn blobs_in_no_order_are_no_grid() {
     let mut r = Random(17);
