@@ -52,6 +52,7 @@ mod round;
 mod scatter;
 mod smear;
 mod stepped;
+mod still;
 
 pub use check::{CheckOptions, CheckOutput, ParticlePair, check_sheet, check_sheet_masked};
 pub use planar::{PlanarOptions, PlanarVectors, planar_displacements};

@@ -231,14 +231,6 @@ pub(crate) fn room(what: impl FnOnce() -> String, bytes: usize) -> Result<()> {
     Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| Invalid::Memory { what: what(), bytes }.into())
 }
 
-/// What the system refused, in English: its own words are in the language of the process.
-pub(crate) fn of_the_system(error: &std::io::Error) -> String {
-    match error.raw_os_error() {
-        Some(number) => format!("{} (error {number} of the system)", error.kind()),
-        None => error.to_string(),
-    }
-}
-
 /// What a reader of files says of types, in words of its users.
 pub(crate) fn in_plain_types(message: &str) -> String {
     let words = [

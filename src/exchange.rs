@@ -40,7 +40,7 @@ use crate::frames::{Cam, Rig, Sheet};
 use crate::record::Record;
 use crate::rigid::Motion;
 
-pub use placed::placed;
+pub use placed::{placed, placed_at_view};
 pub use refit::Loss;
 
 /// Formats that can be written.

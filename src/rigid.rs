@@ -148,6 +148,12 @@ impl<A, B> Motion<A, B> {
         let v = step.fixed_rows::<3>(3);
         Self::new(orthonormalised(&(e * self.rotation)), e * self.translation_mm + v)
     }
+    /// The step that leads from this motion to another: `retract` of it is that one.
+    pub fn step_to(&self, to: &Self) -> SVector<f64, 6> {
+        let turn = to.rotation * self.rotation.transpose();
+        let (w, v) = (rotation_log(&turn), to.translation_mm - turn * self.translation_mm);
+        SVector::from([w.x, w.y, w.z, v.x, v.y, v.z])
+    }
     /// 6x6 matrix that turns a retraction step of a `B`-valued motion into the step of the same movement in `A`.
     ///
     /// `(a_from_b * b_from_c.retract(d)) = (a_from_b * b_from_c).retract(adjoint d)` to first order.

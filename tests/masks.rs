@@ -98,9 +98,28 @@ fn a_wall_draws_the_sheet_to_itself_unless_it_is_left_out() {
                 let z = (found.check.offset_mm - real_mm) / found.check.offset_sigma_mm;
                 println!("{seed}: {:.4} mm with the wall, z {z:.1}; {:?}", found.check.offset_mm, found.check.flags);
                 assert!(z.abs() > 5.0, "{z}");
+                let told = found.check.flags.iter().any(|f| f.contains("different moments are alike"));
+                assert!(told, "{:?}", found.check.flags);
             }
             Err(error) => println!("{seed}: {error}"),
         }
+    }
+}
+
+/// The mean of all images has the wall, and not the particles.
+#[test]
+fn the_mean_of_the_images_takes_a_wall_off() {
+    for seed in [1, 2] {
+        let Walled { start, real, images, .. } = walled(seed);
+        let real_mm = plane(&start, &real).x;
+        let options = CheckOptions { window_px: 32, refine: true, subtract_mean: true, ..CheckOptions::default() };
+        let found = check_sheet(&start, &pairs(&images), &options).unwrap().check;
+        let z = (found.offset_mm - real_mm) / found.offset_sigma_mm;
+        println!("{seed}: {:.4} +- {:.4} mm, z {z:.2}; {:?}", found.offset_mm, found.offset_sigma_mm, found.flags);
+        assert!(found.converged && z.abs() < 3.5, "{z}");
+        assert!(found.flags.iter().all(|f| !f.contains("are alike")), "{:?}", found.flags);
+        let one = check_sheet(&start, &pairs(&images[..2]), &options).unwrap_err().to_string();
+        assert!(one.contains("two image pairs at least"), "{one}");
     }
 }
 
@@ -114,6 +133,7 @@ fn a_white_mask_leaves_nothing_out() {
     let plain = check_sheet(&start, &pairs(&images), &options).unwrap();
     let masked = check_sheet_masked(&start, &pairs(&images), [Some(white.view()), None], &options).unwrap();
     assert_eq!(masked.check, plain.check);
+    assert!(plain.check.flags.iter().all(|f| !f.contains("are alike")), "{:?}", plain.check.flags);
 }
 
 #[test]

@@ -141,6 +141,9 @@ pub(super) struct Check {
     /// Masks of both cameras, of the size of their images: where a mask is 0 (black), nothing is measured in any image (a model, a wall, reflections)
     #[arg(long, num_args = 2, value_names = ["LEFT", "RIGHT"])]
     pub(super) masks: Option<Vec<PathBuf>>,
+    /// Take the mean of all images of a camera off each: walls and reflections stand still, particles do not
+    #[arg(long)]
+    pub(super) subtract_mean: bool,
     /// Side of a window of the disparity map, px of the dewarped image
     #[arg(long, value_name = "PX", default_value_t = 64)]
     pub(super) window_px: usize,

@@ -8,9 +8,10 @@ use super::progress::Bar;
 use super::threads;
 use crate::diagnosis::mapping_of_record;
 use crate::disparity::{CheckOptions, ParticlePair, check_sheet_masked, sheet_of_view};
-use crate::error::{Error, Invalid, Result, of_the_system};
+use crate::error::{Error, Invalid, Result};
 use crate::frames::{Rig, Sheet};
 use crate::image::GrayImage;
+use crate::pipeline::of_the_system;
 use crate::record::{CamerasRefined, Record, SheetCheck};
 use crate::report::check_html;
 use serde_json::json;
@@ -43,13 +44,11 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         images.push([load_sized(&pair[0], &record, 0)?, load_sized(&pair[1], &record, 1)?]);
         progress.step();
     }
+    let name = |p: &PathBuf| p.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let pairs: Vec<ParticlePair> = images
         .iter()
         .zip(&files)
-        .map(|(i, f)| ParticlePair {
-            images: [i[0].view(), i[1].view()],
-            names: f.each_ref().map(|p| p.file_name().unwrap_or_default().to_string_lossy().into_owned()),
-        })
+        .map(|(i, f)| ParticlePair { images: [i[0].view(), i[1].view()], names: f.each_ref().map(name) })
         .collect();
     progress.say("looking for the plane of the light".to_string());
     let options = CheckOptions {
@@ -57,6 +56,7 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         search_mm: command.search_mm,
         refine: command.refine,
         refine_cameras: command.refine_cameras,
+        subtract_mean: command.subtract_mean,
         reference_mm,
     };
     let pool = threads::pool(threads)?;

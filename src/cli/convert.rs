@@ -7,6 +7,7 @@ use crate::dewarp::{Placement, SoloffDegrees};
 use crate::error::{Invalid, Result};
 use crate::exchange::{
     Conversion, ExportFormat, ImportFormat, ImportOptions, Loss, NamedText, export, export_soloff, import, placed,
+    placed_at_view,
 };
 use crate::record::Record;
 use serde_json::json;
@@ -28,8 +29,7 @@ pub(super) fn run(command: &Convert) -> Result<Done> {
                 return Err(Invalid::Contradiction(what.into()).into());
             }
             let record = Record::from_json(&read_text(file, "a calibration.json")?, &file.display().to_string())?;
-            let placement = placement(command, &record)?;
-            let record = placement.map_or(Ok(record.clone()), |p| placed(&record, &p))?;
+            let record = in_frame(command, record)?;
             if command.soloff_degrees.is_some() && to != ToFormat::Soloff {
                 let what = "--soloff-degrees are those of --to soloff; leave them out for another format";
                 return Err(Invalid::Contradiction(what.into()).into());
@@ -68,18 +68,20 @@ fn told<T>(done: &Conversion<T>) -> (Vec<String>, Vec<Loss>, Vec<String>) {
     (done.notes.clone(), done.losses.clone(), done.flags())
 }
 
-/// Where the sheet frame is to stand; none where it stays.
-fn placement(command: &Convert, record: &Record) -> Result<Option<Placement>> {
+/// The calibration with its sheet frame where it is to stand.
+fn in_frame(command: &Convert, record: Record) -> Result<Record> {
     if let Some(view) = command.frame_of_view {
-        return Placement::at_view(record, view).map(Some);
+        return placed_at_view(&record, view);
     }
     let turn_deg = command.turn_deg.unwrap_or(0.0);
     if !turn_deg.is_finite() {
         return Err(Invalid::value("turn of the sheet frame (degrees)", turn_deg, "a number").into());
     }
-    let wanted = command.origin_mm.is_some() || command.turn_deg.is_some();
+    if command.origin_mm.is_none() && command.turn_deg.is_none() {
+        return Ok(record);
+    }
     let origin_mm = command.origin_mm.unwrap_or([0.0; 2]);
-    Ok(wanted.then_some(Placement { origin_mm, angle_rad: turn_deg.to_radians(), turned_round: false }))
+    placed(&record, &Placement { origin_mm, angle_rad: turn_deg.to_radians(), turned_round: false })
 }
 
 /// The calibration itself.

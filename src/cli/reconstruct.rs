@@ -14,12 +14,17 @@ use crate::reconstruct::{
 };
 use crate::record::Record;
 use crate::report::{VectorPicture, vectors_svg};
+use crate::stats::median;
 use serde_json::json;
 use std::num::NonZeroUsize;
 use std::path::Path;
 
 /// More missing vectors than this part of the field are flagged.
 const MISSING_LIMIT: f64 = 0.3;
+
+/// Fields that fit this many times better exchanged are exchanged, by so many vectors at least.
+const EXCHANGED: f64 = 3.0;
+const FEWEST_COMPARED: usize = 30;
 
 /// Residuals of more than this many times what stated sigmas let expect are flagged.
 const RESIDUAL_LIMIT: f64 = 1.5;
@@ -70,11 +75,16 @@ pub(super) fn run(command: &Reconstruct, threads: Option<NonZeroUsize>, progress
     progress.say("three components".to_string());
     let pool = threads::pool(threads)?;
     let found = pool.install(|| reconstruct([&maps[0], &maps[1]], [&fields[0], &fields[1]], names, &options))?;
+    let exchanged = Options { perturbed: None, ..options };
+    let exchanged = pool.install(|| reconstruct([&maps[0], &maps[1]], [&fields[1], &fields[0]], names, &exchanged));
+    if let Some(what) = exchanged.ok().and_then(|other| fits_better(&other, &found, names)) {
+        return Err(fault(&command.left, what));
+    }
     flags.extend(gaps(&found, &fields, names));
     if found.common_errors.is_some() && found.residual_ratio > RESIDUAL_LIMIT {
         flags.push(format!(
-            "the residuals are {:.1} times what the sigmas in the files let expect: those sigmas are too small, the sheet or the cameras are off (run \
-             spivcal check), or the fields are not of the same moments",
+            "the residuals are {:.1} times what the sigmas in the files let expect, and those of u, v and w have been enlarged as much: the stated ones are too \
+             small, the sheet or the cameras are off (run spivcal check), or the fields are not of the same moments",
             found.residual_ratio
         ));
     }
@@ -105,6 +115,22 @@ fn place(output: &Path) -> Result<(&Path, String, String)> {
         return Err(fault(output, what));
     }
     Ok((folder, name.to_string_lossy().into_owned(), picture))
+}
+
+/// Why fields are those of the other cameras: exchanged they leave far less.
+fn fits_better(exchanged: &VectorField, found: &VectorField, names: [&str; 2]) -> Option<String> {
+    let typical = |f: &VectorField| {
+        let mut left: Vec<f64> = f.residual_px.iter().map(|r| r.abs()).filter(|r| r.is_finite()).collect();
+        (left.len() >= FEWEST_COMPARED).then(|| median(&mut left))?
+    };
+    let (other, own) = (typical(exchanged)?, typical(found)?);
+    (own > EXCHANGED * other).then(|| {
+        format!(
+            "this field is given for camera \"{}\", but with the two fields exchanged both cameras agree to {other:.3} px (median) in place of {own:.3} px: name \
+             the field of camera \"{}\" first",
+            names[0], names[0]
+        )
+    })
 }
 
 /// Says so where a good part of the points has no vector.

@@ -36,13 +36,13 @@ mod windows;
 
 use super::anchor::Anchor;
 use super::propagate::{Propagated, against_by_sheet, against_by_start, sheet_pose, start_rows, tilted};
-use super::stepped::{Steps, numbers_between, record_after, step_between, take_sigmas};
+use super::stepped::{Steps, numbers_between, record_after, take_sigmas};
 use crate::bundle::symmetric_eigen;
 use crate::error::{Error, Insufficient, Result};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::record::{CamerasRefined, Covariance, Pose, Record, RefinedNumber, View};
 use crate::rigid::Motion;
-use crate::sheet::{Parameter, SHEET, STEP_NAMES};
+use crate::sheet::{Parameter, SHEET, STEP_NAMES, with_frame_on_axis};
 use crate::stats::chi_square_above;
 use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Matrix6, OMatrix, SVector, U3};
 pub(super) use windows::Update;
@@ -135,7 +135,7 @@ impl Prior {
                     .at(start, &prior.steps(start, &DVector::from_fn(kept.len(), |j, _| if j == k { h } else { 0.0 })))
             };
             let (m, p) = (at(-SIDE).ok_or_else(lost)?, at(SIDE).ok_or_else(lost)?);
-            prior.drift.set_column(k, &(step_between(&m, &p) / (2.0 * SIDE)));
+            prior.drift.set_column(k, &(m.step_to(&p) / (2.0 * SIDE)));
         }
         Ok(prior)
     }
@@ -213,8 +213,8 @@ impl Prior {
                     g[(i, j)] = d / (2.0 * SIDE);
                 }
             }
-            start_by.set_column(j, &(step_between(&sheet_pose(&m)?, &sheet_pose(&p)?) / (2.0 * SIDE)));
-            sheet_by.set_column(j, &(step_between(&m_sheet, &p_sheet) / (2.0 * SIDE)));
+            start_by.set_column(j, &(sheet_pose(&m)?.step_to(&sheet_pose(&p)?) / (2.0 * SIDE)));
+            sheet_by.set_column(j, &(m_sheet.step_to(&p_sheet) / (2.0 * SIDE)));
         }
         sheet_by.columns_mut(k, 3).copy_from(&(pose.adjoint() * tilted()));
         let c = &update.covariance;
@@ -254,6 +254,7 @@ impl Prior {
             undetermined: rest.undetermined,
             null_directions: rest.null_directions.into_iter().map(|d| [d, vec![0.0; 6]].concat()).collect(),
         };
+        let covariance = with_frame_on_axis(covariance, &pose);
         Some(Propagated { plane_and_center, against_start, covariance })
     }
 

@@ -9,6 +9,7 @@ use super::plane::{Match, cameras_held, moved_sheet, see};
 use super::prepare::{SATURATED, levels, saturated_part};
 use super::propagate::{Propagated, against, against_by_plane, propagate};
 use super::round::{FEWEST, Moment, Round, Series, maps_of, measure};
+use super::still::{self, without_mean};
 use crate::dewarp::{Kernel, Sampler, SheetGrid, SheetMap};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::frames::{Rig, Sheet};
@@ -24,6 +25,10 @@ const ROUNDS: usize = 12;
 const STILL_PX: f64 = 0.002;
 /// Or moves by less than this part of its sigma (windows at the limit of being used come and go).
 const STILL_SIGMAS: f64 = 0.3;
+/// Fewer windows do not tell how much they scatter.
+const FEW_WINDOWS: usize = 20;
+/// What is noted of cameras that particles refined.
+const CAMERAS_REFINED: &str = ", cameras refined with it";
 /// Rounds for the cameras at most.
 const CAMERA_ROUNDS: usize = 8;
 /// They end when nothing moves by more than this part of its sigma: windows at the limit of being used come and go.
@@ -44,13 +49,22 @@ pub struct CheckOptions {
     pub refine: bool,
     /// Whether the cameras are to be corrected with it, weighed against the calibration's covariance.
     pub refine_cameras: bool,
+    /// Whether the mean of all images of a camera is taken off each, pixel by pixel: walls and reflections stand still.
+    pub subtract_mean: bool,
     /// Point of the starting sheet at which its offset is reported, its frame, mm.
     pub reference_mm: [f64; 2],
 }
 
 impl Default for CheckOptions {
     fn default() -> Self {
-        Self { window_px: 64, search_mm: None, refine: false, refine_cameras: false, reference_mm: [0.0; 2] }
+        Self {
+            window_px: 64,
+            search_mm: None,
+            refine: false,
+            refine_cameras: false,
+            subtract_mean: false,
+            reference_mm: [0.0; 2],
+        }
     }
 }
 
@@ -102,6 +116,12 @@ pub fn check_sheet_masked(
     let masks = &[mask(0)?, mask(1)?];
     let mut flags = vec![];
     check_images(pairs, &maps, masks, &mut flags)?;
+    let less = if options.subtract_mean { Some(without_mean(pairs)?) } else { None };
+    let less: Option<Vec<ParticlePair>> = less.as_ref().map(|less| {
+        let views = less.iter().map(|l| [l[0].view(), l[1].view()]);
+        views.zip(pairs).map(|(images, p)| ParticlePair { images, names: p.names.clone() }).collect()
+    });
+    let pairs = less.as_deref().unwrap_or(pairs);
     if !(16..=512).contains(&options.window_px) {
         return Err(Invalid::value("window", options.window_px as f64, "16 to 512 px").into());
     }
@@ -117,27 +137,9 @@ pub fn check_sheet_masked(
         .map(|p| Moment { samplers: p.images.each_ref().map(|i| Sampler::new(i, Kernel::Cubic)) })
         .collect();
     let series = Series { moments, masks };
-    let mut current = moved(record, &found.plane, &Matrix6::zeros())?;
     let mut history = vec![];
-    let (mut converged, mut last) = (false, None);
-    // Coarse windows first, unless the field holds too few of them.
-    let coarse = 2 * options.window_px;
-    let enough = (grid.width_px / coarse) * (grid.height_px / coarse) >= 2 * FEWEST;
-    for round in 0..ROUNDS {
-        let fine = round > 0;
-        let window = if fine || !enough { options.window_px } else { coarse };
-        let result = measure(&current, &series, window, fine)?;
-        let abc = result.fit.abc;
-        let step_sigmas = result.fit.covariance.try_inverse().map_or(f64::INFINITY, |w| abc.dot(&(w * abc)).sqrt());
-        let next = moved(&current, &result.fit.abc, &cameras_held(&result.fit.covariance))?;
-        history.push(entry(record, &next, &result, window, options)?);
-        current = next;
-        converged = fine && (result.step_px < STILL_PX || step_sigmas < STILL_SIGMAS);
-        last = Some(result);
-        if converged || (!options.refine && fine) {
-            break;
-        }
-    }
+    let start = moved(record, &found.plane, &Matrix6::zeros())?;
+    let (mut current, mut last, mut converged) = refine_plane(record, start, &series, &grid, options, &mut history)?;
     if options.refine && !converged {
         flags.push(format!("the plane still moves after {ROUNDS} rounds; more image pairs would hold it"));
     }
@@ -151,10 +153,10 @@ pub fn check_sheet_masked(
             flags
                 .push(format!("the cameras still move after {CAMERA_ROUNDS} rounds; more image pairs would hold them"));
         }
-        (current, last) = (r.now, Some(r.round));
+        (current, last) = (r.now, r.round);
         (r.reference, r.update)
     });
-    let Some(result) = last else { return Err(crate::Error::Bug("no round of the check".into())) };
+    let result = last;
     let mut reference = record.clone();
     let mut shared = None;
     let mut cameras_refined = None;
@@ -167,21 +169,84 @@ pub fn check_sheet_masked(
     let ends = [record, &reference];
     let light = light(&current, &series, options.window_px)?;
     flags.extend(light.flags());
+    flags.extend(still::flag(&current, &series, options.window_px)?);
+    flags.extend(few_windows(&result));
+    flags.extend(refined_before(record).filter(|_| options.refine_cameras));
     let mut out = output(ends, current, pairs, result, history, &found, converged, options, shared, light, flags)?;
     out.check.cameras_refined = cameras_refined;
+    let masked = masks.iter().any(Option::is_some);
     if let Some(corrected) = &mut out.record {
-        let masked = if masks.iter().any(Option::is_some) { ", masked" } else { "" };
-        let how = match (options.refine_cameras, out.check.sigmas_hold_calibration) {
-            (true, _) => ", cameras refined with it",
-            (false, true) => "",
-            (false, false) => ", cameras held",
-        };
-        let from = format!("self-calibration on {} particle image pair(s){masked}{how}", pairs.len());
-        corrected.provenance.options.insert("sheet".into(), from);
-        corrected.fit.forget_check_flags();
-        corrected.fit.keep_check_flags(&out.check.flags);
+        note(corrected, &out.check, masked, options);
     }
     Ok(out)
+}
+
+/// Notes in a corrected calibration where its sheet is from, and what was flagged.
+fn note(corrected: &mut Record, check: &SheetCheck, masked: bool, options: &CheckOptions) {
+    let how = match (options.refine_cameras, check.sigmas_hold_calibration) {
+        (true, _) => CAMERAS_REFINED,
+        (false, true) => "",
+        (false, false) => ", cameras held",
+    };
+    let without = match (masked, options.subtract_mean) {
+        (true, true) => ", masked, less their mean",
+        (true, false) => ", masked",
+        (false, true) => ", less their mean",
+        (false, false) => "",
+    };
+    let from = format!("self-calibration on {} particle image pair(s){without}{how}", check.pairs.len());
+    corrected.provenance.options.insert("sheet".into(), from);
+    corrected.fit.forget_check_flags();
+    corrected.fit.keep_check_flags(&check.flags);
+}
+
+/// Rounds for the plane with the cameras held: the calibration with its sheet, the last round, and whether it came to rest.
+fn refine_plane(
+    start: &Record,
+    mut current: Record,
+    series: &Series,
+    grid: &SheetGrid,
+    options: &CheckOptions,
+    history: &mut Vec<CheckRound>,
+) -> Result<(Record, Round, bool)> {
+    // Coarse windows first, unless the field holds too few of them.
+    let coarse = 2 * options.window_px;
+    let enough = (grid.width_px / coarse) * (grid.height_px / coarse) >= 2 * FEWEST;
+    for round in 0..ROUNDS {
+        let fine = round > 0;
+        let window = if fine || !enough { options.window_px } else { coarse };
+        let result = measure(&current, series, window, fine)?;
+        let abc = result.fit.abc;
+        let step_sigmas = result.fit.covariance.try_inverse().map_or(f64::INFINITY, |w| abc.dot(&(w * abc)).sqrt());
+        let next = moved(&current, &abc, &cameras_held(&result.fit.covariance))?;
+        history.push(entry(start, &next, &result, window, options)?);
+        current = next;
+        let converged = fine && (result.step_px < STILL_PX || step_sigmas < STILL_SIGMAS);
+        if converged || (!options.refine && fine) || round + 1 == ROUNDS {
+            return Ok((current, result, converged));
+        }
+    }
+    Err(crate::Error::Bug("no round of the check".into()))
+}
+
+/// Says so where windows are too few to tell how much they scatter.
+fn few_windows(last: &Round) -> Option<String> {
+    let count = last.fit.count();
+    (count < FEW_WINDOWS).then(|| {
+        format!(
+            "the sheet stands on {count} windows: below {FEW_WINDOWS} their scatter is hardly known, and the sigmas with it; take more image pairs, or smaller \
+             windows (--window-px)"
+        )
+    })
+}
+
+/// Says so where what the same images tell may be counted twice.
+fn refined_before(record: &Record) -> Option<String> {
+    record.provenance.options.get("sheet").filter(|s| s.ends_with(CAMERAS_REFINED)).map(|_| {
+        "particle images have refined the cameras of this calibration before: where these are the same images, what they tell is counted twice and the sigmas are \
+         too small; start from the calibration of the target"
+            .into()
+    })
 }
 
 /// Cameras and plane at rest.

@@ -83,7 +83,12 @@ pub(super) fn light(record: &Record, series: &Series, window_px: usize) -> Resul
 }
 
 /// All windows, a row of them at a time: together they would need 24 bytes per pixel of the field.
-fn summed(correlator: &Correlator, particles: &[Dewarped], width_px: usize, lattice: &Lattice) -> Option<Sums> {
+pub(super) fn summed(
+    correlator: &Correlator,
+    particles: &[Dewarped],
+    width_px: usize,
+    lattice: &Lattice,
+) -> Option<Sums> {
     let one = |k: usize| {
         let [column, row] = lattice.corner(k);
         correlator.window(particles, width_px, column, row)

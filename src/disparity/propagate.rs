@@ -25,7 +25,8 @@ use crate::frames::{Cam, Rig, Sheet};
 use crate::record::{Covariance, Record};
 use crate::rigid::Motion;
 use crate::sheet::{
-    Parameter, SHEET, STEP_NAMES, determines_measurements, stepped_camera, stepped_motion, stepped_window, with_sheet,
+    Parameter, SHEET, STEP_NAMES, determines_measurements, stepped_camera, stepped_motion, stepped_window,
+    with_frame_on_axis, with_sheet,
 };
 use nalgebra::{DMatrix, Matrix3, Matrix6, Matrix6x3, SMatrix, SVector, Vector3};
 
@@ -172,6 +173,7 @@ pub(super) fn propagate(
     let step_by_plane = pose.adjoint() * tilted();
     let own = step_by_plane * plane_and_center.fixed_view::<3, 3>(0, 0) * step_by_plane.transpose();
     let covariance = with_sheet(&start.covariance, &p, &(step_by_plane * &by_number), &own);
+    let covariance = with_frame_on_axis(covariance, &pose);
     Some(Propagated { plane_and_center, against_start, covariance })
 }
 

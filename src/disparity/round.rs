@@ -18,7 +18,7 @@ const RATIO: f64 = 1.25;
 /// direction of depth. Those of common particles stand together; half of them beyond this part of it are refused.
 const ANYWHERE: f64 = 0.25;
 /// Fewest windows that fix a plane with something to spare.
-pub(super) const FEWEST: usize = 8;
+pub(super) const FEWEST: usize = 10;
 
 /// Images of one moment ready to be dewarped.
 pub(super) struct Moment {

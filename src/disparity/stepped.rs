@@ -160,18 +160,12 @@ pub(super) fn sheet_after(start: &Record, steps: &Steps<'_>) -> Option<Motion<Ri
     Some(in_rig(&pose, [first.turn, Vector3::zeros()], &first))
 }
 
-/// Left step from one pose to another.
-pub(super) fn step_between<A, B>(from: &Motion<A, B>, to: &Motion<A, B>) -> SVector<f64, 6> {
-    let turn = to.rotation * from.rotation.transpose();
-    step6(rotation_log(&turn), to.translation_mm - turn * from.translation_mm)
-}
-
 /// The numbers of these names that differ between two records of one calibration; poses as left steps, windows as the smallest turn. None
 /// for names of other things.
 pub(super) fn numbers_between(from: &Record, to: &Record, names: &[String]) -> Vec<Option<f64>> {
     let mut all: BTreeMap<String, f64> = BTreeMap::new();
     let mut pose = |owner: String, a: &Pose, b: &Pose| {
-        let step = step_between(&a.motion::<Rig, Rig>(), &b.motion::<Rig, Rig>());
+        let step = a.motion::<Rig, Rig>().step_to(&b.motion());
         STEP_NAMES.iter().zip(step.iter()).for_each(|(s, d)| {
             all.insert(format!("{owner}.{s}"), *d);
         });

@@ -1,7 +1,7 @@
 //! A calibration whose sheet frame stands elsewhere in the same plane.
 //!
-//! Only the frame moves: plane, cameras and the covariance's left steps of the sheet against the rig stay as they are. What is told along the
-//! axes of the frame is told along the new ones, with sigmas from those steps (w, v):
+//! Only the frame moves: plane and cameras stay as they are, and so do the covariance's left steps of the sheet against the rig where the new frame hangs
+//! on the old one. One that stands on the target of a view moves with it ([`placed_at_view`]). What is told along the axes of the frame is told along the new ones, with sigmas from those steps (w, v):
 //! ```text
 //! (a, b, c) of a step = L^T Ad^-1 (w, v)     Ad adjoint of rig_from_sheet; L: b is a turn about -y, c about x, a a shift along z
 //! ```
@@ -15,11 +15,11 @@
 use crate::dewarp::Placement;
 use crate::diagnosis::mapping_of_record;
 use crate::error::{Invalid, Result};
-use crate::frames::{Cam, Rig, Sheet};
+use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::record::{MappingUncertainty, Record};
 use crate::rigid::Motion;
-use crate::sheet::{STEP_NAMES, SheetEstimate};
-use nalgebra::{DMatrix, Matrix6, SMatrix, Vector3};
+use crate::sheet::{self, STEP_NAMES, SheetEstimate, pose_rows, with_frame};
+use nalgebra::{DMatrix, Matrix6, SMatrix, SVector, Vector3};
 
 /// Covariance of (a, b, c) in a frame of the sheet and of the second projection centre; `NaN` where the record does not state it.
 fn plane_and_center(record: &Record, frame: &Motion<Rig, Sheet>) -> Matrix6<f64> {
@@ -83,5 +83,26 @@ pub fn placed(record: &Record, placement: &Placement) -> Result<Record> {
     let by_views = |m: &MappingUncertainty| m.by_views.as_ref().map(|v| if turned { v.turned() } else { v.clone() });
     out.mapping_uncertainty =
         record.mapping_uncertainty.as_ref().and_then(|m| Some(mapping_of_record(&out, by_views(m))?.0));
+    Ok(out)
+}
+
+/// The calibration with its sheet frame on the target of a view: its origin and x axis, laid into the sheet along the normal.
+///
+/// # Errors
+/// As [`Placement::at_view`] and [`placed`].
+pub fn placed_at_view(record: &Record, view: usize) -> Result<Record> {
+    let mut out = placed(record, &Placement::at_view(record, view)?)?;
+    let pose = record.views.iter().find(|v| v.index == view).and_then(|v| v.rig_from_target);
+    let rows = pose_rows(&out.covariance, &format!("view{view}.rig_from_target."));
+    if let (Some(pose), Some(rows), Some(placed)) = (pose, rows, &out.sheet) {
+        let stands = |steps: &[SVector<f64, 6>]| {
+            let target = pose.motion::<Rig, Target>().retract(&steps[0]);
+            let x = target.rotation.column(0).into_owned();
+            sheet::Placement { origin_in_rig_mm: Some(target.translation_mm), x_in_rig: Some(x), flip_x: false }
+        };
+        if let Some(covariance) = with_frame(&out.covariance, &placed.rig_from_sheet.motion(), &[rows], stands) {
+            out.covariance = covariance;
+        }
+    }
     Ok(out)
 }

@@ -222,6 +222,23 @@ fn uvmat_by_hand() {
     assert_eq!(c.name, "left");
 }
 
+/// One file of right-handed axes and one of left-handed ones are not of one world.
+#[test]
+fn uvmat_files_of_two_hands_are_refused() {
+    let file = |name: &str, z: f64| NamedText {
+        name: name.into(),
+        text: format!(
+            "<ImaDoc><GeometryCalib><CalibrationType>3D_extrinsic</CalibrationType><CoordUnit>cm</CoordUnit><fx_fy>5000 5010</fx_fy>\
+             <Cx_Cy>512 384</Cx_Cy><Tx_Ty_Tz>1 2 50</Tx_Ty_Tz><R>1 0 0</R><R>0 1 0</R><R>0 0 {z}</R></GeometryCalib></ImaDoc>"
+        ),
+    };
+    let read = |z: [f64; 2]| import(&[file("a.xml", z[0]), file("b.xml", z[1])], ImportFormat::Uvmat, &OPTIONS);
+    for z in [[-1.0, 1.0], [1.0, -1.0]] {
+        let message = read(z).unwrap_err().to_string();
+        assert!(message.contains("b.xml") && message.contains("one world"), "{message}");
+    }
+}
+
 /// The container read back byte by byte, as its specification says.
 #[test]
 fn matlab_file_holds_the_nearest_untilted_camera() {

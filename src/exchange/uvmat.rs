@@ -25,8 +25,17 @@ pub(super) fn import(files: &[NamedText], options: &ImportOptions) -> Result<Fou
         )
     })?;
     let (mut cameras, mut notes) = (Vec::new(), Vec::new());
+    let mut handed = None;
     for file in files {
         let (camera, mirrored) = camera(file, size_px, options)?;
+        if *handed.get_or_insert(mirrored) != mirrored {
+            let what = format!(
+                "{}: its R turns axes of one hand into those of the other, that of the first file does not: the cameras do not look at one world; calibrate both \
+                 with the same axes",
+                file.name
+            );
+            return Err(Invalid::Contradiction(what).into());
+        }
         if mirrored {
             notes.push(format!(
                 "{}: its axes are left-handed as this library sees them; z is taken with the other sign",

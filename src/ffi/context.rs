@@ -22,7 +22,8 @@ pub(super) struct Context {
 /// `threads`: threads that each calibration or detection may use, 1 to 1024; 0: as many as the machine has. They are started by the
 /// call or job that needs them and have ended when it returns or is destroyed. Results do not depend on their number, to the bit. The context keeps
 /// the memory in which images were searched (some 6 bytes per pixel, at most 128 MB for each search at a time) for the next.
-/// `context`: receives the handle. Any thread.
+/// `context`: receives the handle. Any thread. Where it fails there is no object to hold an error text: SPIVCAL_ERROR_INVALID_INPUT means too many threads or
+/// that the system gives none.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_context_create(threads: i32, context: *mut u64) -> i32 {
     enter_without_object(|| {

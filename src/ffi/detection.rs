@@ -104,7 +104,8 @@ pub extern "C" fn spivcal_detection_unset(detection: u64, key: i32) -> i32 {
 
 /// Finds the discs of an image. What an earlier run found is replaced.
 ///
-/// `image`: handle of the image. Blocks until it is done. SPIVCAL_OK also where no disc was found: see SPIVCAL_COUNT_DISCS.
+/// `image`: handle of the image. Blocks until it is done, some milliseconds for the image of a target, many seconds for one of particles, each of which is
+/// looked at; SPIVCAL_DETECT_MIN_SEMI_MINOR_PX near the size of the discs spares most of that. SPIVCAL_OK also where no disc was found: see SPIVCAL_COUNT_DISCS.
 #[unsafe(no_mangle)]
 pub extern "C" fn spivcal_detection_run(detection: u64, image: u64) -> i32 {
     enter(detection, Kind::Detection, |object| {

@@ -154,7 +154,9 @@ pub unsafe extern "C" fn spivcal_calibration_run(rig: u64, calibration: *mut u64
 /// Finds the laser sheet alone, from the views of `rig` recorded in the sheet, with the cameras of a calibration held.
 ///
 /// `cameras`: handle of that calibration; its sigmas are part of those of the sheet. `calibration`: receives the handle of the
-/// result, a calibration with the new sheet. Blocks; status and error text as for spivcal_calibration_run.
+/// result, a calibration with the new sheet. Its views are those of `cameras`, none of them in the sheet any more, and after them those of `rig` that found it,
+/// not used for the cameras; fit and verdict are those of the cameras, and there is no table of residuals. Cameras behind windows are refused. Blocks; status and
+/// error text as for spivcal_calibration_run.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_calibration_run_sheet(rig: u64, cameras: u64, calibration: *mut u64) -> i32 {
     // SAFETY: the contract of the header.
@@ -258,7 +260,7 @@ pub unsafe extern "C" fn spivcal_job_wait(job: u64, timeout_ms: i32, state: *mut
     })
 }
 
-/// Asks a job to stop; returns at once. It ends after the images that are just searched, the iteration that just runs, or the part of the
+/// Asks a job to stop; returns at once. It ends after the discs that are just fitted, the iteration that just runs, or the part of the
 /// diagnosis that is at work; finding the sheet alone is not interrupted once its images are searched.
 #[unsafe(no_mangle)]
 pub extern "C" fn spivcal_job_cancel(job: u64) -> i32 {
@@ -271,7 +273,7 @@ pub extern "C" fn spivcal_job_cancel(job: u64) -> i32 {
 /// The result of a job that has ended.
 ///
 /// `calibration`: receives a handle, which lives on when the job is destroyed; a further call gives a further handle.
-/// Status as for spivcal_calibration_run; SPIVCAL_ERROR_RUNNING where it has not ended, SPIVCAL_ERROR_CANCELLED where it was stopped.
+/// Status as for spivcal_calibration_run, the error text is that of the job from this call on; SPIVCAL_ERROR_RUNNING where it has not ended, SPIVCAL_ERROR_CANCELLED where it was stopped.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spivcal_job_result(job: u64, calibration: *mut u64) -> i32 {
     enter(job, Kind::Job, |object| {

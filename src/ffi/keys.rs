@@ -241,7 +241,7 @@ pub const SPIVCAL_ARRAY_RIG_FROM_TARGET: i32 = 521;
 pub const SPIVCAL_ARRAY_RIG_FROM_TARGET_SIGMA: i32 = 522;
 /// Index: view. Root mean square residual of each camera, px, NaN where a camera does not see it: SPIVCAL_COUNT_CAMERAS doubles.
 pub const SPIVCAL_ARRAY_VIEW_RMS_PX: i32 = 523;
-/// Covariance of all estimated numbers, n x n row-major, n = SPIVCAL_COUNT_COVARIANCE; units: those at the end of the two names;
+/// Covariance of all estimated numbers but the places of single dots, n x n row-major, n = SPIVCAL_COUNT_COVARIANCE; units: those at the end of the two names;
 /// poses: steps as of SPIVCAL_ARRAY_CAM_FROM_RIG_SIGMA, which turn the translation too. NaN in the rows and columns of numbers that nothing determines.
 pub const SPIVCAL_ARRAY_COVARIANCE: i32 = 531;
 /// Positions of the adjusted points in the target frame, mm: all x, then all y, then all z: 3 n doubles.
@@ -257,7 +257,7 @@ pub const SPIVCAL_ARRAY_TARGET_POINT_LABEL: i32 = 543;
 pub const SPIVCAL_TEXT_JSON: i32 = 601;
 /// The calibration in plain words.
 pub const SPIVCAL_TEXT_REPORT: i32 = 602;
-/// All residuals, one row per observation; not available for a calibration that was loaded.
+/// All residuals, one row per observation; not available for a calibration that was loaded, or of a sheet found alone.
 pub const SPIVCAL_TEXT_RESIDUALS_CSV: i32 = 603;
 /// One sentence: how far the calibration is to be trusted.
 pub const SPIVCAL_TEXT_HEADLINE: i32 = 604;

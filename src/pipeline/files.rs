@@ -1,7 +1,7 @@
 //! Files read and written: all results of a command or none, each under a temporary name first.
 
 use super::leftovers;
-use crate::error::{Error, Invalid, Result, of_the_system};
+use crate::error::{Error, Invalid, Result};
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -18,6 +18,14 @@ pub fn read_text(path: &Path, what: &str) -> Result<String> {
 
 fn fault(path: &Path, message: impl Into<String>) -> Error {
     Invalid::File { path: path.display().to_string(), message: message.into() }.into()
+}
+
+/// What the system refused, in English: its own words are in the language of the process.
+pub fn of_the_system(error: &std::io::Error) -> String {
+    match error.raw_os_error() {
+        Some(number) => format!("{} (error {number} of the system)", error.kind()),
+        None => error.to_string(),
+    }
 }
 
 /// Bytes of a name that stand in the temporary one: with numbers it is to have 255 at most.

@@ -1,6 +1,7 @@
 //! Files to grey images: PNG, TIFF, BMP, PGM, JPEG.
 
-use crate::error::{self, Error, Invalid, Result, of_the_system};
+use super::files::of_the_system;
+use crate::error::{self, Error, Invalid, Result};
 use crate::image::{GrayImage, Pixels};
 use image::{DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits};
 use std::io::{Cursor, ErrorKind, Read};

@@ -1,7 +1,8 @@
-//! Lengths of the target that are stated, against those that the images give it: two of them that contradict each other mean that one is wrong, and
+//! Lengths of target and lens that are stated, against those that the images give: two of them that contradict each other mean that one is wrong, and
 //! the one that sets the scale may be it. A wrong scale alone shows in nothing.
 //! ```text
 //! told where |l - l_0| > limit l_0  and  |l - l_0| > SIGMAS s        l by the images, l_0 as stated, s its standard deviation, mm, frame of the target
+//! 1 / f = 1 / s + 1 / s'        thin lens: sheet s mm away along the axis, image distance s'; told where f is off the stated one by OTHER_LENS times
 //! ```
 
 use super::calibrate::Solved;
@@ -12,6 +13,13 @@ const OFF: f64 = 0.05;
 const OFF_DOTS: f64 = 0.25;
 /// And by so many standard deviations.
 const SIGMAS: f64 = 5.0;
+
+/// A lens that focuses inside may be so many times shorter than engraved on it, near as it looks.
+const OTHER_LENS: f64 = 1.5;
+/// An image distance that is known to this part is compared.
+const KNOWN_DISTANCE: f64 = 0.1;
+/// A lens may be so much shorter than engraved on it.
+const SHORTEST: f64 = 0.95;
 
 /// A stated length, what it is by the images, and how far that may be off, mm; the part from which on it is told.
 struct Stated {
@@ -28,7 +36,9 @@ pub(super) fn contradictions(s: &Solved) -> Vec<String> {
         let off = (l.found_mm - l.stated_mm).abs();
         off > l.limit * l.stated_mm && off > SIGMAS * l.sigma_mm
     };
-    lengths(s).iter().filter(|l| far(l)).map(words).collect()
+    let cameras = 0..s.job.cameras.len();
+    let lenses = cameras.filter_map(|c| impossible_lens(s, c).or_else(|| contradicting_lens(s, c)));
+    lenses.chain(lengths(s).iter().filter(|l| far(l)).map(words)).collect()
 }
 
 fn words(l: &Stated) -> String {
@@ -71,4 +81,40 @@ fn lengths(s: &Solved) -> Vec<Stated> {
         ],
     };
     all.into_iter().flatten().collect()
+}
+
+/// Says so where the image distance found is shorter than the focal length of the lens, at which no lens of that focal length forms an image.
+fn impossible_lens(s: &Solved, c: usize) -> Option<String> {
+    let d = &s.job.cameras[c];
+    let (lens_mm, pitch_mm) = d.focal_length_mm.zip(d.pixel_pitch_mm)?;
+    let distance_mm = s.covariance.natural.cameras[c].intrinsics().f_px * pitch_mm;
+    let sigma_mm = s.covariance.sigma(&format!("{}.f_px", d.name)).unwrap_or(f64::NAN) * pitch_mm;
+    (distance_mm + 3.0 * sigma_mm < SHORTEST * lens_mm).then(|| {
+        format!(
+            "camera {}: an image distance of {distance_mm:.2} +- {sigma_mm:.2} mm is shorter than the focal length of its lens, {lens_mm} mm: focal_length_mm \
+             or pixel_pitch_mm is wrong, the images were binned or made smaller, or the lens focuses inside and is shorter when it looks near (then state no \
+             focal_length_mm)",
+            d.name
+        )
+    })
+}
+
+/// Says so where no lens of about the stated focal length images a sheet so near or far at the image distance found: lengths were stated in another unit.
+fn contradicting_lens(s: &Solved, c: usize) -> Option<String> {
+    let d = &s.job.cameras[c];
+    let (lens_mm, pitch_mm) = d.focal_length_mm.zip(d.pixel_pitch_mm)?;
+    let in_camera = s.covariance.natural.cam_from_rig[c] * s.covariance.natural.rig_from_plane?;
+    let normal = in_camera.rotation.column(2);
+    let far_mm = (normal.dot(&in_camera.translation_mm) / normal.z).abs();
+    let image_mm = s.covariance.natural.cameras[c].intrinsics().f_px * pitch_mm;
+    let sigma_mm = s.covariance.sigma(&format!("{}.f_px", d.name)).unwrap_or(f64::NAN) * pitch_mm;
+    let asked_mm = far_mm * image_mm / (far_mm + image_mm);
+    let off = asked_mm > OTHER_LENS * lens_mm || lens_mm > OTHER_LENS * asked_mm;
+    (off && sigma_mm < KNOWN_DISTANCE * image_mm).then(|| {
+        format!(
+            "camera {}: an image distance of {image_mm:.1} mm and a sheet {far_mm:.4} mm away ask for a lens of about {asked_mm:.4} mm, but focal_length_mm is \
+             {lens_mm}: the length that sets the scale is in another unit than mm, or focal_length_mm or pixel_pitch_mm is wrong",
+            d.name
+        )
+    })
 }

@@ -3,6 +3,7 @@
 use super::calibrate::Solved;
 use super::nominal::contradictions;
 use super::residual_rows::ImageFit;
+use super::sheet_part::of_frame;
 use crate::bundle::{Fact, Observed, ParameterKnowledge, TargetShape, Termination};
 use crate::camera::{Camera, INTRINSIC_NAMES, WINDOW_STEP_NAMES, Window};
 use crate::diagnosis::Findings;
@@ -19,9 +20,6 @@ use std::collections::BTreeMap;
 /// Part of all discs that may be outliers before the result is flagged.
 const OUTLIER_LIMIT: f64 = 0.05;
 
-/// A lens may be so much shorter than engraved on it.
-const SHORTEST: f64 = 0.95;
-
 /// Everything but the sheet, and the sheet.
 pub(super) fn record(s: &Solved, fits: &[ImageFit], findings: &Findings, sheet: Option<Sheet>) -> Result<Record> {
     let cameras: Vec<record::Camera> = (0..s.job.cameras.len())
@@ -33,6 +31,10 @@ pub(super) fn record(s: &Solved, fits: &[ImageFit], findings: &Findings, sheet: 
         version: record::VERSION,
         rig: rig(s),
         cameras,
+        covariance: match &sheet {
+            Some(sheet) => of_frame(s, covariance(s), &sheet.rig_from_sheet.motion()),
+            None => covariance(s),
+        },
         sheet,
         target: target(s),
         scale: Some(scale(s)),
@@ -40,7 +42,6 @@ pub(super) fn record(s: &Solved, fits: &[ImageFit], findings: &Findings, sheet: 
         fit: fit(s, fits, findings),
         mapping_uncertainty: findings.mapping.clone(),
         provenance: provenance(s),
-        covariance: covariance(s),
     })
 }
 
@@ -311,13 +312,12 @@ fn fit(s: &Solved, fits: &[ImageFit], findings: &Findings) -> Fit {
             adjustment.decrement
         ));
     }
-    flags.extend((0..s.job.cameras.len()).filter_map(|c| impossible_lens(s, c)));
     flags.extend(contradictions(s));
     flags.extend(findings.flags.iter().cloned());
     flags.extend(s.undecided.iter().cloned());
     flags.extend(s.images.iter().flat_map(|i| i.warnings.iter().map(|w| format!("{}: {w}", i.name))));
     let scales = adjustment.model.images.iter().map(|i| i.sigma_scale);
-    Fit {
+    let mut fit = Fit {
         rms_px: all.rms_px(),
         chi2: 2.0 * adjustment.cost,
         degrees_of_freedom,
@@ -346,7 +346,18 @@ fn fit(s: &Solved, fits: &[ImageFit], findings: &Findings) -> Fit {
         parameters: parameters(s),
         near_null: findings.near_null.clone(),
         diagnosis: Some(findings.diagnosis.clone()),
+    };
+    if fit.scattered() {
+        fit.flags.insert(
+            0,
+            format!(
+                "whole discs lie up to {:.0} times further off than noise explains, {:.3} px (rms): a camera or the target moved between or within views, the target \
+                 is not as stated (adjust = \"points\" where its dots lie elsewhere), or an image is of something else",
+                fit.sigma_scale, fit.rms_px
+            ),
+        );
     }
+    fit
 }
 
 fn parameters(s: &Solved) -> Vec<Parameter> {
@@ -370,22 +381,6 @@ fn parameters(s: &Solved) -> Vec<Parameter> {
         }
     }
     out
-}
-
-/// Says so where the image distance found is shorter than the focal length of the lens, at which no lens of that focal length forms an image.
-fn impossible_lens(s: &Solved, c: usize) -> Option<String> {
-    let d = &s.job.cameras[c];
-    let (lens_mm, pitch_mm) = d.focal_length_mm.zip(d.pixel_pitch_mm)?;
-    let distance_mm = s.covariance.natural.cameras[c].intrinsics().f_px * pitch_mm;
-    let sigma_mm = sigma(s, &format!("{}.f_px", d.name)) * pitch_mm;
-    (distance_mm + 3.0 * sigma_mm < SHORTEST * lens_mm).then(|| {
-        format!(
-            "camera {}: an image distance of {distance_mm:.2} +- {sigma_mm:.2} mm is shorter than the focal length of its lens, {lens_mm} mm: focal_length_mm \
-             or pixel_pitch_mm is wrong, the images were binned or made smaller, or the lens focuses inside and is shorter when it looks near (then state no \
-             focal_length_mm)",
-            d.name
-        )
-    })
 }
 
 fn provenance(s: &Solved) -> Provenance {

@@ -19,7 +19,7 @@ use crate::report::OverlayShapes;
 use crate::rig_file::{RigDescription, SheetOrigin};
 use crate::sheet::{
     HeldCameras, Homography, PairFeatures, Placement, fit_homography, fit_placed_homography, transfer_residuals,
-    triangulated_plane,
+    triangulated_plane, with_frame_on_axis,
 };
 use crate::target::{DotId, Target};
 use nalgebra::{DMatrix, Vector3};
@@ -361,7 +361,7 @@ fn output(
     record.provenance.images.extend(images.iter().map(|i| i.file(job)));
     let mut flags = flags(job, views, homography, &images);
     if let Some(covariance) = homography.with_sheet(held, &record.covariance) {
-        record.covariance = covariance;
+        record.covariance = with_frame_on_axis(covariance, &homography.estimate.rig_from_sheet);
     }
     if let Some((mapping, told)) = mapping_of_record(&record, by_views) {
         record.mapping_uncertainty = Some(mapping);

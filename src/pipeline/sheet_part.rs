@@ -4,15 +4,16 @@ use super::calibrate::Solved;
 use crate::bundle::DiscObservation;
 use crate::camera::Camera;
 use crate::error::{Invalid, Result};
-use crate::frames::{Rig, Sheet as SheetFrame};
-use crate::record::{Homography, Sheet};
+use crate::frames::{Rig, Sheet as SheetFrame, Target};
+use crate::record::{Covariance, Homography, Sheet};
 use crate::rig_file::SheetOrigin;
 use crate::rigid::Motion;
 use crate::sheet::{
-    HeldCameras, PairFeatures, Placement, fit_placed_homography, placed_joint_sheet, transfer_residuals,
+    HeldCameras, PairFeatures, Placement, fit_placed_homography, placed_joint_sheet, pose_rows, transfer_residuals,
+    with_frame,
 };
 use crate::target::DotId;
-use nalgebra::Vector3;
+use nalgebra::{SVector, Vector3};
 
 /// Most pairs of discs per view that the homography looks at: more add nothing but time.
 const PAIRS_PER_VIEW: usize = 40;
@@ -58,15 +59,9 @@ pub(super) fn stated_frame(s: &Solved) -> Result<Option<Motion<Rig, SheetFrame>>
 /// Where the rig file places the sheet frame.
 fn placement(s: &Solved, plane: &Motion<Rig, SheetFrame>) -> Result<Placement> {
     let wanted = &s.job.sheet;
-    let pose = |view: usize| s.covariance.natural.rig_from_target[view];
-    let origin_in_rig_mm = match wanted.origin {
-        SheetOrigin::FirstAxis => None,
-        SheetOrigin::Point(p) => Some(Vector3::from(p)),
-        SheetOrigin::Disc { view, id } => Some(pose(view).apply(&place_on_target(s, view, id))),
-    };
-    let x_in_rig: Option<Vector3<f64>> = wanted.x_axis_view.map(|v| pose(v).rotation.column(0).into_owned());
+    let placement = placed_by(s, &|view| s.covariance.natural.rig_from_target[view]);
     let normal = plane.rotation.column(2);
-    if let (Some(view), Some(x)) = (wanted.x_axis_view, &x_in_rig)
+    if let (Some(view), Some(x)) = (wanted.x_axis_view, &placement.x_in_rig)
         && x.cross(&normal).norm() < LEAST_X_AXIS
     {
         return Err(Invalid::File {
@@ -77,7 +72,39 @@ fn placement(s: &Solved, plane: &Motion<Rig, SheetFrame>) -> Result<Placement> {
         }
         .into());
     }
-    Ok(Placement { origin_in_rig_mm, x_in_rig, flip_x: wanted.flip_x })
+    Ok(placement)
+}
+
+/// The same with the targets of views where `pose` says.
+fn placed_by(s: &Solved, pose: &dyn Fn(usize) -> Motion<Rig, Target>) -> Placement {
+    let wanted = &s.job.sheet;
+    let origin_in_rig_mm = match wanted.origin {
+        SheetOrigin::FirstAxis => None,
+        SheetOrigin::Point(p) => Some(Vector3::from(p)),
+        SheetOrigin::Disc { view, id } => Some(pose(view).apply(&place_on_target(s, view, id))),
+    };
+    let x_in_rig: Option<Vector3<f64>> = wanted.x_axis_view.map(|v| pose(v).rotation.column(0).into_owned());
+    Placement { origin_in_rig_mm, x_in_rig, flip_x: wanted.flip_x }
+}
+
+/// The covariance with rows of the sheet that are those of its frame, as the rig file places it; where a view that places it is not determined they stay
+/// those of the plane.
+pub(super) fn of_frame(s: &Solved, covariance: Covariance, frame: &Motion<Rig, SheetFrame>) -> Covariance {
+    let origin = match s.job.sheet.origin {
+        SheetOrigin::Disc { view, .. } => Some(view),
+        SheetOrigin::FirstAxis | SheetOrigin::Point(_) => None,
+    };
+    let mut views: Vec<usize> = origin.into_iter().chain(s.job.sheet.x_axis_view).collect();
+    views.dedup();
+    let rows: Option<Vec<[usize; 6]>> =
+        views.iter().map(|v| pose_rows(&covariance, &format!("view{v}.rig_from_target."))).collect();
+    let placement = |steps: &[SVector<f64, 6>]| {
+        placed_by(s, &|view| {
+            let pose = s.covariance.natural.rig_from_target[view];
+            views.iter().position(|v| *v == view).map_or(pose, |k| pose.retract(&steps[k]))
+        })
+    };
+    rows.and_then(|rows| with_frame(&covariance, frame, &rows, placement)).unwrap_or(covariance)
 }
 
 /// Place of a disc or mark of the target in the target's frame, mm, in a view.

@@ -382,22 +382,23 @@ pub fn reconstruct(
     let place = |i: usize| Vector2::from(grid.point_mm((i % grid.width_px) as f64, (i / grid.width_px) as f64));
     let solved: Vec<Option<Solved>> = (0..n).into_par_iter().map(|i| solve(maps, &measured, &place(i))).collect();
     let (chi2, unevenness): (Vec<f64>, Vec<f64>) = solved.iter().flatten().map(|s| (s.chi2, s.unevenness)).unzip();
+    let level = Noise::fit(&chi2, &vec![0.0; chi2.len()]).map_or(f64::NAN, |n| n.still);
     let noise = match (options.sigma, Noise::fit(&chi2, &unevenness)) {
         (_, None) => return Err(nothing(&measured, names).into()),
         (Some(sigma), _) => Noise::even(sigma),
-        (None, Some(_)) if stated => Noise::even(1.0),
+        // Residuals beyond what is stated say that all is.
+        (None, Some(_)) if stated => Noise::even(level.max(1.0).sqrt()),
         (None, Some(noise)) => noise,
     };
     let calibration = options.perturbed.as_ref().map(|p| calibration_covariance(p, &measured, n, &place));
     let found: Vec<&Solved> = solved.iter().flatten().collect();
-    let level = Noise::fit(&chi2, &vec![0.0; chi2.len()]).map_or(f64::NAN, |n| n.still);
     let correlation = if stated { common(level, found.iter().map(|s| &s.shared)) } else { 0.0 };
     let mut out = VectorField::empty(grid, &noise, options.sigma.is_none() && !stated);
     out.calibration_enlarged = options.perturbed.as_ref().map_or([1.0; 3], |p| p.enlarged);
     if stated {
         out.common_errors = Some(correlation);
         out.residual_ratio = level.sqrt();
-        out.sigma = stated_sigma(&measured);
+        out.sigma = stated_sigma(&measured) * noise.still.sqrt();
     } else {
         let expected: Vec<f64> = found.iter().map(|s| s.chi2 / noise.variance(s.unevenness)).collect();
         out.residual_ratio = Noise::fit(&expected, &vec![0.0; expected.len()]).map_or(f64::NAN, |n| n.still.sqrt());

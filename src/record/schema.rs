@@ -8,7 +8,7 @@ use super::target::{Target, ViewTarget};
 use crate::bundle::view_of_direction;
 use crate::camera::{self, Intrinsics};
 use crate::rigid::Motion;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{DMatrix, Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -525,6 +525,34 @@ impl Covariance {
             undetermined: lost,
         }
     }
+    /// That of other numbers in the place of some rows: linear in rows that are all determined, `by` of shape (rows, from).
+    pub(crate) fn with_rows(&self, rows: &[usize], from: &[usize], by: &DMatrix<f64>) -> Self {
+        let sum = |k: usize, of: &dyn Fn(usize) -> f64| {
+            from.iter().enumerate().map(|(n, i)| by[(k, n)] * of(*i)).sum::<f64>()
+        };
+        let half: Vec<Vec<f64>> = (0..self.names.len())
+            .map(|i| match rows.iter().position(|r| *r == i) {
+                Some(k) => (0..self.names.len()).map(|j| sum(k, &|n| self.matrix[n][j])).collect(),
+                None => self.matrix[i].clone(),
+            })
+            .collect();
+        let entry = |i: usize, j: usize| match rows.iter().position(|r| *r == j) {
+            Some(k) => sum(k, &|n| half[i][n]),
+            None => half[i][j],
+        };
+        let n = self.names.len();
+        let mut matrix: Vec<Vec<f64>> = (0..n).map(|i| (0..n).map(|j| entry(i, j)).collect()).collect();
+        // Sums in two orders differ by rounding.
+        for (i, j) in (0..n).flat_map(|i| (0..i).map(move |j| (i, j))) {
+            matrix[j][i] = matrix[i][j];
+        }
+        let direction = |d: &Vec<f64>| {
+            let mut out = d.clone();
+            rows.iter().enumerate().for_each(|(k, i)| out[*i] = sum(k, &|n| d[n]));
+            out
+        };
+        Self { matrix, null_directions: self.null_directions.iter().map(direction).collect(), ..self.clone() }
+    }
     /// The views that keep an undetermined direction to themselves, by their index in the names; no other number moves along it.
     pub fn loose_views(&self) -> Vec<usize> {
         let mut views: Vec<_> = self.null_directions.iter().filter_map(|d| view_of_direction(&self.names, d)).collect();
@@ -545,5 +573,16 @@ impl Covariance {
         let i = self.index(name).filter(|i| self.determines(*i))?;
         let s = self.matrix.get(i)?.get(i)?.sqrt();
         s.is_finite().then_some(s)
+    }
+}
+
+/// Sigmas enlarged more often than this, with residuals beyond those of the second line, are no printer's error.
+const SCATTERED: f64 = 30.0;
+const SCATTERED_PX: f64 = 0.05;
+
+impl Fit {
+    /// Whether discs lie where neither noise nor a common printer's error explains them, though sigmas allow for it.
+    pub fn scattered(&self) -> bool {
+        self.sigma_scale > SCATTERED && self.rms_px > SCATTERED_PX
     }
 }

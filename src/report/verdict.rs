@@ -7,9 +7,8 @@ use crate::record::{Known, Record, SHEET_ALONE, View};
 
 /// Residuals this many times the noise they were given say that the model or the noise is wrong.
 const MISFIT: f64 = 1.5;
-/// Sigmas enlarged more often than this, with residuals beyond those of the second line, are no printer's error.
-const SCATTERED: f64 = 30.0;
-const SCATTERED_PX: f64 = 0.05;
+/// Sigmas that were enlarged by less are those that were expected.
+const SHOWN_SCALE: f64 = 1.05;
 /// Residuals of more than so many px and of so many times what the noise explains are no measure of anything.
 const CONTRADICTED_PX: f64 = 1.0;
 const CONTRADICTED_SIGMAS: f64 = 10.0;
@@ -79,7 +78,7 @@ fn level(r: &Record) -> Level {
         || !f.undetermined.is_empty()
         || !f.flags.is_empty()
         || misfit(r) > MISFIT
-        || scattered(r)
+        || r.fit.scattered()
     {
         Level::Care
     } else {
@@ -147,14 +146,9 @@ fn misfit(r: &Record) -> f64 {
     if dof == 0 || !r.fit.chi2.is_finite() { 1.0 } else { (r.fit.chi2 / dof as f64).sqrt() }
 }
 
-/// Whether discs lie where neither noise nor a common printer's error explains them, though sigmas allow for it.
-fn scattered(r: &Record) -> bool {
-    r.fit.sigma_scale > SCATTERED && r.fit.rms_px > SCATTERED_PX
-}
-
 /// How the residuals compare with what the images' noise explains.
 fn scatter(r: &Record) -> String {
-    if r.fit.sigma_scale > 1.0 {
+    if r.fit.sigma_scale > SHOWN_SCALE {
         format!(
             "whole discs scatter up to {} times more than noise and roughness along their contours explain, and all sigmas \
              have been enlarged for it",
@@ -369,7 +363,7 @@ fn next_steps(r: &Record) -> Vec<String> {
             plain(misfit, 3)
         ));
     }
-    if scattered(r) {
+    if r.fit.scattered() {
         out.push(format!(
             "Whole discs scatter {} times more than noise explains ({} px rms), and the sigmas were enlarged for it, but a wrong model moves results, too. \
              Look at the arrows: discs whose arrows point outwards or inwards in all views are of another size than stated; dots that lie elsewhere are \

@@ -464,6 +464,11 @@ fn two_discs_are_the_pair_that_stands_out() {
     assert_eq!((l.left_over.clone(), l.alternatives.len()), (vec![0], 1));
     let exchanged = l.relabelled(&l.alternatives[0]);
     assert_eq!((exchanged[0].disc, exchanged[1].disc), (1, 2));
+    // A wisp of smoke in one of them makes no third disc.
+    d.discs.push(disc(520.0, 470.0, 120.0, 85.0, 0.0));
+    let with_wisp = label_discs("image", &d, &target(None, None)).unwrap();
+    assert_eq!((with_wisp.discs, with_wisp.left_over), (l.discs.clone(), vec![0, 3]));
+    d.discs.pop();
     // Stated radii turn the numbers round.
     let l = label_discs("image", &d, &target(Some([10.0, 12.5]), Some(26.0))).unwrap();
     assert_eq!(l.discs[0].disc, 1);
