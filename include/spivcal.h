@@ -722,7 +722,7 @@
 #define SPIVCAL_ARRAY_VIEW_RMS_PX 523
 
 /**
- * Covariance of all estimated numbers, n x n row-major, n = SPIVCAL_COUNT_COVARIANCE; units: those at the end of the two names;
+ * Covariance of all estimated numbers but the places of single dots, n x n row-major, n = SPIVCAL_COUNT_COVARIANCE; units: those at the end of the two names;
  * poses: steps as of SPIVCAL_ARRAY_CAM_FROM_RIG_SIGMA, which turn the translation too. NaN in the rows and columns of numbers that nothing determines.
  */
 #define SPIVCAL_ARRAY_COVARIANCE 531
@@ -753,7 +753,7 @@
 #define SPIVCAL_TEXT_REPORT 602
 
 /**
- * All residuals, one row per observation; not available for a calibration that was loaded.
+ * All residuals, one row per observation; not available for a calibration that was loaded, or of a sheet found alone.
  */
 #define SPIVCAL_TEXT_RESIDUALS_CSV 603
 
@@ -1208,7 +1208,8 @@ int32_t spivcal_error_text(uint64_t handle,
  * `threads`: threads that each calibration or detection may use, 1 to 1024; 0: as many as the machine has. They are started by the
  * call or job that needs them and have ended when it returns or is destroyed. Results do not depend on their number, to the bit. The context keeps
  * the memory in which images were searched (some 6 bytes per pixel, at most 128 MB for each search at a time) for the next.
- * `context`: receives the handle. Any thread.
+ * `context`: receives the handle. Any thread. Where it fails there is no object to hold an error text: SPIVCAL_ERROR_INVALID_INPUT means too many threads or
+ * that the system gives none.
  */
 int32_t spivcal_context_create(int32_t threads,
                                uint64_t *context);
@@ -1304,7 +1305,8 @@ int32_t spivcal_detection_unset(uint64_t detection, int32_t key);
 /**
  * Finds the discs of an image. What an earlier run found is replaced.
  *
- * `image`: handle of the image. Blocks until it is done. SPIVCAL_OK also where no disc was found: see SPIVCAL_COUNT_DISCS.
+ * `image`: handle of the image. Blocks until it is done, some milliseconds for the image of a target, many seconds for one of particles, each of which is
+ * looked at; SPIVCAL_DETECT_MIN_SEMI_MINOR_PX near the size of the discs spares most of that. SPIVCAL_OK also where no disc was found: see SPIVCAL_COUNT_DISCS.
  */
 int32_t spivcal_detection_run(uint64_t detection,
                               uint64_t image);
@@ -1563,7 +1565,9 @@ int32_t spivcal_calibration_run(uint64_t rig,
  * Finds the laser sheet alone, from the views of `rig` recorded in the sheet, with the cameras of a calibration held.
  *
  * `cameras`: handle of that calibration; its sigmas are part of those of the sheet. `calibration`: receives the handle of the
- * result, a calibration with the new sheet. Blocks; status and error text as for spivcal_calibration_run.
+ * result, a calibration with the new sheet. Its views are those of `cameras`, none of them in the sheet any more, and after them those of `rig` that found it,
+ * not used for the cameras; fit and verdict are those of the cameras, and there is no table of residuals. Cameras behind windows are refused. Blocks; status and
+ * error text as for spivcal_calibration_run.
  */
 int32_t spivcal_calibration_run_sheet(uint64_t rig,
                                       uint64_t cameras,
@@ -1606,7 +1610,7 @@ int32_t spivcal_job_poll(uint64_t job,
 int32_t spivcal_job_wait(uint64_t job, int32_t timeout_ms, int32_t *state);
 
 /**
- * Asks a job to stop; returns at once. It ends after the images that are just searched, the iteration that just runs, or the part of the
+ * Asks a job to stop; returns at once. It ends after the discs that are just fitted, the iteration that just runs, or the part of the
  * diagnosis that is at work; finding the sheet alone is not interrupted once its images are searched.
  */
 int32_t spivcal_job_cancel(uint64_t job);
@@ -1615,7 +1619,7 @@ int32_t spivcal_job_cancel(uint64_t job);
  * The result of a job that has ended.
  *
  * `calibration`: receives a handle, which lives on when the job is destroyed; a further call gives a further handle.
- * Status as for spivcal_calibration_run; SPIVCAL_ERROR_RUNNING where it has not ended, SPIVCAL_ERROR_CANCELLED where it was stopped.
+ * Status as for spivcal_calibration_run, the error text is that of the job from this call on; SPIVCAL_ERROR_RUNNING where it has not ended, SPIVCAL_ERROR_CANCELLED where it was stopped.
  */
 int32_t spivcal_job_result(uint64_t job,
                            uint64_t *calibration);

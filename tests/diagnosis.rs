@@ -7,8 +7,8 @@ mod rig_scene;
 
 use nalgebra::{Matrix3, Vector3};
 use rig_scene::{Noise, Scene, adjusted, diagnosed, drawn, given_sigmas};
+use spivcal::bundle::{AdjustOptions, PlanePosition, TargetShape, ViewPlace};
 use spivcal::bundle::{Adjustment, Extension, Fact, PriorOf, adjust, extension_tests, named_covariance, prior_checks};
-use spivcal::bundle::{PlanePosition, TargetShape, ViewPlace};
 use spivcal::camera::Camera;
 use spivcal::rigid::{Motion, rotation_exp};
 use spivcal::sheet::StereoSheet;
@@ -86,6 +86,14 @@ fn what_is_missing_in_the_model_is_found() {
     // 18 numbers less the six of a smooth (here affine) field.
     assert_eq!(t.degrees, 12);
     assert!(chi_square_above(t.statistic, t.degrees as f64) < 1e-6 && (0.004..0.02).contains(&t.size), "{t:?}");
+    // Sigmas that follow the scatter of discs do not hold what is alike in all images: told, whatever result it moves.
+    let scene = drawn_with(&nodes, &moved, 4);
+    let scattered = adjust(&scene.model, scene.truth.clone(), &AdjustOptions::default(), &mut |_| true);
+    let enlarged = scattered.model.images.iter().map(|i| i.sigma_scale).fold(1.0, f64::max);
+    let told = diagnosed(&scattered).flags;
+    println!("enlarged {enlarged:.1}: {told:?}");
+    let alike = |f: &String| f.contains("by the same in all images") && f.contains("adjust = \"points\"");
+    assert!(enlarged > 1.5 && told.iter().any(alike), "{enlarged}: {told:?}");
 
     let mut cameras = nodes.cameras.clone();
     let mut i = *cameras[1].intrinsics();
