@@ -20,6 +20,8 @@
 //! | Z | `z_mm` | mm | Sheet | place of the light along the normal |
 //! | s_z | `thickness_mm` / (4 sqrt 2) | mm | Sheet | depth of the particles that make the correlation peak |
 //!
+//! **Walls.** What stands still is left out by masks (`masks.rs`), taken off with the mean of all moments, or told (`still.rs`).
+//!
 //! **Thickness.** Particles at different depth have different disparity, so the cross-correlation peak is wider along s_2 - s_1
 //! than the autocorrelation peaks: `s_z^2 |s_2 - s_1|^2 = C_12 - (C_11 + C_22) / 2` (`smear.rs`). Both images carry the light's profile, so the
 //! product falls off as its square: the profile's standard deviation is sqrt(2) s_z, its full width at 1/e^2 four times that. Windows and

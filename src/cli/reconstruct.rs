@@ -25,6 +25,8 @@ const MISSING_LIMIT: f64 = 0.3;
 /// Fields that fit this many times better exchanged are exchanged, by so many vectors at least.
 const EXCHANGED: f64 = 3.0;
 const FEWEST_COMPARED: usize = 30;
+/// Residuals below this are rounding, px.
+const ROUNDED_PX: f64 = 1e-3;
 
 /// Residuals of more than this many times what stated sigmas let expect are flagged.
 const RESIDUAL_LIMIT: f64 = 1.5;
@@ -124,7 +126,7 @@ fn fits_better(exchanged: &VectorField, found: &VectorField, names: [&str; 2]) -
         (left.len() >= FEWEST_COMPARED).then(|| median(&mut left))?
     };
     let (other, own) = (typical(exchanged)?, typical(found)?);
-    (own > EXCHANGED * other).then(|| {
+    (own > EXCHANGED * other.max(ROUNDED_PX)).then(|| {
         format!(
             "this field is given for camera \"{}\", but with the two fields exchanged both cameras agree to {other:.3} px (median) in place of {own:.3} px: name \
              the field of camera \"{}\" first",

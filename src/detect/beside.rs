@@ -199,7 +199,11 @@ fn close_ones(starts: &[Start], refined: &[Refined], moved: &[bool], sigma: f64)
     let felt_by = |&(start, disc): &(&Start, &Refined)| match disc {
         Ok(disc) => lights.felt_by(&disc.ellipse),
         // The light of others may be what made it look hidden or bent. What is no disc is hardly like them.
-        Err(RejectionReason::Incomplete { .. } | RejectionReason::NotElliptical { .. }) => {
+        Err(
+            RejectionReason::Incomplete { .. }
+            | RejectionReason::NotElliptical { .. }
+            | RejectionReason::TooSmall { semi_minor_px: 0.0 },
+        ) => {
             let like = |felt: &Vec<Lit>| felt.iter().any(|lit| lit.is_like(&start.ellipse, start.step()));
             lights.felt_by(&start.ellipse).filter(like)
         }

@@ -26,6 +26,7 @@ use crate::error::{self, Invalid, Result, Unusable};
 use crate::image::GrayView;
 use crate::target::{MarkKind, Polarity};
 use crate::threads::{self, OwnMemory};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A region with less than this part of the typical contrast is texture.
 const TEXTURE: f64 = 0.15;
@@ -91,6 +92,14 @@ pub fn find_discs_while(
     memory: &DetectMemory,
     go_on: &(dyn Fn() -> bool + Sync),
 ) -> Result<Detection> {
+    let stopped = AtomicBool::new(false);
+    // A no stays one.
+    let go_on = &|| {
+        if !stopped.load(Ordering::Relaxed) && !go_on() {
+            stopped.store(true, Ordering::Relaxed);
+        }
+        !stopped.load(Ordering::Relaxed)
+    };
     check_options(options)?;
     check_finite(view)?;
     let (width, height) = (view.width(), view.height());

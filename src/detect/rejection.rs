@@ -112,7 +112,10 @@ pub struct Rejection {
 /// than its blur no ellipse is left.
 pub(crate) fn told(reason: RejectionReason, view: &GrayView<'_>, candidate: &Candidate) -> RejectionReason {
     use RejectionReason as R;
-    let by_edge = matches!(reason, R::NotElliptical { .. } | R::Incomplete { .. } | R::LowContrast { .. });
+    let by_edge = matches!(
+        reason,
+        R::NotElliptical { .. } | R::Incomplete { .. } | R::LowContrast { .. } | R::TooSmall { semi_minor_px: 0.0 }
+    );
     match reason {
         _ if by_edge && two_levels(view, &candidate.ellipse) => R::NoGreyLevels,
         R::NotElliptical { rms_px, .. } if !rms_px.is_finite() && is_spot(candidate) => {

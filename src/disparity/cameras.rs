@@ -42,7 +42,7 @@ use crate::error::{Error, Insufficient, Result};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::record::{CamerasRefined, Covariance, Pose, Record, RefinedNumber, View};
 use crate::rigid::Motion;
-use crate::sheet::{Parameter, SHEET, STEP_NAMES, with_frame_on_axis};
+use crate::sheet::{Parameter, SHEET, STEP_NAMES};
 use crate::stats::chi_square_above;
 use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Matrix6, OMatrix, SVector, U3};
 pub(super) use windows::Update;
@@ -254,7 +254,6 @@ impl Prior {
             undetermined: rest.undetermined,
             null_directions: rest.null_directions.into_iter().map(|d| [d, vec![0.0; 6]].concat()).collect(),
         };
-        let covariance = with_frame_on_axis(covariance, &pose);
         Some(Propagated { plane_and_center, against_start, covariance })
     }
 

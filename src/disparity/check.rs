@@ -27,7 +27,8 @@ const STILL_PX: f64 = 0.002;
 const STILL_SIGMAS: f64 = 0.3;
 /// Fewer windows do not tell how much they scatter.
 const FEW_WINDOWS: usize = 20;
-/// What is noted of cameras that particles refined.
+/// Where and what is noted of cameras that particles refined.
+const CAMERAS: &str = "cameras";
 const CAMERAS_REFINED: &str = ", cameras refined with it";
 /// Rounds for the cameras at most.
 const CAMERA_ROUNDS: usize = 8;
@@ -195,6 +196,9 @@ fn note(corrected: &mut Record, check: &SheetCheck, masked: bool, options: &Chec
         (false, false) => "",
     };
     let from = format!("self-calibration on {} particle image pair(s){without}{how}", check.pairs.len());
+    if options.refine_cameras {
+        corrected.provenance.options.insert(CAMERAS.into(), format!("refined: {from}"));
+    }
     corrected.provenance.options.insert("sheet".into(), from);
     corrected.fit.forget_check_flags();
     corrected.fit.keep_check_flags(&check.flags);
@@ -242,7 +246,7 @@ fn few_windows(last: &Round) -> Option<String> {
 
 /// Says so where what the same images tell may be counted twice.
 fn refined_before(record: &Record) -> Option<String> {
-    record.provenance.options.get("sheet").filter(|s| s.ends_with(CAMERAS_REFINED)).map(|_| {
+    record.provenance.options.get(CAMERAS).map(|_| {
         "particle images have refined the cameras of this calibration before: where these are the same images, what they tell is counted twice and the sigmas are \
          too small; start from the calibration of the target"
             .into()

@@ -58,7 +58,7 @@ impl Mask {
         seen.iter_mut().zip(&clear).for_each(|(s, c)| *s &= *c > 0.5);
     }
 
-    /// Squares of `factor` px of which every pixel may be used, and those around them.
+    /// Squares of `factor` px of which every pixel may be used.
     pub(super) fn binned(&self, size_px: [usize; 2], factor: usize) -> Vec<bool> {
         let mut out = vec![true; size_px[0] * size_px[1]];
         for v in 0..size_px[1] * factor {

@@ -93,7 +93,8 @@ pub(super) fn particles(levels: &mut [f32], seen: &[bool], width: usize, backgro
         let part = box_mean(&part, width, background_px);
         mean.iter_mut().zip(part.iter().zip(seen)).filter(|(_, (_, seen))| **seen).for_each(|(m, (p, _))| *m /= p);
     }
-    levels.iter_mut().zip(&mean).for_each(|(l, m)| *l = (*l - m).max(0.0));
+    let above = |(l, m, s): (&f32, &f32, &bool)| if *s { (l - m).max(0.0) } else { 0.0 };
+    (0..levels.len()).for_each(|i| levels[i] = above((&levels[i], &mean[i], &seen[i])));
     let step = (levels.len() / 100_000).max(1);
     let looked_at = levels.iter().zip(seen).step_by(step);
     let mut looked_at: Vec<f32> = looked_at.filter(|(_, seen)| **seen).map(|(l, _)| *l).collect();

@@ -7,14 +7,14 @@
 //! C     = J P J^T + S        covariance of the plane in the rig frame
 //! e     = offset and tilts of the light against the starting sheet
 //! C_e   = G_p P_pp G_p^T + G_p P_pq G_q^T + ... + G S G^T,   G = de/d(a, b, c),   G_p = G J,   G_q = de/dq
-//! steps of the new sheet = T (a, b, c);   their covariance with any number x of the calibration: T J P_px
+//! steps of the new sheet = T (a, b, c) + B q;   their covariance with any number x of the calibration: T J P_px + B P_qx
 //! ```
 //!
 //! | symbol | identifier | shape | meaning |
 //! |---|---|---|---|
 //! | J | `by_number` | 3 x n | plane by the numbers of both cameras and the motion between them |
 //! | G, G_q | `by_plane`, `by_start` | 3 x 3, 3 x 6 | offset (mm) and tilts (rad) by the plane and by the starting sheet |
-//! | T | `step_by_plane` | 6 x 3 | left step of the sheet against the rig |
+//! | T, B | `step_by_plane`, `step_by_start` | 6 x 3, 6 x 6 | left step of the sheet's frame by the plane and by the frame that was started from |
 //!
 //! Source: method section 5 (sigmas with the cameras held are too small). Not valid along directions that the calibration leaves
 //! undetermined: then there is no covariance of the plane.
@@ -25,10 +25,10 @@ use crate::frames::{Cam, Rig, Sheet};
 use crate::record::{Covariance, Record};
 use crate::rigid::Motion;
 use crate::sheet::{
-    Parameter, SHEET, STEP_NAMES, determines_measurements, stepped_camera, stepped_motion, stepped_window,
-    with_frame_on_axis, with_sheet,
+    Parameter, Placement, SHEET, STEP_NAMES, determines_measurements, on_plane_of, stepped_camera, stepped_motion,
+    stepped_window, with_frame_on_axis, with_sheet,
 };
-use nalgebra::{DMatrix, Matrix3, Matrix6, Matrix6x3, SMatrix, SVector, Vector3};
+use nalgebra::{DMatrix, Dyn, Matrix3, Matrix6, Matrix6x3, OMatrix, SMatrix, SVector, U6, Vector3};
 
 /// Covariances with the calibration's share in them.
 pub(super) struct Propagated {
@@ -170,11 +170,44 @@ pub(super) fn propagate(
         DMatrix::from_fn(3, all.len(), |i, k| if k < p.len() { by_p[(i, k)] } else { by_start[(i, k - p.len())] });
     let known = &gradient * both * gradient.transpose();
     let against_start = Matrix3::from_fn(|i, j| known[(i, j)]) + by_plane * fit.covariance * by_plane.transpose();
-    let step_by_plane = pose.adjoint() * tilted();
-    let own = step_by_plane * plane_and_center.fixed_view::<3, 3>(0, 0) * step_by_plane.transpose();
-    let covariance = with_sheet(&start.covariance, &p, &(step_by_plane * &by_number), &own);
+    let (step_by_plane, step_by_start) = frame_steps(&start_pose, &pose);
+    let steps = DMatrix::from_fn(6, all.len(), |i, k| match k.checked_sub(p.len()) {
+        None => (step_by_plane * by_number.column(k))[i],
+        Some(k) => step_by_start[(i, k)],
+    });
+    let own = &steps * among(&all, &all) * steps.transpose();
+    let own = Matrix6::from_fn(|i, j| own[(i, j)]) + step_by_plane * fit.covariance * step_by_plane.transpose();
+    let covariance =
+        with_sheet(&start.covariance, &all, &OMatrix::<f64, U6, Dyn>::from_fn(all.len(), |i, k| steps[(i, k)]), &own);
     let covariance = with_frame_on_axis(covariance, &pose);
     Some(Propagated { plane_and_center, against_start, covariance })
+}
+
+/// Left steps of a sheet's frame by its plane (a, b, c), and by left steps of the frame that it was started from: one that was placed keeps its origin and its
+/// x axis over the start's, laid into the plane along the normal. One on the first camera's axis hangs on the plane alone.
+fn frame_steps(start: &Motion<Rig, Sheet>, pose: &Motion<Rig, Sheet>) -> (Matrix6x3<f64>, Matrix6<f64>) {
+    let by_plane = pose.adjoint() * tilted();
+    if Placement::of_frame(pose).origin_in_rig_mm.is_none() {
+        return (by_plane, Matrix6::zeros());
+    }
+    let placed = |abc: &Vector3<f64>, step: &SVector<f64, 6>| {
+        let start = start.retract(step);
+        let x = start.rotation.column(0).into_owned();
+        let placement = Placement { origin_in_rig_mm: Some(start.translation_mm), x_in_rig: Some(x), flip_x: false };
+        on_plane_of(&(*pose * Motion::<Sheet, Sheet>::identity().retract(&(tilted() * abc))), &placement)
+    };
+    let (mut plane, mut own) = (by_plane, Matrix6::zeros());
+    for k in 0..3 {
+        let h = if k == 0 { 1e-4 } else { 1e-6 };
+        let at = |h: f64| placed(&(Vector3::ith(k, h)), &SVector::zeros());
+        plane.set_column(k, &(at(-h).step_to(&at(h)) / (2.0 * h)));
+    }
+    for k in 0..6 {
+        let h = if k < 3 { 1e-6 } else { 1e-3 };
+        let at = |h: f64| placed(&Vector3::zeros(), &SVector::ith(k, h));
+        own.set_column(k, &(at(-h).step_to(&at(h)) / (2.0 * h)));
+    }
+    (plane, own)
 }
 
 /// Derivative of [`against`] by left steps of the starting sheet.

@@ -173,8 +173,8 @@ impl Staged {
         }
         let written = self.temporary(&place).and_then(|(mut f, temporary)| {
             self.files.push((temporary, place.clone()));
-            // Who may read the old result may read the new one.
-            old.map_or(Ok(()), |old| f.set_permissions(old.permissions()))?;
+            // Who may read the old result may read the new one, where the file system knows of that.
+            let _ = old.map(|old| f.set_permissions(old.permissions()));
             f.write_all(bytes)?;
             // Without it a power failure could leave the new name with nothing in it.
             f.sync_all()

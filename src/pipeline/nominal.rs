@@ -14,8 +14,8 @@ const OFF_DOTS: f64 = 0.25;
 /// And by so many standard deviations.
 const SIGMAS: f64 = 5.0;
 
-/// A lens that focuses inside may be so many times shorter than engraved on it, near as it looks.
-const OTHER_LENS: f64 = 1.5;
+/// A lens that focuses inside, or whose pupils differ, may act as one so many times shorter or longer than is engraved on it, near as it looks.
+const OTHER_LENS: f64 = 2.0;
 /// An image distance that is known to this part is compared.
 const KNOWN_DISTANCE: f64 = 0.1;
 /// A lens may be so much shorter than engraved on it.

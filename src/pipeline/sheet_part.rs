@@ -87,7 +87,8 @@ fn placed_by(s: &Solved, pose: &dyn Fn(usize) -> Motion<Rig, Target>) -> Placeme
     Placement { origin_in_rig_mm, x_in_rig, flip_x: wanted.flip_x }
 }
 
-/// The covariance with rows of the sheet that are those of its frame, as the rig file places it; where a view that places it is not determined they stay
+/// The covariance with rows of the sheet that are those of its frame, as the rig file places it (a disc of the target stays where it is in its view, however
+/// well its place on the target is known); where a view that places it is not determined they stay
 /// those of the plane.
 pub(super) fn of_frame(s: &Solved, covariance: Covariance, frame: &Motion<Rig, SheetFrame>) -> Covariance {
     let origin = match s.job.sheet.origin {

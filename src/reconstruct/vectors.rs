@@ -290,6 +290,12 @@ fn coverage(m: &Measured, camera: &str) -> Result<([f64; 4], f64)> {
     }
 }
 
+/// The factor of stated variances: what residuals say where chance would hardly give so much, else 1.
+fn refuted(level: f64, count: usize) -> f64 {
+    let chance = 1.0 + 3.0 * (2.0 / count as f64).sqrt();
+    if level > chance { level } else { 1.0 }
+}
+
 /// Vectors that may lie where one was measured, along either axis.
 const FINEST: f64 = 10.0;
 
@@ -386,8 +392,7 @@ pub fn reconstruct(
     let noise = match (options.sigma, Noise::fit(&chi2, &unevenness)) {
         (_, None) => return Err(nothing(&measured, names).into()),
         (Some(sigma), _) => Noise::even(sigma),
-        // Residuals beyond what is stated say that all is.
-        (None, Some(_)) if stated => Noise::even(level.max(1.0).sqrt()),
+        (None, Some(_)) if stated => Noise::even(refuted(level, chi2.len()).sqrt()),
         (None, Some(noise)) => noise,
     };
     let calibration = options.perturbed.as_ref().map(|p| calibration_covariance(p, &measured, n, &place));

@@ -487,7 +487,7 @@ pub struct Fit {
 
 /// Covariance of every estimated number.
 ///
-/// Names are `owner.quantity_unit`: `left.f_px`, `right.cam_from_rig.rx_rad`, `sheet.rig_from_sheet.rx_rad`,
+/// Rows of the sheet are left steps of its frame as it is placed. Names are `owner.quantity_unit`: `left.f_px`, `right.cam_from_rig.rx_rad`, `sheet.rig_from_sheet.rx_rad`,
 /// `view0.rig_from_target.tx_mm`, `target.spacing_mm`. Pose steps are those of [`PoseSigma`].
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Covariance {

@@ -65,10 +65,10 @@ pub(crate) fn with_frame(
     Some(covariance.with_rows(&sheet, &from, &by))
 }
 
-/// [`with_frame`] of a frame that stands where the first camera's axis meets the sheet; others stay.
+/// [`with_frame`] of a frame that stands where the first camera's axis meets the sheet, its x axis held in the rig; others stay.
 pub(crate) fn with_frame_on_axis(covariance: Covariance, frame: &Motion<Rig, Sheet>) -> Covariance {
     let placement = Placement::of_frame(frame);
-    if placement != Placement::default() {
+    if placement.origin_in_rig_mm.is_some() {
         return covariance;
     }
     with_frame(&covariance, frame, &[], |_| placement).unwrap_or(covariance)

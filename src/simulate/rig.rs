@@ -76,6 +76,12 @@ fn target(out: &mut String, scene: &SceneFile) -> std::fmt::Result {
     }
     if let Some(adjust) = &scene.rig.adjust {
         writeln!(out, "adjust = \"{adjust}\"")?;
+        // Without a pitch nobody knows what a hundredth of it is.
+        if let (true, false, Some(spacing)) = (adjust == "points", gives_scale, t.spacing_mm)
+            && t.kind == Kind::DotGrid
+        {
+            writeln!(out, "point_sigma_mm = {:?}", 0.01 * spacing)?;
+        }
     }
     for m in &t.marks {
         writeln!(out, "\n[[target.marks]]\nkind = \"{}\"\ncolumn = {}\nrow = {}", m.kind.word(), m.column, m.row)?;

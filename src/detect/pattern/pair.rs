@@ -63,7 +63,10 @@ pub(super) fn label(image: &str, detection: &Detection, target: &Pair, what: &st
     let mut by_size: Vec<usize> = (0..discs.len()).collect();
     by_size.sort_by(|a, b| radius(&discs[*b]).total_cmp(&radius(&discs[*a])).then(a.cmp(b)));
     // A wisp of smoke within a bubble is no disc of the target.
-    let within = |a: usize, b: usize| compared(&discs[a], &discs[b]).is_some_and(|(_, distance)| distance < 1.0);
+    let within = |a: usize, b: usize| {
+        let near = || compared(&discs[a], &discs[b]).is_some_and(|(_, distance)| distance < 1.0);
+        discs[a].polarity == discs[b].polarity && near()
+    };
     let inner: Vec<usize> = (1..by_size.len())
         .filter(|j| by_size[..*j].iter().any(|a| within(*a, by_size[*j])))
         .map(|j| by_size[j])
