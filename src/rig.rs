@@ -1,7 +1,8 @@
 //! Two cameras and the motion between them: from labelled discs to the adjusted rig.
 //!
 //! 1. Each camera alone: candidates for its effective pinhole ([`crate::seed`]), axis point at the sensor's centre, poses in
-//!    closed form, a short adjustment of each candidate; the lowest cost wins.
+//!    closed form, a short adjustment of each candidate; the lowest cost wins. Views of one plane leave some of it open: the rest is held
+//!    loosely where cameras usually are.
 //! 2. The motion between the cameras: every common view gives one, `M_v = right_from_target left_from_target^-1`. They must agree. Where
 //!    an image leaves open which disc is which (two discs of one size, a grid without marks), every way to join the labels of
 //!    a view is a vote, and the consensus decides; what it leaves open, the cost of the common adjustment decides. Where every
@@ -27,8 +28,10 @@ mod consensus;
 mod contradiction;
 mod joint;
 mod labels;
+mod lone;
 mod mono;
 mod off_plane;
+mod one_plane;
 mod pitches;
 mod print;
 mod sides;

@@ -5,6 +5,7 @@ use super::contradiction::{
     DOUBT, cameras_disagree, contradicts_px, exchanged_or_mirrored, told_mirrored, told_opposite_or_mirrored, worst_px,
 };
 use super::labels::{changed, image_at, is_pair, labels, order_pairs, relabel};
+use super::lone::{lone_camera, place_lone_views};
 use super::mono::{calibrate_camera, thinned_model};
 use super::off_plane::views_off_plane;
 use super::pitches::shifted;
@@ -250,6 +251,7 @@ pub(super) struct Trial {
     pub(super) chi2: f64,
     pub(super) observations: f64,
     pub(super) rms_px: f64,
+    pub(super) converged: bool,
 }
 
 impl Trial {
@@ -274,7 +276,8 @@ pub(super) fn tried(problem: &RigProblem, ways: &[Way], context: &Context<'_>) -
         let state = State { offsets_mm: vec![], ..state };
         let trial = adjust(&model, state, &quick(context.options), &mut |i| (context.told)(i));
         let observations = (model.counts().observations as f64).max(1.0);
-        Some(Trial { chi2: 2.0 * trial.cost, observations, rms_px: rms_of(&model, &trial.state)? })
+        let converged = trial.termination == Termination::Converged;
+        Some(Trial { chi2: 2.0 * trial.cost, observations, rms_px: rms_of(&model, &trial.state)?, converged })
     };
     side_by_side(ways, one).into_iter().flatten().reduce(|a, b| if b.chi2 < a.chi2 { b } else { a })
 }
@@ -381,6 +384,7 @@ fn pair_start(problem: &RigProblem, monos: &[Mono], agreed: &Agreed) -> Result<S
         *p = scaled(&p.0, &p.1, scale);
     }
     let motion: Motion<Cam, Rig> = Motion::new(agreed.motion.rotation, agreed.motion.translation_mm * scale);
+    place_lone_views(problem, &agreed.poses, &motion, plane_of(problem, &poses).as_ref(), &mut poses);
     let first_from_plane = plane_of(problem, &poses);
     let views =
         poses.iter().zip(&model.views).map(|((m, s), view)| view_state(m, s, view.place, first_from_plane.as_ref()));
@@ -438,10 +442,14 @@ fn metric_scale(problem: &RigProblem, agreed: &Agreed, poses: &[(Motion<Rig, Tar
 
 /// Mean plane of the views that lie in it.
 fn plane_of(problem: &RigProblem, poses: &[(Motion<Rig, Target>, [f64; 3])]) -> Option<Motion<Rig, Sheet>> {
-    let mut frames = problem.model.views.iter().zip(poses).filter_map(|(view, (m, _))| match view.place {
-        ViewPlace::InPlane { known: PlanePosition::Unknown, .. } => Some((*m, None)),
-        ViewPlace::InPlane { z_mm, .. } => Some((*m, Some(z_mm))),
-        ViewPlace::Free => None,
+    // A view that has no scale in common with others says nothing of where the plane is, unless there is no other.
+    let marked = || (0..poses.len()).filter(|&v| problem.model.views[v].place.in_plane());
+    let all_lone = marked().all(|v| lone_camera(problem, v).is_some());
+    let of = marked().filter(|&v| all_lone || lone_camera(problem, v).is_none());
+    let mut frames = of.filter_map(|v| match (problem.model.views[v].place, poses[v].0) {
+        (ViewPlace::InPlane { known: PlanePosition::Unknown, .. }, m) => Some((m, None)),
+        (ViewPlace::InPlane { z_mm, .. }, m) => Some((m, Some(z_mm))),
+        (ViewPlace::Free, _) => None,
     });
     let (first, z) = frames.next()?;
     let (mut normal, mut depth, mut n) = (Vector3::zeros(), 0.0, 0.0);

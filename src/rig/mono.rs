@@ -1,5 +1,6 @@
 //! One camera alone: candidates in closed form, each adjusted a little, the best adjusted to the end.
 
+use super::one_plane::{all_in_plane, all_parallel, usual};
 use super::{CameraStart, Mono, RigProblem, Told, rms_of};
 use crate::bundle::{
     AdjustOptions, Adjustment, CameraModel, DiscObservation, Fact, ImageObservations, Loss, Model, PointObservations,
@@ -58,29 +59,16 @@ pub(super) fn calibrate_camera(problem: &RigProblem, c: usize, told: Told<'_>) -
     let start = &problem.starts[c];
     let mut candidates: Vec<EffectivePinhole> = designed(start).into_iter().collect();
     candidates.extend(pinholes(&points, start.size_px, start.nominal_f_px));
-    let model = mono_model(problem, c, &seeds);
-    let quick =
-        AdjustOptions { solve: SolveOptions { decrement: 1.0, iterations: 25 }, rounds: 0, outlier_sigmas: 6.0 };
-    let mut best: Option<Adjustment> = None;
-    for pinhole in &candidates {
-        let Some(state) = mono_start(problem, c, &seeds, pinhole) else { continue };
-        let trial = adjust(&model, state, &quick, &mut |i| told(i));
-        if trial.termination == Termination::Cancelled {
-            return Err(Unusable::Cancelled.into());
-        }
-        if trial.cost.is_finite() && best.as_ref().is_none_or(|b| trial.cost < b.cost) {
-            best = Some(trial);
-        }
-        // A candidate that explains the contours to half a pixel needs no rival.
-        if best.as_ref().and_then(|b| rms_of(&model, &b.state)).is_some_and(|r| r < 0.5) {
-            break;
-        }
+    let mut model = mono_model(problem, c, &seeds);
+    let one_plane = all_in_plane(problem, seeds.iter().map(|s| s.view));
+    if one_plane {
+        model.facts.extend(usual(problem, c));
     }
-    let best = best.ok_or_else(|| {
-        Insufficient::Degenerate(format!(
-            "camera \"{name}\": no start explains its images; record the target in clearly different tilts, or state focal_length_mm and pixel_pitch_mm"
-        ))
-    })?;
+    let mut best = best_candidate(problem, c, (&seeds, &candidates), &model, told)?;
+    if !one_plane && all_parallel(&best.state) {
+        model.facts.extend(usual(problem, c));
+        best = best_candidate(problem, c, (&seeds, &candidates), &model, told)?;
+    }
     let fine =
         AdjustOptions { solve: SolveOptions { decrement: 1e-2, iterations: 100 }, rounds: 0, outlier_sigmas: 6.0 };
     let done = adjust(&model, best.state, &fine, &mut |i| told(i));
@@ -97,6 +85,40 @@ pub(super) fn calibrate_camera(problem: &RigProblem, c: usize, told: Told<'_>) -
     }
     let rms_px = rms_of(&model, &done.state).unwrap_or(f64::INFINITY);
     Ok(Mono { intrinsics: done.state.cameras[0], poses, rms_px })
+}
+
+/// The candidate that explains the images best, adjusted a little.
+fn best_candidate(
+    problem: &RigProblem,
+    c: usize,
+    (seeds, candidates): (&[SeededImage], &[EffectivePinhole]),
+    model: &Model,
+    told: Told<'_>,
+) -> Result<Adjustment> {
+    let quick =
+        AdjustOptions { solve: SolveOptions { decrement: 1.0, iterations: 25 }, rounds: 0, outlier_sigmas: 6.0 };
+    let mut best: Option<Adjustment> = None;
+    for pinhole in candidates {
+        let Some(state) = mono_start(problem, c, seeds, pinhole) else { continue };
+        let trial = adjust(model, state, &quick, &mut |i| told(i));
+        if trial.termination == Termination::Cancelled {
+            return Err(Unusable::Cancelled.into());
+        }
+        if trial.cost.is_finite() && best.as_ref().is_none_or(|b| trial.cost < b.cost) {
+            best = Some(trial);
+        }
+        // A candidate that explains the contours to half a pixel needs no rival.
+        if best.as_ref().and_then(|b| rms_of(model, &b.state)).is_some_and(|r| r < 0.5) {
+            break;
+        }
+    }
+    best.ok_or_else(|| {
+        Insufficient::Degenerate(format!(
+            "camera \"{}\": no start explains its images; record the target in clearly different tilts, or state focal_length_mm and pixel_pitch_mm",
+            problem.model.cameras[c].name
+        ))
+        .into()
+    })
 }
 
 /// Refuses labels that run the wrong way round: the front of a target never shows them so.

@@ -109,7 +109,8 @@ pub(super) fn cheapest_side(
     }
     let over = flipped(problem, context).ok().and_then(|(problem, monos)| {
         let [near, far] = self::ways(&problem, &monos).map(|w| fits(&problem, &w));
-        better(near, far)
+        // What stands for a fault of the recording is claimed on nothing less than noise.
+        better(near, far).filter(|t| t.converged && t.rms_px < well_px)
     });
     let best = better(better(here, there), over);
     let is_best = |t: Option<Trial>| t.zip(best).is_some_and(|(t, b)| t.as_good_as(&b));
