@@ -497,6 +497,7 @@ fn the_program_reads_writes_and_refuses() {
     refused(&sigmas("sigma_dx_mm,sigma_dy_mm"), &right, &[], 2, "expected sigma_dx_px, sigma_dy_px");
     refused(&left, &right, &["--unit", "dewarped"], 2, "--dewarped dewarp.json");
     refused(&left, &right, &["--sigma", "-1"], 2, "a positive number");
+    refused(&right, &left, &["--no-calibration-sigma"], 2, "with the two fields exchanged");
     refused("", &right, &[], 2, "empty");
     for spacing in ["-1", "0", "4000"] {
         refused(&left, &right, &["--spacing-mm", spacing], 2, "distance of the vectors");

@@ -11,8 +11,8 @@
 //!
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
-//! | s | sources[0] | 6 | rad, mm | left step of the sheet, of which the plane alone counts |
-//! | s_k | sources[k] | 6 | rad, mm | left step of `rig_from_target` of a view that places the frame |
+//! | s | `steps[0]` | 6 | rad, mm | left step of the sheet, of which the plane alone counts |
+//! | s_k | `steps[k]` | 6 | rad, mm | left step of `rig_from_target` of a view that places the frame |
 //! | [J K_1 ...] | `by` | 6 x 6 n | mixed | left step of the frame |
 //!
 //! Source: the conventions of [`super`] and [`crate::rigid`]. Where a row is not determined the old ones stay: the frame is then lost as well.
