@@ -109,7 +109,7 @@ pub(super) fn see_all(
 }
 
 /// Images named in a message at most.
-const NAMED: usize = 4;
+const NAMED: usize = 24;
 
 /// What can be done without the images (view and camera) that lack something: leave them out, or their views.
 fn left_out(job: &RigDescription, failed: &[([usize; 2], &str)]) -> &'static str {
