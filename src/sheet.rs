@@ -35,7 +35,7 @@ mod recorded;
 mod rows;
 
 pub use features::PairFeatures;
-pub(crate) use frame::{on_plane_of, pose_rows, with_frame, with_frame_on_axis};
+pub(crate) use frame::{by_steps, on_plane_of, pose_rows, standing_on, with_frame, with_frame_on_axis};
 pub use gain::{PointUncertainty, RESPONSES, Response, SheetUncertainty, StereoSheet};
 pub(crate) use gain::{gain_row, in_plane_scale_row, unit};
 pub use homography::{

@@ -140,7 +140,7 @@ pub fn check_sheet_masked(
     let series = Series { moments, masks };
     let mut history = vec![];
     let start = moved(record, &found.plane, &Matrix6::zeros())?;
-    let (mut current, mut last, mut converged) = refine_plane(record, start, &series, &grid, options, &mut history)?;
+    let (mut current, mut result, mut converged) = refine_plane(record, start, &series, &grid, options, &mut history)?;
     if options.refine && !converged {
         flags.push(format!("the plane still moves after {ROUNDS} rounds; more image pairs would hold it"));
     }
@@ -154,10 +154,9 @@ pub fn check_sheet_masked(
             flags
                 .push(format!("the cameras still move after {CAMERA_ROUNDS} rounds; more image pairs would hold them"));
         }
-        (current, last) = (r.now, r.round);
+        (current, result) = (r.now, r.round);
         (r.reference, r.update)
     });
-    let result = last;
     let mut reference = record.clone();
     let mut shared = None;
     let mut cameras_refined = None;

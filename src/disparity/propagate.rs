@@ -25,8 +25,8 @@ use crate::frames::{Cam, Rig, Sheet};
 use crate::record::{Covariance, Record};
 use crate::rigid::Motion;
 use crate::sheet::{
-    Parameter, Placement, SHEET, STEP_NAMES, determines_measurements, on_plane_of, stepped_camera, stepped_motion,
-    stepped_window, with_frame_on_axis, with_sheet,
+    Parameter, Placement, SHEET, STEP_NAMES, by_steps, determines_measurements, on_plane_of, standing_on,
+    stepped_camera, stepped_motion, stepped_window, with_frame_on_axis, with_sheet,
 };
 use nalgebra::{DMatrix, Dyn, Matrix3, Matrix6, Matrix6x3, OMatrix, SMatrix, SVector, U6, Vector3};
 
@@ -190,24 +190,9 @@ fn frame_steps(start: &Motion<Rig, Sheet>, pose: &Motion<Rig, Sheet>) -> (Matrix
     if Placement::of_frame(pose).origin_in_rig_mm.is_none() {
         return (by_plane, Matrix6::zeros());
     }
-    let placed = |abc: &Vector3<f64>, step: &SVector<f64, 6>| {
-        let start = start.retract(step);
-        let x = start.rotation.column(0).into_owned();
-        let placement = Placement { origin_in_rig_mm: Some(start.translation_mm), x_in_rig: Some(x), flip_x: false };
-        on_plane_of(&(*pose * Motion::<Sheet, Sheet>::identity().retract(&(tilted() * abc))), &placement)
-    };
-    let (mut plane, mut own) = (by_plane, Matrix6::zeros());
-    for k in 0..3 {
-        let h = if k == 0 { 1e-4 } else { 1e-6 };
-        let at = |h: f64| placed(&(Vector3::ith(k, h)), &SVector::zeros());
-        plane.set_column(k, &(at(-h).step_to(&at(h)) / (2.0 * h)));
-    }
-    for k in 0..6 {
-        let h = if k < 3 { 1e-6 } else { 1e-3 };
-        let at = |h: f64| placed(&Vector3::zeros(), &SVector::ith(k, h));
-        own.set_column(k, &(at(-h).step_to(&at(h)) / (2.0 * h)));
-    }
-    (plane, own)
+    // The plane goes through both as a left step of the pose, of which a placed frame takes the plane alone.
+    let plane = by_steps(|step| on_plane_of(&pose.retract(step), &standing_on(start)));
+    (plane * by_plane, by_steps(|step| on_plane_of(pose, &standing_on(&start.retract(step)))))
 }
 
 /// Derivative of [`against`] by left steps of the starting sheet.

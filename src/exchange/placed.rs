@@ -18,7 +18,7 @@ use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::record::{MappingUncertainty, Record};
 use crate::rigid::Motion;
-use crate::sheet::{self, STEP_NAMES, SheetEstimate, pose_rows, with_frame};
+use crate::sheet::{STEP_NAMES, SheetEstimate, pose_rows, standing_on, with_frame};
 use nalgebra::{DMatrix, Matrix6, SMatrix, SVector, Vector3};
 
 /// Covariance of (a, b, c) in a frame of the sheet and of the second projection centre; `NaN` where the record does not state it.
@@ -95,11 +95,7 @@ pub fn placed_at_view(record: &Record, view: usize) -> Result<Record> {
     let pose = record.views.iter().find(|v| v.index == view).and_then(|v| v.rig_from_target);
     let rows = pose_rows(&out.covariance, &format!("view{view}.rig_from_target."));
     if let (Some(pose), Some(rows), Some(placed)) = (pose, rows, &out.sheet) {
-        let stands = |steps: &[SVector<f64, 6>]| {
-            let target = pose.motion::<Rig, Target>().retract(&steps[0]);
-            let x = target.rotation.column(0).into_owned();
-            sheet::Placement { origin_in_rig_mm: Some(target.translation_mm), x_in_rig: Some(x), flip_x: false }
-        };
+        let stands = |steps: &[SVector<f64, 6>]| standing_on(&pose.motion::<Rig, Target>().retract(&steps[0]));
         if let Some(covariance) = with_frame(&out.covariance, &placed.rig_from_sheet.motion(), &[rows], stands) {
             out.covariance = covariance;
         }

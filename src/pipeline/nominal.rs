@@ -83,12 +83,18 @@ fn lengths(s: &Solved) -> Vec<Stated> {
     all.into_iter().flatten().collect()
 }
 
+/// Focal length as stated, image distance found, and its standard deviation, where pixels have a size in mm.
+fn distances_mm(s: &Solved, c: usize) -> Option<[f64; 3]> {
+    let d = &s.job.cameras[c];
+    let (lens_mm, pitch_mm) = d.focal_length_mm.zip(d.pixel_pitch_mm)?;
+    let sigma_px = s.covariance.sigma(&format!("{}.f_px", d.name)).unwrap_or(f64::NAN);
+    Some([lens_mm, s.covariance.natural.cameras[c].intrinsics().f_px * pitch_mm, sigma_px * pitch_mm])
+}
+
 /// Says so where the image distance found is shorter than the focal length of the lens, at which no lens of that focal length forms an image.
 fn impossible_lens(s: &Solved, c: usize) -> Option<String> {
     let d = &s.job.cameras[c];
-    let (lens_mm, pitch_mm) = d.focal_length_mm.zip(d.pixel_pitch_mm)?;
-    let distance_mm = s.covariance.natural.cameras[c].intrinsics().f_px * pitch_mm;
-    let sigma_mm = s.covariance.sigma(&format!("{}.f_px", d.name)).unwrap_or(f64::NAN) * pitch_mm;
+    let [lens_mm, distance_mm, sigma_mm] = distances_mm(s, c)?;
     (distance_mm + 3.0 * sigma_mm < SHORTEST * lens_mm).then(|| {
         format!(
             "camera {}: an image distance of {distance_mm:.2} +- {sigma_mm:.2} mm is shorter than the focal length of its lens, {lens_mm} mm: focal_length_mm \
@@ -102,12 +108,10 @@ fn impossible_lens(s: &Solved, c: usize) -> Option<String> {
 /// Says so where no lens of about the stated focal length images a sheet so near or far at the image distance found: lengths were stated in another unit.
 fn contradicting_lens(s: &Solved, c: usize) -> Option<String> {
     let d = &s.job.cameras[c];
-    let (lens_mm, pitch_mm) = d.focal_length_mm.zip(d.pixel_pitch_mm)?;
+    let [lens_mm, image_mm, sigma_mm] = distances_mm(s, c)?;
     let in_camera = s.covariance.natural.cam_from_rig[c] * s.covariance.natural.rig_from_plane?;
     let normal = in_camera.rotation.column(2);
     let far_mm = (normal.dot(&in_camera.translation_mm) / normal.z).abs();
-    let image_mm = s.covariance.natural.cameras[c].intrinsics().f_px * pitch_mm;
-    let sigma_mm = s.covariance.sigma(&format!("{}.f_px", d.name)).unwrap_or(f64::NAN) * pitch_mm;
     let asked_mm = far_mm * image_mm / (far_mm + image_mm);
     let off = asked_mm > OTHER_LENS * lens_mm || lens_mm > OTHER_LENS * asked_mm;
     (off && sigma_mm < KNOWN_DISTANCE * image_mm).then(|| {

@@ -22,10 +22,27 @@ use super::{Placement, plane_geometry};
 use crate::frames::{Rig, Sheet};
 use crate::record::Covariance;
 use crate::rigid::Motion;
-use nalgebra::{DMatrix, SVector};
+use nalgebra::{DMatrix, Matrix6, SVector};
 
 /// Turn (rad) and shift (mm) of the central differences.
 const STEPS: [f64; 2] = [1e-6, 1e-3];
+
+/// How a pose places the frame: its origin and its x axis, laid into the plane along the normal.
+pub(crate) fn standing_on<T>(pose: &Motion<Rig, T>) -> Placement {
+    let x = pose.rotation.column(0).into_owned();
+    Placement { origin_in_rig_mm: Some(pose.translation_mm), x_in_rig: Some(x), flip_x: false }
+}
+
+/// Left step of a frame by the six parts of a left step that moves it, central differences.
+pub(crate) fn by_steps(frame: impl Fn(&SVector<f64, 6>) -> Motion<Rig, Sheet>) -> Matrix6<f64> {
+    let mut out = Matrix6::zeros();
+    for k in 0..6 {
+        let h = if k < 3 { STEPS[0] } else { STEPS[1] };
+        let at = |h: f64| frame(&SVector::ith(k, h));
+        out.set_column(k, &(at(-h).step_to(&at(h)) / (2.0 * h)));
+    }
+    out
+}
 
 /// The frame on the plane of another one, placed anew.
 pub(crate) fn on_plane_of(frame: &Motion<Rig, Sheet>, placement: &Placement) -> Motion<Rig, Sheet> {
@@ -52,14 +69,13 @@ pub(crate) fn with_frame(
 ) -> Option<Covariance> {
     let sheet = pose_rows(covariance, SHEET)?;
     let mut by = DMatrix::zeros(6, 6 * (1 + views.len()));
-    for k in 0..by.ncols() {
-        let h = if k % 6 < 3 { STEPS[0] } else { STEPS[1] };
-        let at = |h: f64| {
+    for source in 0..=views.len() {
+        let part = by_steps(|step| {
             let mut steps = vec![SVector::<f64, 6>::zeros(); 1 + views.len()];
-            steps[k / 6][k % 6] = h;
+            steps[source] = *step;
             on_plane_of(&frame.retract(&steps[0]), &placement(&steps[1..]))
-        };
-        by.set_column(k, &(at(-h).step_to(&at(h)) / (2.0 * h)));
+        });
+        by.columns_mut(6 * source, 6).copy_from(&part);
     }
     let from: Vec<usize> = sheet.iter().chain(views.iter().flatten()).copied().collect();
     Some(covariance.with_rows(&sheet, &from, &by))
@@ -139,8 +155,7 @@ mod tests {
         let mark = Vector3::new(12.0, -7.0, 0.0);
         let placed = |s: &SVector<f64, 6>| {
             let view = view.retract(s);
-            let x = view.rotation.column(0).into_owned();
-            Placement { origin_in_rig_mm: Some(view.apply(&mark)), x_in_rig: Some(x), flip_x: false }
+            Placement { origin_in_rig_mm: Some(view.apply(&mark)), ..standing_on(&view) }
         };
         let frame = on_plane_of(&view, &placed(&SVector::zeros()));
         let rows = pose_rows(&c, "view3.rig_from_target.").unwrap();
