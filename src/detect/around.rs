@@ -5,6 +5,7 @@ use crate::detect::candidate::Candidate;
 use crate::detect::contour::NEIGHBOUR;
 use crate::detect::refine::reach_px;
 use crate::detect::rows::ByRow;
+use crate::threads;
 
 /// Images with more candidates than this, wisps of smoke in them apart, show prints, not smoke.
 pub(super) const MOST_SMOKY: usize = 24;
@@ -33,37 +34,35 @@ const HOLE: f64 = 0.5;
 /// What lies around each candidate: its own hole, its neighbours.
 pub(super) fn surroundings(candidates: &[Candidate]) -> Vec<Surroundings> {
     let by_row = ByRow::new(candidates.iter().map(|c| &c.ellipse));
-    candidates
-        .iter()
-        .map(|c| {
-            let e = &c.ellipse;
-            let mut around = Surroundings { inner_px: 0.9 * e.semi_minor_px, neighbours: vec![] };
-            let sight = sight_px(c.blur_px);
-            for k in by_row.near(e.center_px, e.semi_major_px + by_row.largest_px + sight) {
-                let other = &candidates[k];
-                let o = &other.ellipse;
-                let reach = e.semi_major_px + o.semi_major_px + sight;
-                let (du, dv) = (e.center_px.u_px - o.center_px.u_px, e.center_px.v_px - o.center_px.v_px);
-                if du * du + dv * dv > reach * reach || std::ptr::eq(c, other) || other.contrast <= 0.3 * c.contrast {
-                    continue;
-                }
-                let apart = du.hypot(dv);
-                if apart < 0.6 * e.semi_minor_px && o.semi_major_px < 0.85 * e.semi_minor_px {
-                    if other.bright != c.bright && other.contrast > HOLE * c.contrast {
-                        around.inner_px =
-                            around.inner_px.min(0.6 * (e.semi_minor_px - o.semi_major_px - apart).max(2.0));
-                    }
-                } else if apart > e.semi_minor_px {
-                    // A spot of the other polarity upon the contour (glare) spoils a few sectors, which show it themselves.
-                    let clear = apart - e.semi_major_px - o.semi_major_px > 2.0;
-                    if clear || other.bright == c.bright || Frame::new(e).least_gap_px(o) > 2.0 {
-                        around.neighbours.push(*o);
-                    }
-                }
+    threads::side_by_side(candidates, |c| around(c, candidates, &by_row))
+}
+
+fn around(c: &Candidate, candidates: &[Candidate], by_row: &ByRow) -> Surroundings {
+    let e = &c.ellipse;
+    let mut around = Surroundings { inner_px: 0.9 * e.semi_minor_px, neighbours: vec![] };
+    let sight = sight_px(c.blur_px);
+    for k in by_row.near(e.center_px, e.semi_major_px + by_row.largest_px + sight) {
+        let other = &candidates[k];
+        let o = &other.ellipse;
+        let reach = e.semi_major_px + o.semi_major_px + sight;
+        let (du, dv) = (e.center_px.u_px - o.center_px.u_px, e.center_px.v_px - o.center_px.v_px);
+        if du * du + dv * dv > reach * reach || std::ptr::eq(c, other) || other.contrast <= 0.3 * c.contrast {
+            continue;
+        }
+        let apart = du.hypot(dv);
+        if apart < 0.6 * e.semi_minor_px && o.semi_major_px < 0.85 * e.semi_minor_px {
+            if other.bright != c.bright && other.contrast > HOLE * c.contrast {
+                around.inner_px = around.inner_px.min(0.6 * (e.semi_minor_px - o.semi_major_px - apart).max(2.0));
             }
-            around
-        })
-        .collect()
+        } else if apart > e.semi_minor_px {
+            // A spot of the other polarity upon the contour (glare) spoils a few sectors, which show it themselves.
+            let clear = apart - e.semi_major_px - o.semi_major_px > 2.0;
+            if clear || other.bright == c.bright || Frame::new(e).least_gap_px(o) > 2.0 {
+                around.neighbours.push(*o);
+            }
+        }
+    }
+    around
 }
 
 /// Which candidates are faint against a disc that they lie in, as wisps of its smoke are.

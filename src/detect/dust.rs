@@ -65,6 +65,9 @@ pub(super) fn refined_but_dust(
     let sizes: Vec<(f64, f64)> =
         starts.iter().map(|s| (s.ellipse.mean_radius_px(), s.contrast * s.ellipse.perimeter_px())).collect();
     let late = put_off(starts, &sizes);
+    if late.is_empty() {
+        return (threads::side_by_side(starts, refine), vec![false; starts.len()]);
+    }
     let mut out: Vec<Option<Result<Disc, RejectionReason>>> = vec![None; starts.len()];
     let fit = |of: &[usize], smoke: bool, out: &mut Vec<Option<_>>| {
         let start = |i: &usize| {

@@ -322,37 +322,52 @@ fn look_at<L: Level + Send + Sync>(
     make: impl Fn(&mut L, Option<&L>, usize) + Sync,
 ) -> Seen {
     let mut seen = Seen::default();
-    let mut rest = &mut levels[..gradients.len()];
-    if let Some(first) = rest.first_mut() {
-        make(first, None, 0);
-    }
+    let Some((first, mut rest)) = levels[..gradients.len()].split_first_mut() else { return seen };
+    make(first, None, 0);
+    let (mut tracer, mut passed) = (Tracer::new(&*first), 0);
     for (level, gradient) in gradients.iter().enumerate() {
-        let Some((on, coarser)) = rest.split_first_mut() else { break };
-        let on = &*on;
-        let follow = || follow(on, *gradient, level as u32, options, &mut seen);
-        threads::both(follow, || {
-            if let Some(next) = coarser.first_mut() {
+        let finer: Vec<(Ellipse, bool)> = seen.candidates.iter().map(|c| (c.ellipse, c.bright)).collect();
+        let (on, coarser) = (tracer.level, std::mem::take(&mut rest).split_first_mut());
+        let follow = || follow(tracer, (&finer, passed), *gradient, level as u32, options, &mut seen);
+        // What was seen so far need not be waited for.
+        let prepare = || {
+            coarser.map(|(next, rest)| {
                 make(next, Some(on), level + 1);
-            }
-        });
-        rest = coarser;
+                let mut tracer = Tracer::new(&*next);
+                finer.iter().for_each(|(e, _)| tracer.pass_over(&at_level(e, level + 1)));
+                (tracer, rest)
+            })
+        };
+        let ((), Some(next)) = threads::both(follow, prepare) else { break };
+        passed = finer.len();
+        (tracer, rest) = next;
     }
     seen
 }
 
-/// Follows and judges the lines of one level from where they start. Within a pool they are judged side by side.
-fn follow(on: &(impl Level + Sync), gradient: f32, level: u32, options: &DetectOptions, seen: &mut Seen) {
-    let mut tracer = Tracer::new(on);
-    let strength = Strength { gradient: f64::from(gradient) };
-    let finer: Vec<(Ellipse, bool)> = seen.candidates.iter().map(|c| (c.ellipse, c.bright)).collect();
+/// An ellipse in px of a level.
+fn at_level(e: &Ellipse, level: usize) -> Ellipse {
+    scaled(e, 1.0 / f64::from(1u32 << level))
+}
+
+/// Follows and judges the lines of one level from where they start, given what was seen at finer ones, the first of
+/// which the tracer has passed over. Within a pool they are judged side by side.
+fn follow(
+    mut tracer: Tracer<impl Level + Sync>,
+    (finer, passed): (&[(Ellipse, bool)], usize),
+    gradient: f32,
+    level: u32,
+    options: &DetectOptions,
+    seen: &mut Seen,
+) {
+    let (on, strength) = (tracer.level, Strength { gradient: f64::from(gradient) });
+    finer[passed..].iter().for_each(|(e, _)| tracer.pass_over(&at_level(e, level as usize)));
     let by_row = ByRow::new(finer.iter().map(|c| &c.0));
     // What was seen at a finer level need not be judged again.
     let known = |e: &Ellipse, bright: bool| {
         let reach = repeat_px(e.semi_minor_px.max(by_row.largest_px));
         by_row.near(e.center_px, reach).any(|k| finer[k].1 == bright && same_place(&finer[k].0, e))
     };
-    let scale = 1.0 / f64::from(1u32 << level);
-    finer.iter().for_each(|(e, _)| tracer.pass_over(&scaled(e, scale)));
     let judged = |line: &Line| judge(line, on, strength, level, options, &known);
     let mut line = Line::default();
     let mut each = |take: &mut dyn FnMut(&Line)| {

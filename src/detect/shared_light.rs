@@ -88,7 +88,7 @@ impl SharedLight {
         }
         let most = (ENOUGH_PLACES / alike.len()).clamp(FEWEST_PLACES, MOST_PLACES);
         let fit = |level: fn(&GrayView, &Candidate, usize) -> Option<(Pixel, f64)>| {
-            let told = alike.iter().filter_map(|c| level(view, c, most));
+            let told = threads::side_by_side(&alike, |c| level(view, c, most)).into_iter().flatten();
             Polynomial::fit([view.width() as f64, view.height() as f64], &told.collect::<Vec<_>>())
         };
         let (inside, ground) = threads::both(|| fit(inside), || fit(ground));

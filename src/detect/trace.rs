@@ -27,7 +27,7 @@ pub(crate) struct Line {
 
 /// Follows zero lines of the field of a level; remembers which lattice edges it has used.
 pub(crate) struct Tracer<'a, L> {
-    level: &'a L,
+    pub(crate) level: &'a L,
     /// One bit per lattice edge between a pixel and the next of its row.
     visited: Vec<u64>,
 }
