@@ -59,6 +59,7 @@ mod layout;
 #[allow(clippy::unwrap_used)]
 mod list;
 mod model;
+mod moved;
 mod outline;
 mod part;
 mod points;
@@ -89,6 +90,7 @@ pub use model::{
     CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, OvalDependence,
     PairObservation, PlanePosition, PointObservations, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
 };
+pub use moved::{Moved, MovedTest, moved_test};
 pub(crate) use posterior::STEP_NAMES;
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use reach::{Numbers, Observe, Reach};

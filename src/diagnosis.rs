@@ -19,6 +19,7 @@ mod field;
 mod keys;
 mod mapping;
 mod model_tests;
+mod moved;
 mod outliers;
 mod priors;
 mod probes;
@@ -131,21 +132,21 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
         Ok((views::views(s, &names, (&keys, probes.as_ref()), &watch, &mut flags)?, flags))
     };
     let others = || -> Result<_> {
-        let (mut of_tests, mut of_mapping) = (vec![], vec![]);
-        let tests = model_tests::model_tests(s, &keys, &mut of_tests);
+        let (mut first, mut of_tests, mut of_mapping) = (vec![], vec![], vec![]);
+        let tests = model_tests::model_tests(s, &keys, (&mut first, &mut of_tests));
         watch.check()?;
         let intervals = reach::intervals(a, &keys, &sigmas, &watch)?;
         let mapping =
             sheet.as_ref().and_then(|sheet| mapping::mapping_uncertainty(s.covariance, sheet, &mut of_mapping));
-        Ok((tests, of_tests, mapping, of_mapping, intervals))
+        Ok((tests, [first, of_tests], mapping, of_mapping, intervals))
     };
     let (views, others) = threads::both(views, others);
-    let ((views, of_views), (tests, of_tests, mapping, of_mapping, intervals)) = (views?, others?);
+    let ((views, of_views), (tests, [first, of_tests], mapping, of_mapping, intervals)) = (views?, others?);
     out.diagnosis.key_quantities = quantities(&keys, &sigmas, &views.spreads, &intervals);
     (out.diagnosis.model_tests, out.diagnosis.views) = (tests, views.influences);
     out.mapping = mapping.map(|m| MappingUncertainty { by_views: views.felt, ..m });
-    out.diagnosis.outliers = outliers::outliers(s, !of_tests.is_empty());
-    out.flags.extend([of_tests, of_views, of_mapping].concat());
+    out.diagnosis.outliers = outliers::outliers(s, !(first.is_empty() && of_tests.is_empty()));
+    out.flags = [first, out.flags, of_tests, of_views, of_mapping].concat();
     Ok(out)
 }
 

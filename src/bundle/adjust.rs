@@ -95,14 +95,27 @@ pub(super) struct Bundle<'a> {
 impl<'a> Bundle<'a> {
     /// With the blocks that are the less work.
     pub(super) fn of(model: &'a Model) -> Self {
-        let places = Places::of(model);
-        let by = ByDisc::of(model, &places);
-        Self { model, places, by }
+        Self::with_places(model, Places::of(model))
     }
 
     /// The same with one block per view in any case.
     pub(super) fn with_views(model: &'a Model) -> Self {
         Self { model, places: Places::of(model), by: None }
+    }
+
+    /// The same with unknowns that may be more than those of the model ([`Places::with_further`]).
+    pub(super) fn with_places(model: &'a Model, places: Places) -> Self {
+        let by = ByDisc::of(model, &places);
+        Self { model, places, by }
+    }
+
+    pub(super) fn places(&self) -> &Places {
+        &self.places
+    }
+
+    /// A step of its unknowns with one block per view.
+    pub(super) fn step_by_view(&self, step: &Step) -> Step {
+        self.by.as_ref().map_or_else(|| step.clone(), |by| by.step_by_view(step))
     }
 
     /// What [`Problem::linearise`] gives, from the equations of images that were formed before at the same state.

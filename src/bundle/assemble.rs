@@ -224,11 +224,20 @@ pub(super) fn threaded(images: &[&ImageObservations]) -> bool {
 
 /// Cost of all images; `None` where one of them has no meaning. Summed in the order of the images.
 pub(super) fn cost(model: &Model, state: &State) -> Option<f64> {
-    let cameras = cameras(model, state)?;
+    cost_in(model, state, |_| state)
+}
+
+/// The same with a state for each image, all with the cameras of one, which may stand elsewhere.
+pub(super) fn cost_in<'a>(
+    model: &'a Model,
+    cameras_of: &State,
+    state: impl Fn(&ImageObservations) -> &'a State + Sync,
+) -> Option<f64> {
+    let cameras = cameras(model, cameras_of)?;
     let images: Vec<&ImageObservations> = model.images.iter().collect();
     let memory = OwnMemory::<Scratch>::new();
     let of = |o: &&ImageObservations| {
-        memory.with(|scratch| SeenImage::through(model, state, o, cameras[o.camera]).cost(scratch))
+        memory.with(|scratch| SeenImage::through(model, state(o), o, cameras[o.camera]).cost(scratch))
     };
     let each: Option<Vec<(f64, Vec<Tied<()>>)>> = gathered(threaded(&images), &images, of);
     let mut pairs = Pairs::of(None);
@@ -319,12 +328,23 @@ fn each_image(
 
 /// View and equations of each image, in their order.
 pub(super) fn of_each_image(model: &Model, places: &Places, state: &State) -> Option<Vec<(usize, MappedNormal)>> {
+    of_each_image_in(model, places, state, |_| state)
+}
+
+/// The same with a state for each image, as for [`cost_in`].
+pub(super) fn of_each_image_in<'a>(
+    model: &'a Model,
+    places: &Places,
+    cameras_of: &State,
+    state: impl Fn(&ImageObservations) -> &'a State + Sync,
+) -> Option<Vec<(usize, MappedNormal)>> {
     let wanted: Vec<&ImageObservations> = model.images.iter().collect();
-    let cameras = cameras(model, state)?;
+    let cameras = cameras(model, cameras_of)?;
     let memory = OwnMemory::<Scratch>::new();
     let of = |o: &&ImageObservations| {
         memory.with(|scratch| {
-            linearised(model, places, state, &SeenImage::through(model, state, o, cameras[o.camera]), scratch)?;
+            let own = state(o);
+            linearised(model, places, own, &SeenImage::through(model, own, o, cameras[o.camera]), scratch)?;
             Some((o.view, std::mem::take(&mut scratch.normal)))
         })
     };

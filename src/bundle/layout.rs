@@ -78,6 +78,16 @@ impl Places {
         }
     }
 
+    /// Global unknowns before the offsets of discs.
+    pub(super) fn shared(&self) -> usize {
+        self.offsets.unwrap_or(self.global)
+    }
+
+    /// With so many further global unknowns, the last before the offsets of discs.
+    pub(super) fn with_further(&self, count: usize) -> Self {
+        Self { offsets: self.offsets.map(|at| at + count), global: self.global + count, ..self.clone() }
+    }
+
     pub(super) fn layout(&self) -> solve::Layout {
         let blocks = self.pose_sizes.iter().map(|d| d + self.view_shape_size).collect();
         solve::Layout { global: self.global, blocks }

@@ -1,49 +1,102 @@
 //! Whether the model lacks something, in words.
 
 use super::keys::{Keys, intrinsic_unit};
+use super::moved;
 use super::{FALSE_ALARMS, FELT_SIGMAS, Subject, digits, measured};
-use crate::bundle::{Extension, ExtensionTest, extension_tests, intrinsic_words, named_rows};
+use crate::bundle::{Extension, ExtensionTest, extension_tests, intrinsic_words, moved_test, named_rows};
 use crate::record::ModelTest;
 use crate::stats::chi_square_above;
+use nalgebra::{DMatrix, DVector};
 
-pub(super) fn model_tests(s: &Subject<'_>, keys: &Keys, flags: &mut Vec<String>) -> Vec<ModelTest> {
-    let Some(tests) = extension_tests(s.adjustment) else { return vec![] };
-    let rows = named_rows(s.adjustment, &keys.rows).unwrap_or_else(|| nalgebra::DMatrix::zeros(0, 0));
-    let matrix = s.covariance.propagate(&keys.rows);
-    let enlarged = s.adjustment.model.images.iter().map(|i| i.sigma_scale).fold(1.0, f64::max);
-    let mut out = vec![];
-    for test in &tests {
-        let p_value = chi_square_above(test.statistic, test.degrees as f64);
-        let needed = p_value * (tests.len() as f64) < FALSE_ALARMS;
-        let moved = if rows.ncols() == test.shift.len() { &rows * &test.shift } else { nalgebra::DVector::zeros(0) };
-        let mut bias = (0.0, String::new());
-        for (k, key) in keys.list.iter().enumerate().filter(|(k, _)| *k < moved.len() && keys.determined[*k]) {
-            let sigma = matrix[(k, k)].max(0.0).sqrt();
-            if sigma > 0.0 && moved[k].abs() / sigma > bias.0 {
-                bias = (moved[k].abs() / sigma, key.name.clone());
+/// What a change of the global unknowns does to the keys.
+struct Felt<'a> {
+    keys: &'a Keys,
+    rows: DMatrix<f64>,
+    variance: DVector<f64>,
+}
+
+impl Felt<'_> {
+    /// Largest change of a key, in its standard deviations, and which.
+    fn bias(&self, change: &DVector<f64>) -> (f64, String) {
+        let mut out = (0.0, String::new());
+        if self.rows.ncols() != change.len() {
+            return out;
+        }
+        let moved = &self.rows * change;
+        for (k, key) in self.keys.list.iter().enumerate().filter(|(k, _)| self.keys.determined[*k]) {
+            let sigma = self.variance[k].max(0.0).sqrt();
+            if sigma > 0.0 && moved[k].abs() / sigma > out.0 {
+                out = (moved[k].abs() / sigma, key.name.clone());
             }
         }
-        let alike = needed && test.extension == Extension::DisplacedDiscs && enlarged > ENLARGED;
-        let felt = needed && (bias.0 > FELT_SIGMAS || alike);
-        let one = ModelTest {
-            question: question(s, test.extension),
-            statistic: test.statistic,
-            degrees_of_freedom: test.degrees,
-            p_value,
-            size: test.size * shown(test.extension).0,
-            sigma: test.sigma * shown(test.extension).0,
-            unit: shown(test.extension).1.into(),
-            words: if alike { misprinted(test, enlarged) } else { words(s, test, needed, felt, &bias) },
-            bias_sigmas: bias.0,
-            bias_of: bias.1,
-            needed,
-        };
-        if felt {
-            flags.push(one.words.clone());
+        out
+    }
+}
+
+/// All tests; what explains the others is flagged in `first`.
+pub(super) fn model_tests(
+    s: &Subject<'_>,
+    keys: &Keys,
+    (first, flags): (&mut Vec<String>, &mut Vec<String>),
+) -> Vec<ModelTest> {
+    let Some(tests) = extension_tests(s.adjustment) else { return vec![] };
+    let rows = named_rows(s.adjustment, &keys.rows).unwrap_or_else(|| DMatrix::zeros(0, 0));
+    let felt = Felt { keys, rows, variance: s.covariance.propagate(&keys.rows).diagonal() };
+    let moved = moved_test(s.adjustment);
+    let asked = (tests.len() + usize::from(moved.is_some())) as f64;
+    let needed = |p_value: f64| p_value * asked < FALSE_ALARMS;
+    // Of what a moved camera does to the images other tests explain a part, and it a part of what they are of: what explains most is to be believed.
+    let beyond = |statistic: f64, degrees: usize| statistic - degrees as f64;
+    let explained = tests.iter().map(|t| beyond(t.statistic, t.degrees)).fold(0.0, f64::max);
+    let by_move = moved.as_ref().is_some_and(|t| needed(t.p_value) && beyond(t.statistic, t.degrees) > explained);
+    let mut out: Vec<ModelTest> = vec![];
+    for test in &tests {
+        let p_value = chi_square_above(test.statistic, test.degrees as f64);
+        let (mut one, flagged) = of_extension(s, test, (p_value, needed(p_value)), felt.bias(&test.shift));
+        if one.needed && by_move {
+            one.words += "; a moved camera explains more, and goes first";
         }
+        flags.extend((flagged && !by_move).then(|| one.words.clone()));
+        out.push(one);
+    }
+    if let Some(test) = moved {
+        let views = s.adjustment.model.views.len();
+        let [at_first, at_last] = test.changes.each_ref().map(|change| felt.bias(change));
+        let bias = if at_first.0 > at_last.0 { at_first } else { at_last };
+        let (mut one, flagged) = moved::model_test(&test, views, needed(test.p_value), bias);
+        if one.needed && !by_move {
+            one.words += "; what else the images ask for explains more, and goes first";
+        }
+        first.extend((flagged && by_move).then(|| one.words.clone()));
         out.push(one);
     }
     out
+}
+
+/// One test, and whether a user would feel what is lacking.
+fn of_extension(
+    s: &Subject<'_>,
+    test: &ExtensionTest,
+    (p_value, needed): (f64, bool),
+    bias: (f64, String),
+) -> (ModelTest, bool) {
+    let enlarged = s.adjustment.model.images.iter().map(|i| i.sigma_scale).fold(1.0, f64::max);
+    let alike = needed && test.extension == Extension::DisplacedDiscs && enlarged > ENLARGED;
+    let felt = needed && (bias.0 > FELT_SIGMAS || alike);
+    let one = ModelTest {
+        question: question(s, test.extension),
+        statistic: test.statistic,
+        degrees_of_freedom: test.degrees,
+        p_value,
+        size: test.size * shown(test.extension).0,
+        sigma: test.sigma * shown(test.extension).0,
+        unit: shown(test.extension).1.into(),
+        words: if alike { misprinted(test, enlarged) } else { words(s, test, needed, felt, &bias) },
+        bias_sigmas: bias.0,
+        bias_of: bias.1,
+        needed,
+    };
+    (one, felt)
 }
 
 /// Sigmas enlarged by more hold what discs scatter by, but not that displaced ones are off by the same in all images.

@@ -149,6 +149,17 @@ impl ScoreTests {
         Some(Self { information, rhs, base, base_inverse: inverse.matrix })
     }
 
+    /// M and g of what is `tested` where all of it is free (B the identity).
+    pub fn left(&self, tested: &[usize]) -> (DMatrix<f64>, DVector<f64>) {
+        let (t, b) = (tested, &self.base);
+        let s_tt = DMatrix::from_fn(t.len(), t.len(), |i, j| self.information[(t[i], t[j])]);
+        let s_tx = DMatrix::from_fn(t.len(), b.len(), |i, j| self.information[(t[i], b[j])]);
+        let carried = &self.base_inverse * s_tx.transpose();
+        let r_x = DVector::from_fn(b.len(), |i, _| self.rhs[b[i]]);
+        let r_t = DVector::from_fn(t.len(), |i, _| self.rhs[t[i]]);
+        (s_tt - &s_tx * &carried, r_t - carried.tr_mul(&r_x))
+    }
+
     /// Tests `tested = basis eta` (basis: tested x m); the remaining further unknowns stay zero. `None` where the images say nothing
     /// about it.
     pub fn test(&self, tested: &[usize], basis: &DMatrix<f64>) -> Option<Score> {

@@ -1,0 +1,271 @@
+//! Whether the cameras were moved against each other between views: score tests of a step of their motion, and of a steady drift.
+//!
+//! Views follow each other as in the model, in epochs of one view (of more beyond [`MOST_EPOCHS`]). The motion of the second camera is given a step of its
+//! own in every epoch, which moves its images there as the motion itself does:
+//! ```text
+//! delta_e in R^6,  d image / d delta_e = d image / d motion    for images of the second camera in epoch e
+//! any:    all delta_e free (but their common part, which is the motion)         chi2_any
+//! step:   delta_e = eta for e >= k, else 0,  k with two views at least on either side    chi2_k
+//! drift:  delta_e = eta e / (E - 1)                                                 chi2_d
+//! ```
+//! Where the largest is a step beyond chance, it is adjusted ([`apart`]), since a camera that was pushed moves images by pixels, where equations bend:
+//! ```text
+//! chi2_max = 2 (cost without the step - cost with it),   chi2_rest = chi2_any at that minimum
+//! ```
+//! else (and for a drift) `chi2_rest = chi2_any - chi2_max`.
+//!
+//! What differs from view to view without any order (a plate that bends, a mount that gives way) would pass for the largest step. So a step is compared with
+//! what is left beside it:
+//! ```text
+//! chi2_rest within chance (above 1 %):  p = (number of steps and drifts) P(chi-square > chi2_max)
+//! else                                  p = part of all orders of the epochs in which chi2_max is as large (a sample of them)
+//! ```
+//! | symbol | identifier | unit | frame | meaning |
+//! |---|---|---|---|---|
+//! | eta | `estimate` | rad, mm | solver frame of the second camera | turn and shift of the camera; the shift is that of its projection centre |
+//! | delta_e | `tested` | rad, mm | the same | step of an epoch |
+//! | M, g | `information`, `slope` | | | information on delta that the other unknowns leave, and its right-hand side ([`crate::solve::ScoreTests`]) |
+//! | E | `epochs` | 1 | | number of epochs |
+//!
+//! One camera that moves and the other that moves the opposite way are one and the same where poses are free: which of both was moved is not told.
+//! Source: score tests for a change at an unknown time, Page, Biometrika 42 (1955); orders drawn at random, Pitman, Suppl. J. R. Stat. Soc. 4 (1937).
+
+mod apart;
+
+use super::adjust::{Adjustment, Bundle};
+use super::assemble;
+use super::image_map::{MappedNormal, Slot};
+use super::layout::Places;
+use super::model::Model;
+use super::state::State;
+use crate::solve::{Score, ScoreTests};
+use crate::stats::chi_square_above;
+use apart::Apart;
+use nalgebra::{DMatrix, DVector, Matrix6, Vector3, Vector6};
+
+/// Epochs at most.
+const MOST_EPOCHS: usize = 40;
+/// Views on either side of a step: a single one is left out to see what it does.
+const FEWEST: usize = 2;
+/// Chance of what is left beside a step below which views differ by more than noise.
+const SCATTERED: f64 = 0.01;
+/// Orders that are drawn, and of how many as good as the true one it is enough to know.
+const ORDERS: usize = 4999;
+const ENOUGH: usize = 100;
+/// Discs in all images at most where each is estimated: their equations are kept.
+const KEPT: usize = 200_000;
+/// Part of what an epoch says of its step by itself that is too little to be looked at.
+const RIDGE: f64 = 1e-9;
+
+/// When the cameras were moved against each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Moved {
+    /// Before this view, an index of the model's list.
+    Before(usize),
+    /// By and by over all views.
+    Steadily,
+}
+
+/// The most significant of all steps, and the drift.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MovedTest {
+    /// When.
+    pub when: Moved,
+    /// Chi-square where the cameras stood still and only noise differs from view to view.
+    pub statistic: f64,
+    /// Its degrees of freedom.
+    pub degrees: usize,
+    /// Probability of so large a step by chance, of all that were asked.
+    pub p_value: f64,
+    /// Angle by which one camera turned against the other (between the first view and the last, for a drift), and its standard deviation, rad.
+    pub turn_rad: [f64; 2],
+    /// By how much the projection centre of one moved as seen from the other, and its standard deviation, mm.
+    pub shift_mm: [f64; 2],
+    /// Change of the global unknowns if it were added: to those of the first view, and of the last.
+    pub changes: [DVector<f64>; 2],
+}
+
+/// The test; `None` with one camera, too few views, or where the images say nothing.
+pub fn moved_test(adjustment: &Adjustment) -> Option<MovedTest> {
+    let (model, state) = (&adjustment.model, &adjustment.state);
+    let places = Places::of(model);
+    let motion = (*places.motions.get(1)?)?;
+    let views = model.views.len();
+    if views < 2 * FEWEST || places.offsets.is_some() && model.images.len() * model.target.disc_count() > KEPT {
+        return None;
+    }
+    let epochs = Epochs { views, each: views.div_ceil(MOST_EPOCHS), motions: [motion; 2], first: places.shared() };
+    let images = assemble::of_each_image(model, &places, state)?;
+    let steps = Steps::of(model, (&places, &epochs), images, state)?;
+    let (any, asked) = (steps.any()?, epochs.steps());
+    let found = asked.iter().filter_map(|step| Some((*step, steps.test(*step)?)));
+    let (step, score) = found.max_by(|a, b| a.1.statistic.total_cmp(&b.1.statistic))?;
+    let chance = |statistic: f64| asked.len() as f64 * chi_square_above(statistic, score.degrees as f64);
+    let mut change = DVector::zeros(places.global);
+    change.rows_mut(0, places.shared()).copy_from(&score.shift.rows(0, places.shared()));
+    let mut at_last = change.clone();
+    (0..6).for_each(|k| at_last[motion + k] += score.estimate[k]);
+    let mut out = MovedTest {
+        when: step.map_or(Moved::Steadily, |k| Moved::Before(k * epochs.each)),
+        statistic: score.statistic,
+        degrees: score.degrees,
+        p_value: chance(score.statistic).min(1.0),
+        turn_rad: size(&score, 0),
+        shift_mm: size(&score, 3),
+        changes: [change, at_last],
+    };
+    if out.p_value > SCATTERED {
+        return Some(out);
+    }
+    let mut rest = (any.statistic - score.statistic, any.degrees.saturating_sub(score.degrees));
+    if let Moved::Before(view) = out.when {
+        let apart = Apart::of(model, &places, motion, view);
+        if let Some((stood, less)) = apart.adjusted(state) {
+            let images = apart.of_each_image(&stood)?;
+            let epochs = Epochs { motions: [motion, places.shared()], first: places.shared() + 6, ..epochs };
+            let left = Steps::of(model, (apart.places(), &epochs), images, &stood.before)?.any()?;
+            rest = (left.statistic, left.degrees);
+            (out.statistic, [out.turn_rad[0], out.shift_mm[0]]) = (2.0 * less, stood.moved_by());
+            out.p_value = chance(out.statistic).min(1.0);
+        }
+    }
+    if chi_square_above(rest.0, rest.1 as f64) < SCATTERED {
+        out.p_value = steps.among_orders(&asked);
+    }
+    Some(out)
+}
+
+/// Size of the turn or the shift that begins at a place of eta, and its standard deviation.
+fn size(score: &Score, first: usize) -> [f64; 2] {
+    let part: Vector3<f64> = score.estimate.fixed_rows::<3>(first).into_owned();
+    let along = part.try_normalize(0.0).unwrap_or_else(Vector3::x);
+    let variance = along.dot(&(score.covariance.fixed_view::<3, 3>(first, first) * along));
+    [part.norm(), variance.max(0.0).sqrt()]
+}
+
+/// How views make epochs, and where the unknowns stand.
+#[derive(Clone, Copy)]
+struct Epochs {
+    views: usize,
+    /// Views of an epoch.
+    each: usize,
+    /// Places of the second camera's motion, first and last.
+    motions: [usize; 2],
+    /// Place of the first step.
+    first: usize,
+}
+
+impl Epochs {
+    fn count(&self) -> usize {
+        self.views.div_ceil(self.each)
+    }
+
+    /// Epochs before which there may be a step, and the drift.
+    fn steps(&self) -> Vec<Option<usize>> {
+        let few = |k: &usize| k * self.each >= FEWEST && self.views - k * self.each >= FEWEST;
+        (1..self.count()).filter(few).map(Some).chain([None]).collect()
+    }
+}
+
+/// Steps of all epochs, ready to be tested.
+struct Steps {
+    tests: ScoreTests,
+    tested: Vec<usize>,
+}
+
+impl Steps {
+    /// From the equations of each image at a state.
+    fn of(
+        model: &Model,
+        (places, epochs): (&Places, &Epochs),
+        mut images: Vec<(usize, MappedNormal)>,
+        state: &State,
+    ) -> Option<Self> {
+        let first = epochs.first;
+        for ((view, image), _) in images.iter_mut().zip(&model.images).filter(|(_, seen)| seen.camera == 1) {
+            image.move_as_well(epochs.motions, first + 6 * (*view / epochs.each));
+        }
+        let with_steps = Bundle::with_places(model, places.with_further(6 * epochs.count()));
+        let equations = with_steps.summed(images.iter(), state)?;
+        let tested: Vec<usize> = (first..first + 6 * epochs.count()).collect();
+        let base = (0..equations.b_g.len()).filter(|at| !tested.contains(at));
+        Some(Self { tests: ScoreTests::of(&equations, base.collect())?, tested })
+    }
+
+    /// How much of eta there is in each epoch: of a step, or without one of a drift.
+    fn part(&self, step: Option<usize>, epoch: usize) -> f64 {
+        match step {
+            Some(k) => f64::from(u8::from(epoch >= k)),
+            None => epoch as f64 / (self.tested.len() / 6 - 1) as f64,
+        }
+    }
+
+    fn test(&self, step: Option<usize>) -> Option<Score> {
+        let follows = |i: usize, j: usize| if i % 6 == j { self.part(step, i / 6) } else { 0.0 };
+        self.tests.test(&self.tested, &DMatrix::from_fn(self.tested.len(), 6, follows))
+    }
+
+    fn any(&self) -> Option<Score> {
+        let n = self.tested.len();
+        self.tests.test(&self.tested, &DMatrix::identity(n, n))
+    }
+
+    /// Part of the orders of the epochs in which one of the steps, or the drift, is as large as in the true one.
+    fn among_orders(&self, asked: &[Option<usize>]) -> f64 {
+        let (information, slope) = self.tests.left(&self.tested);
+        let largest = |order: &[usize]| {
+            let statistics = asked.iter().map(|step| {
+                let (mut m, mut g) = (Matrix6::zeros(), Vector6::zeros());
+                for (place, &e) in order.iter().enumerate() {
+                    let own = self.part(*step, place);
+                    if own == 0.0 {
+                        continue;
+                    }
+                    g += slope.fixed_rows::<6>(6 * e) * own;
+                    let alone = information.fixed_view::<6, 6>(6 * e, 6 * e).diagonal() * (RIDGE * own * own);
+                    m += Matrix6::from_diagonal(&alone);
+                    for (other, &f) in order.iter().enumerate() {
+                        m += information.fixed_view::<6, 6>(6 * e, 6 * f) * (own * self.part(*step, other));
+                    }
+                }
+                m.cholesky().map_or(0.0, |m| g.dot(&m.solve(&g)))
+            });
+            statistics.fold(0.0, f64::max)
+        };
+        let mut order: Vec<usize> = (0..self.tested.len() / 6).collect();
+        let true_one = largest(&order);
+        let (mut as_large, mut drawn, mut state) = (0, 0, 1_u64);
+        while drawn < ORDERS && as_large < ENOUGH {
+            for i in (1..order.len()).rev() {
+                // Knuth's generator; its upper bits are the good ones.
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                order.swap(i, (state >> 33) as usize % (i + 1));
+            }
+            drawn += 1;
+            as_large += usize::from(largest(&order) >= true_one);
+        }
+        (as_large + 1) as f64 / (drawn + 1) as f64
+    }
+}
+
+impl MappedNormal {
+    /// Adds six global unknowns, from `first` on, that move the image as the motion of its camera does, which stands at one of two places.
+    fn move_as_well(&mut self, motions: [usize; 2], first: usize) {
+        let n = self.slots.len();
+        let place = |g: usize| self.slots.iter().position(|s| matches!(s, Slot::Global(at) if *at == g));
+        let own = |motion: usize| (motion..motion + 6).map(place).collect::<Option<Vec<usize>>>();
+        let Some(like) = motions.into_iter().find_map(own) else { return };
+        // The lower triangle by rows: of two of the old unknowns, whichever comes first.
+        let at = |i: usize, j: usize| i.max(j) * (i.max(j) + 1) / 2 + i.min(j);
+        for (k, &i) in like.iter().enumerate() {
+            let with_old = (0..n).map(|j| self.h[at(i, j)]).collect::<Vec<_>>();
+            let with_new = like[..=k].iter().map(|&j| self.h[at(i, j)]).collect::<Vec<_>>();
+            self.h.extend([with_old, with_new].concat());
+            self.b.push(self.b[i]);
+            self.slots.push(Slot::Global(first + k));
+            self.tied.iter_mut().for_each(|t| t.row.push(t.row[i]));
+        }
+        let with_discs = self.crosses.chunks_exact(n.max(1));
+        self.crosses = with_discs.flat_map(|own| own.iter().copied().chain(like.iter().map(|i| own[*i]))).collect();
+    }
+}

@@ -1,0 +1,121 @@
+//! The adjustment in which the second camera stands otherwise from one view on: its motion there is one of its own.
+
+use crate::bundle::adjust::Bundle;
+use crate::bundle::assemble;
+use crate::bundle::facts;
+use crate::bundle::image_map::{MappedNormal, Slot};
+use crate::bundle::layout::Places;
+use crate::bundle::model::{ImageObservations, Model};
+use crate::bundle::retraction;
+use crate::bundle::state::State;
+use crate::frames::{Cam, Rig};
+use crate::rigid::{Motion, rotation_log};
+use crate::solve::{NormalEquations, Options, Problem, Step, Termination, minimise};
+
+/// Where both cameras stand before, and the second one afterwards.
+#[derive(Debug, Clone)]
+pub(super) struct Stood {
+    pub(super) before: State,
+    pub(super) after: State,
+}
+
+/// A model with a second motion of the second camera among the unknowns that all share.
+pub(super) struct Apart<'a> {
+    model: &'a Model,
+    bundle: Bundle<'a>,
+    /// Places of both motions.
+    motions: [usize; 2],
+    /// The first view afterwards.
+    view: usize,
+}
+
+impl<'a> Apart<'a> {
+    pub(super) fn of(model: &'a Model, places: &Places, motion: usize, view: usize) -> Self {
+        let bundle = Bundle::with_places(model, places.with_further(6));
+        Self { model, bundle, motions: [motion, places.shared()], view }
+    }
+
+    pub(super) fn places(&self) -> &Places {
+        self.bundle.places()
+    }
+
+    fn is_after(&self, o: &ImageObservations) -> bool {
+        o.camera == 1 && o.view >= self.view
+    }
+
+    /// The minimum, and its cost less than at the start.
+    pub(super) fn adjusted(&self, start: &State) -> Option<(Stood, f64)> {
+        let start = Stood { before: start.clone(), after: start.clone() };
+        let cost = self.cost(&start)?;
+        let out = minimise(self, start, &Options { decrement: 1e-2, iterations: 200 }, &mut |_| true);
+        (out.termination == Termination::Converged).then(|| (out.state, cost - out.cost))
+    }
+
+    /// View and equations of each image.
+    pub(super) fn of_each_image(&self, stood: &Stood) -> Option<Vec<(usize, MappedNormal)>> {
+        let state = |o: &ImageObservations| if self.is_after(o) { &stood.after } else { &stood.before };
+        let [first, second] = self.motions;
+        let mut images = assemble::of_each_image_in(self.model, self.places(), &stood.before, state)?;
+        for ((_, image), _) in images.iter_mut().zip(&self.model.images).filter(|(_, o)| self.is_after(o)) {
+            for slot in &mut image.slots {
+                match *slot {
+                    Slot::Global(at) if (first..first + 6).contains(&at) => *slot = Slot::Global(second + at - first),
+                    _ => {}
+                }
+            }
+        }
+        Some(images)
+    }
+}
+
+/// The second camera from the first.
+fn motion(state: &State) -> Motion<Cam, Rig> {
+    state.camera_from_first[1]
+}
+
+impl Stood {
+    /// Angle by which the second camera turned, rad, and distance by which its projection centre moved, mm.
+    pub(super) fn moved_by(&self) -> [f64; 2] {
+        let step = motion(&self.after) * motion(&self.before).inverse();
+        [rotation_log(&step.rotation).norm(), step.translation_mm.norm()]
+    }
+}
+
+impl Problem for Apart<'_> {
+    type State = Stood;
+    fn layout(&self) -> crate::solve::Layout {
+        self.bundle.layout()
+    }
+    fn cost(&self, stood: &Stood) -> Option<f64> {
+        let state = |o: &ImageObservations| if self.is_after(o) { &stood.after } else { &stood.before };
+        Some(
+            assemble::cost_in(self.model, &stood.before, state)?
+                + facts::cost(self.model, self.places(), &stood.before)?,
+        )
+    }
+    fn linearise(&self, stood: &Stood) -> Option<NormalEquations> {
+        let images = self.of_each_image(stood)?;
+        self.bundle.summed(images.iter(), &stood.before)
+    }
+    fn scales(&self, stood: &Stood) -> Step {
+        let mut scales = self.bundle.scales(&stood.before);
+        let [first, second] = self.motions;
+        let own = scales.global.rows(first, 6).into_owned();
+        scales.global.rows_mut(second, 6).copy_from(&own);
+        scales
+    }
+    fn retract(&self, stood: &Stood, step: &Step) -> Option<Stood> {
+        let mut step = self.bundle.step_by_view(step);
+        let before = retraction::retract(self.model, self.places(), &stood.before, &step)?;
+        let [first, second] = self.motions;
+        let moved = step.global.rows(second, 6).into_owned();
+        step.global.rows_mut(first, 6).copy_from(&moved);
+        let alone = retraction::retract(self.model, self.places(), &stood.after, &step)?;
+        // Where a length sets the scale, each step ends with one of its own.
+        let distance = |state: &State| state.views.first().map(|v| v.first_from_target.translation_mm.norm());
+        let mut after = before.clone();
+        after.camera_from_first[1] = motion(&alone);
+        after.camera_from_first[1].translation_mm *= distance(&before)? / distance(&alone)?;
+        Some(Stood { before, after })
+    }
+}

@@ -1,0 +1,68 @@
+//! Whether the cameras stood still to each other, in words.
+
+use super::{FELT_SIGMAS, digits, measured};
+use crate::bundle::{Moved, MovedTest};
+use crate::record::ModelTest;
+
+/// The test as a row of the record, and whether a user would feel it; `views` is their number, `needed` whether the cameras moved.
+pub(super) fn model_test(t: &MovedTest, views: usize, needed: bool, bias: (f64, String)) -> (ModelTest, bool) {
+    let [size, sigma] = t.turn_rad.map(f64::to_degrees);
+    let felt = needed && bias.0 > FELT_SIGMAS;
+    let row = ModelTest {
+        question: "did the cameras stand still to each other?".into(),
+        statistic: t.statistic,
+        degrees_of_freedom: t.degrees,
+        p_value: t.p_value,
+        size,
+        sigma,
+        unit: "degrees".into(),
+        words: match (needed, felt) {
+            (false, _) => "the cameras stood still to each other as far as the views show".into(),
+            (true, false) => {
+                format!(
+                    "{}; no result is off by more than {} of its standard deviations",
+                    found(t, views),
+                    digits(bias.0, 2)
+                )
+            }
+            (true, true) => {
+                let off = format!("the {} is off by {} of its standard deviations", bias.1, digits(bias.0, 2));
+                format!("{}; {off}; {}", found(t, views), advice(t.when))
+            }
+        },
+        bias_sigmas: bias.0,
+        bias_of: bias.1,
+        needed,
+    };
+    (row, felt)
+}
+
+fn found(t: &MovedTest, views: usize) -> String {
+    // A shift of cameras whose distance nothing but the first motion tells has no size.
+    let told = |[size, sigma]: [f64; 2]| size > 2.0 * sigma;
+    let turn = measured(t.turn_rad[0].to_degrees(), t.turn_rad[1].to_degrees(), "degrees");
+    let shift = measured(t.shift_mm[0], t.shift_mm[1], "mm");
+    let by = match (told(t.turn_rad), told(t.shift_mm)) {
+        (true, true) => format!("turned by {turn} and shifted by {shift}"),
+        (_, false) => format!("turned by {turn}"),
+        (false, true) => format!("shifted by {shift}"),
+    };
+    match t.when {
+        Moved::Before(view) => format!(
+            "one camera was moved between view {} and view {view} of {views} (in the order of the rig file): {by} against the other",
+            view - 1
+        ),
+        Moved::Steadily => format!(
+            "the cameras drift against each other from view to view (in the order of the rig file): from the first to the last {by}"
+        ),
+    }
+}
+
+fn advice(when: Moved) -> &'static str {
+    match when {
+        Moved::Before(_) => {
+            "calibrate the views before and those after by themselves, and take those of the time of your recordings"
+        }
+        Moved::Steadily => "fasten the cameras, let them warm up, and take the views again",
+    }
+}
