@@ -70,6 +70,7 @@ mod residuals;
 mod retraction;
 mod same_light;
 mod state;
+mod steps;
 mod tangent;
 mod tie;
 mod typical;
@@ -91,12 +92,12 @@ pub use model::{
     PairObservation, PlanePosition, PointObservations, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
 };
 pub use moved::{Moved, MovedTest, moved_test};
-pub(crate) use posterior::STEP_NAMES;
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use reach::{Numbers, Observe, Reach};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};
 pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
 pub use state::{State, ViewState};
+pub(crate) use steps::{Parameter, ParameterSteps, SHEET};
 pub use tie::Alike;
 pub(crate) use typical::{distance_mm, typical};
 pub(crate) use undetermined::{MOSTLY_PRIOR, ONLY_PRIOR, intrinsic_words, layer_words, listed, view_of_direction};

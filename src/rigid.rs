@@ -23,6 +23,9 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use std::marker::PhantomData;
 use std::ops::Mul;
 
+/// Ends of the names of the parts of a left step, with their units.
+pub(crate) const STEP_NAMES: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
+
 /// The matrix with `skew(w) p = w x p`.
 pub fn skew(w: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::new(0.0, -w.z, w.y, w.z, 0.0, -w.x, -w.y, w.x, 0.0)

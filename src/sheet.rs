@@ -30,19 +30,17 @@ mod gain;
 mod homography;
 mod joint;
 mod measured;
-mod parameter;
 mod recorded;
 mod rows;
 
 pub use features::PairFeatures;
-pub(crate) use frame::{by_steps, on_plane_of, pose_rows, standing_on, with_frame, with_frame_on_axis};
+pub(crate) use frame::{by_steps, on_plane_of, pose_rows, standing_on, step_rows, with_frame, with_frame_on_axis};
 pub use gain::{PointUncertainty, RESPONSES, Response, SheetUncertainty, StereoSheet};
 pub(crate) use gain::{gain_row, in_plane_scale_row, unit};
 pub use homography::{
     HeldCameras, Homography, fit_homography, fit_placed_homography, transfer_residuals, triangulated_plane,
 };
 pub use joint::{joint_sheet, placed_joint_sheet};
-pub(crate) use parameter::{Parameter, SHEET, STEP_NAMES, stepped_camera, stepped_motion, stepped_window};
 pub(crate) use recorded::covariance_of_record;
 pub use recorded::determines_measurements;
 pub(crate) use rows::with_sheet;

@@ -7,7 +7,7 @@
 use super::model::{CameraModel, Model};
 use super::state::State;
 use crate::camera::{Camera, EffectivePinhole, INTRINSICS, Intrinsics};
-use nalgebra::{Matrix3, SMatrix, Vector3};
+use nalgebra::{Matrix3, SMatrix};
 
 /// Derivatives of intrinsics (rows 0-9) and of the frame turn w (rows 10-12) by the ten chart coordinates.
 pub(super) type ChartDerivative = SMatrix<f64, 13, INTRINSICS>;
@@ -81,7 +81,6 @@ pub(super) fn derivative(model: &CameraModel, camera: &Camera) -> ChartDerivativ
     let ddu = [0.0, 0.0, -1.0, 0.0, 1.0, 0.0];
     let ddv = [0.0, -dv / i.aspect, 0.0, -1.0 / i.aspect, 0.0, 1.0 / i.aspect];
     let cb = i.beta_rad.cos();
-    let u = Vector3::new(cb, 0.0, i.beta_rad.sin());
     for c in 0..6 {
         let df = (fe * dfe[c] + du * ddu[c] + dv * ddv[c]) / f;
         let dbeta = (ddu[c] - du / f * df) / (f * cb);
@@ -89,8 +88,7 @@ pub(super) fn derivative(model: &CameraModel, camera: &Camera) -> ChartDerivativ
         d[(0, c)] = df;
         d[(4, c)] = dalpha;
         d[(5, c)] = dbeta;
-        let w = u * dalpha - Vector3::y() * dbeta;
-        d.fixed_view_mut::<3, 1>(10, c).copy_from(&w);
+        d.fixed_view_mut::<3, 1>(10, c).copy_from(&camera.pinhole_turn(dalpha, dbeta));
     }
     d[(1, 1)] = 1.0;
     d[(2, 4)] = 1.0;

@@ -15,11 +15,12 @@ use super::chart::{self, ChartDerivative, SolverCamera};
 use super::layout::Places;
 use super::model::{Model, TargetShape};
 use super::state::State;
+use super::steps::SHEET;
 use super::typical::typical;
 use super::undetermined;
 use crate::camera::{Camera, INTRINSIC_NAMES, INTRINSICS, LAYERS, WINDOW_STEP_NAMES};
 use crate::frames::{Cam, Rig, Sheet, Target};
-use crate::rigid::Motion;
+use crate::rigid::{Motion, STEP_NAMES};
 use crate::solve::posterior;
 use nalgebra::{DMatrix, DVector, DVectorView, SMatrix, Vector3};
 use std::collections::HashMap;
@@ -221,9 +222,6 @@ fn window_rows(model: &Model, places: &Places, state: &State, c: usize, d: &Char
     (0..3).map(turn).chain((0..LAYERS).filter_map(layer)).collect()
 }
 
-/// Left steps of a pose, as names end.
-pub(crate) const STEP_NAMES: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm"];
-
 pub(super) fn rows(model: &Model, places: &Places, state: &State, natural: &Natural) -> Option<Vec<Row>> {
     let mut out = vec![];
     let mut turns: Vec<SMatrix<f64, 3, INTRINSICS>> = vec![];
@@ -267,7 +265,7 @@ pub(super) fn rows(model: &Model, places: &Places, state: &State, natural: &Natu
             let mut terms: Vec<(usize, f64)> =
                 [0, 1, 5].iter().enumerate().map(|(n, &k)| (first + n, ad[(r, k)])).collect();
             terms.extend(turn_terms(0, &identity, r, 1.0));
-            out.push(Row { name: format!("sheet.rig_from_sheet.{}", STEP_NAMES[r]), terms });
+            out.push(Row { name: format!("{SHEET}{}", STEP_NAMES[r]), terms });
         }
     }
     let shape_names = shape_names(model);

@@ -16,9 +16,9 @@
 //!
 //! Valid for `pupil_ratio = 1`; OpenCV and HALCON know only [`Radial::IdealToDistorted`].
 
-use super::{Camera, Intrinsics, Radial};
+use super::{Camera, INTRINSICS, Intrinsics, Radial};
 use crate::error::{Invalid, Result};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, SMatrix, Vector3};
 
 /// The pinhole along the sensor normal that a tilted camera without distortion equals.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -88,6 +88,23 @@ impl Camera {
             cx_px: i.cx_px - i.f_px * t.sb,
             cy_px: i.cy_px - i.aspect * i.f_px * t.sa * t.cb,
         }
+    }
+
+    /// Its derivative by the intrinsics: rows f_e, cx_e, cy_e (px), columns in the order of [`super::INTRINSIC_NAMES`] (3 x 10).
+    pub fn effective_pinhole_by_intrinsics(&self) -> SMatrix<f64, 3, INTRINSICS> {
+        let (t, f, m) = (&self.tilt, self.intrinsics.f_px, self.intrinsics.aspect);
+        let mut d = SMatrix::zeros();
+        // f, aspect, cx, cy, alpha, beta.
+        (d[(0, 0)], d[(0, 4)], d[(0, 5)]) = (t.ca * t.cb, -f * t.sa * t.cb, -f * t.ca * t.sb);
+        (d[(1, 0)], d[(1, 2)], d[(1, 5)]) = (-t.sb, 1.0, -f * t.cb);
+        (d[(2, 0)], d[(2, 1)], d[(2, 3)]) = (-m * t.sa * t.cb, -f * t.sa * t.cb, 1.0);
+        (d[(2, 4)], d[(2, 5)]) = (-m * f * t.ca * t.cb, m * f * t.sa * t.sb);
+        d
+    }
+
+    /// Left turn of [`Camera::cam_from_pinhole`] by changes of the two tilts (rad), to first order: `w = u d(alpha) - y d(beta)`, u the sensor's u axis.
+    pub fn pinhole_turn(&self, by_alpha_rad: f64, by_beta_rad: f64) -> Vector3<f64> {
+        Vector3::new(self.tilt.cb, 0.0, self.tilt.sb) * by_alpha_rad - Vector3::y() * by_beta_rad
     }
 
     /// Rotation E: columns are the sensor's u axis, v axis and normal in the camera frame.
@@ -172,6 +189,7 @@ impl EffectivePinhole {
 mod tests {
     use super::*;
     use crate::frames::Point;
+    use crate::rigid::rotation_log;
 
     fn tilted() -> Camera {
         let mut i = Intrinsics::pinhole(8889.0, 520.0, 380.0);
@@ -188,6 +206,29 @@ mod tests {
         let pe = camera.cam_from_pinhole().transpose() * p;
         assert!((e.cx_px + e.f_px * pe.x / pe.z - q.u_px).abs() < 1e-10);
         assert!((e.cy_px + 1.01 * e.f_px * pe.y / pe.z - q.v_px).abs() < 1e-10);
+    }
+
+    /// Pinhole and turn of its frame against central differences.
+    #[test]
+    fn derivatives_of_the_pinhole_are_those_of_the_camera() {
+        let i = tilted().intrinsics().to_array();
+        let (by, radial) = (tilted().effective_pinhole_by_intrinsics(), Radial::default());
+        for k in 0..INTRINSICS {
+            let h = 1e-6 * i[k].abs().max(1.0);
+            let side = |sign: f64| {
+                let mut p = i;
+                p[k] += sign * h;
+                let camera = Camera::new(Intrinsics::from_array(&p, radial)).unwrap();
+                let e = camera.effective_pinhole();
+                (Vector3::new(e.f_px, e.cx_px, e.cy_px), camera.cam_from_pinhole())
+            };
+            let ((m, m_frame), (p, p_frame)) = (side(-1.0), side(1.0));
+            let numeric = (p - m) / (2.0 * h);
+            assert!((numeric - by.column(k)).norm() < 1e-6 * (1.0 + numeric.norm()), "{k}: {numeric} {}", by.column(k));
+            let turn = rotation_log(&(p_frame * m_frame.transpose())) / (2.0 * h);
+            let wanted = tilted().pinhole_turn(f64::from(u8::from(k == 4)), f64::from(u8::from(k == 5)));
+            assert!((turn - wanted).norm() < 1e-8, "{k}: {turn} {wanted}");
+        }
     }
 
     #[test]

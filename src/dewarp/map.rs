@@ -1,9 +1,10 @@
 //! The exact map of one camera, in bulk, structure of arrays.
 
 use super::bulk::{hits, in_blocks};
+use crate::bundle::ParameterSteps;
 use crate::camera::{Camera, Refusal};
 use crate::error::{Invalid, Result, same_length};
-use crate::frames::{Cam, Sheet};
+use crate::frames::{Cam, Rig, Sheet};
 use crate::lanes::{Column, ColumnMut};
 use crate::record::Record;
 use crate::rigid::Motion;
@@ -137,8 +138,23 @@ impl SheetMap {
             let what = format!("the calibration has no laser sheet, so pixels have no place in it; {how}");
             return Err(Invalid::Contradiction(what).into());
         };
-        let cam_from_rig = c.cam_from_rig.motion::<Cam, crate::frames::Rig>();
+        let cam_from_rig = c.cam_from_rig.motion::<Cam, Rig>();
         Ok(Self::new(c.model()?, cam_from_rig * sheet.rig_from_sheet.motion(), c.image_size_px))
+    }
+
+    /// The maps of all cameras of a record after steps of their numbers, to a sheet in the rig; `None` where there is no such camera.
+    pub(crate) fn after_steps(
+        record: &Record,
+        steps: &ParameterSteps,
+        rig_from_sheet: &Motion<Rig, Sheet>,
+    ) -> Option<Vec<Self>> {
+        let one = |(c, camera): (usize, &crate::record::Camera)| {
+            let cam_from_rig = camera.cam_from_rig.motion::<Cam, Rig>();
+            let pose = if c == 1 { steps.motion(&cam_from_rig) } else { cam_from_rig };
+            let model = steps.camera(c, &camera.model().ok()?)?;
+            Some(Self::new(model, pose * *rig_from_sheet, camera.image_size_px))
+        };
+        record.cameras.iter().enumerate().map(one).collect()
     }
 
     /// The same camera seen from another frame of the sheet.

@@ -22,11 +22,10 @@
 
 use super::{Subject, Watch};
 use crate::bundle::{
-    AdjustOptions, Adjustment, Prediction, SolveOptions, Termination, ViewsLeftOut, named_rows,
+    AdjustOptions, Adjustment, Parameter, Prediction, SolveOptions, Termination, ViewsLeftOut, named_rows,
     predicted_with_all_views, readjusted_without_views, symmetric_eigen,
 };
 use crate::error::{Result, Unusable};
-use crate::sheet::Parameter;
 use crate::stats::chi_square_above;
 use crate::threads::gathered;
 use nalgebra::{DMatrix, DVector};

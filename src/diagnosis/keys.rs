@@ -1,11 +1,11 @@
 //! The numbers that a user relies on, with their derivatives by the named parameters.
 
-use crate::bundle::{NamedCovariance, Natural, distance_mm};
+use crate::bundle::{NamedCovariance, Natural, Parameter, ParameterSteps, distance_mm};
 use crate::camera::INTRINSIC_NAMES;
 use crate::frames::{Plane, Rig};
 use crate::record::SHEET_QUANTITIES;
 use crate::rigid::{AxesAngle, PlaneAngle};
-use crate::sheet::{Parameter, StereoSheet, stepped_camera, stepped_motion, stepped_window};
+use crate::sheet::StereoSheet;
 use nalgebra::{DMatrix, DVector, Vector3};
 
 /// One number.
@@ -121,33 +121,25 @@ pub(super) fn derivative(
 ) -> Option<DMatrix<f64>> {
     let natural = &covariance.natural;
     let own = [names.first().copied().unwrap_or_default(), names.get(1).copied().unwrap_or_default()];
+    let f_px = [0, 1].map(|c| natural.cameras.get(c).map_or(1.0, |camera| camera.intrinsics().f_px));
     let mut out = DMatrix::zeros(f(natural)?.len(), covariance.names.len());
     for (column, name) in covariance.names.iter().enumerate() {
         let Some(parameter) = Parameter::of(name, own) else { continue };
-        let h = step(natural, parameter);
+        let h = parameter.step(f_px, distance_mm(natural));
         let at = |h: f64| f(&stepped(natural, parameter, h)?);
         out.set_column(column, &((at(h)? - at(-h)?) / (2.0 * h)));
     }
     Some(out)
 }
 
-fn step(natural: &Natural, parameter: Parameter) -> f64 {
-    match parameter {
-        Parameter::Intrinsic(c, 0 | 2 | 3) => 1e-5 * natural.cameras[c].intrinsics().f_px,
-        Parameter::Intrinsic(_, 6..=8) => 1e-3,
-        Parameter::Motion(3..) | Parameter::Sheet(3..) | Parameter::Window(_, 3 | 4) => 1e-5 * distance_mm(natural),
-        _ => 1e-5,
-    }
-}
-
 fn stepped(natural: &Natural, parameter: Parameter, h: f64) -> Option<Natural> {
+    let steps = ParameterSteps::one(parameter, h);
     let mut out = natural.clone();
-    match parameter {
-        Parameter::Intrinsic(c, k) => out.cameras[c] = stepped_camera(&out.cameras[c], k, h)?,
-        Parameter::Window(c, k) => out.cameras[c] = stepped_window(&out.cameras[c], k, h)?,
-        Parameter::Motion(k) => out.cam_from_rig[1] = stepped_motion(&out.cam_from_rig[1], k, h),
-        Parameter::Sheet(k) => out.rig_from_plane = Some(stepped_motion(out.rig_from_plane.as_ref()?, k, h)),
+    for (c, camera) in out.cameras.iter_mut().enumerate() {
+        *camera = steps.camera(c, camera)?;
     }
+    out.cam_from_rig.iter_mut().skip(1).for_each(|m| *m = steps.motion(m));
+    out.rig_from_plane = out.rig_from_plane.map(|m| steps.sheet(&m));
     Some(out)
 }
 

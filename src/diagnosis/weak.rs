@@ -5,9 +5,8 @@
 
 use super::digits;
 use super::keys::{Keys, parameter_words};
-use crate::bundle::{NamedCovariance, listed, symmetric_eigen};
+use crate::bundle::{NamedCovariance, Parameter, listed, symmetric_eigen};
 use crate::record::NearNull;
-use crate::sheet::Parameter;
 use nalgebra::{DMatrix, DVector};
 
 /// Weak directions named at most, beside those that nothing determines.

@@ -35,14 +35,15 @@
 mod windows;
 
 use super::anchor::Anchor;
-use super::propagate::{Propagated, against_by_sheet, against_by_start, sheet_pose, start_rows, tilted};
+use super::propagate::{
+    Propagated, against_by_sheet, against_by_start, camera_numbers, sheet_pose, start_rows, tilted,
+};
 use super::stepped::{Steps, numbers_between, record_after, take_sigmas};
-use crate::bundle::symmetric_eigen;
+use crate::bundle::{Parameter, SHEET, symmetric_eigen};
 use crate::error::{Error, Insufficient, Result};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::record::{CamerasRefined, Covariance, Pose, Record, RefinedNumber, View};
-use crate::rigid::Motion;
-use crate::sheet::{Parameter, SHEET, STEP_NAMES};
+use crate::rigid::{Motion, STEP_NAMES};
 use crate::stats::chi_square_above;
 use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Matrix6, OMatrix, SVector, U3};
 pub(super) use windows::Update;
@@ -82,11 +83,7 @@ impl Prior {
     /// # Errors
     /// [`Insufficient`] where it states none, or does not determine the cameras.
     pub(super) fn of(start: &Record) -> Result<Self> {
-        let [a, b] = start.cameras.as_slice() else { return Err(unknown("the calibration does not hold two cameras")) };
-        let names = [a.name.as_str(), b.name.as_str()];
-        let own = |(i, n): (usize, &String)| Some((i, Parameter::of(n, names)?));
-        let mut numbers: Vec<(usize, Parameter)> = start.covariance.names.iter().enumerate().filter_map(own).collect();
-        numbers.retain(|(_, p)| !matches!(p, Parameter::Sheet(_)));
+        let numbers = camera_numbers(start).ok_or_else(|| unknown("the calibration does not hold two cameras"))?;
         if numbers.is_empty() {
             return Err(unknown("the calibration states no covariance of its cameras"));
         }

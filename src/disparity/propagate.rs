@@ -20,13 +20,13 @@
 //! undetermined: then there is no covariance of the plane.
 
 use super::plane::{Match, PlaneFit, see, weighted_plane};
+use crate::bundle::{Parameter, ParameterSteps, SHEET};
 use crate::dewarp::SheetMap;
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::{Covariance, Record};
 use crate::rigid::Motion;
 use crate::sheet::{
-    Parameter, Placement, SHEET, STEP_NAMES, by_steps, determines_measurements, on_plane_of, standing_on,
-    stepped_camera, stepped_motion, stepped_window, with_frame_on_axis, with_sheet,
+    Placement, by_steps, determines_measurements, on_plane_of, standing_on, step_rows, with_frame_on_axis, with_sheet,
 };
 use nalgebra::{DMatrix, Dyn, Matrix3, Matrix6, Matrix6x3, OMatrix, SMatrix, SVector, U6, Vector3};
 
@@ -80,22 +80,12 @@ pub(super) fn sheet_pose(record: &Record) -> Option<Motion<Rig, Sheet>> {
     record.sheet.as_ref().map(|s| s.rig_from_sheet.motion())
 }
 
-/// Maps of a record's sheet after a change of one number of its cameras.
-fn stepped_maps(record: &Record, parameter: Parameter, h: f64) -> Option<[SheetMap; 2]> {
-    let sheet = sheet_pose(record)?;
-    let one = |c: usize| -> Option<SheetMap> {
-        let camera = record.cameras.get(c)?;
-        let mut model = camera.model().ok()?;
-        let mut pose = camera.cam_from_rig.motion::<Cam, Rig>();
-        match parameter {
-            Parameter::Intrinsic(i, k) if i == c => model = stepped_camera(&model, k, h)?,
-            Parameter::Window(i, k) if i == c => model = stepped_window(&model, k, h)?,
-            Parameter::Motion(k) if c == 1 => pose = stepped_motion(&pose, k, h),
-            _ => {}
-        }
-        Some(SheetMap::new(model, pose * sheet, camera.image_size_px))
-    };
-    Some([one(0)?, one(1)?])
+/// The numbers that move the cameras, with their rows in the covariance; `None` without two cameras.
+pub(super) fn camera_numbers(start: &Record) -> Option<Vec<(usize, Parameter)>> {
+    let [first, second] = start.cameras.as_slice() else { return None };
+    let of = |n: &String| Parameter::of(n, [first.name.as_str(), second.name.as_str()]);
+    let named = start.covariance.names.iter().enumerate().filter_map(|(i, n)| Some((i, of(n)?)));
+    Some(named.filter(|(_, p)| !matches!(p, Parameter::Sheet(_))).collect())
 }
 
 /// Rows of the starting sheet in the covariance, one per step; `None` where it has none.
@@ -105,11 +95,7 @@ pub(super) fn start_rows(start: &Record) -> Option<[usize; 6]> {
         ("target plane", [view]) => format!("view{view}.rig_from_target."),
         _ => SHEET.to_string(),
     };
-    let mut rows = [0; 6];
-    for (row, name) in rows.iter_mut().zip(STEP_NAMES) {
-        *row = start.covariance.index(&format!("{prefix}{name}"))?;
-    }
-    Some(rows)
+    step_rows(&start.covariance, &prefix)
 }
 
 /// Covariances of the plane of `now`, found from `matches`, against the sheet of `start`; `None` where the calibration states no
@@ -121,10 +107,7 @@ pub(super) fn propagate(
     fit: &PlaneFit,
     reference_mm: [f64; 2],
 ) -> Option<Propagated> {
-    let names = [start.cameras.first()?.name.as_str(), start.cameras.get(1)?.name.as_str()];
-    let own = |(i, n): (usize, &String)| Some((i, Parameter::of(n, names)?));
-    let mut numbers: Vec<(usize, Parameter)> = start.covariance.names.iter().enumerate().filter_map(own).collect();
-    numbers.retain(|(_, p)| !matches!(p, Parameter::Sheet(_)));
+    let numbers = camera_numbers(start)?;
     if numbers.is_empty() || !determines_measurements(start) {
         return None;
     }
@@ -136,7 +119,7 @@ pub(super) fn propagate(
     for (k, (_, parameter)) in numbers.iter().enumerate() {
         let h = parameter.step(f_px, pose.translation_mm.norm());
         let at = |h: f64| -> Option<Vector3<f64>> {
-            let maps = stepped_maps(now, *parameter, h)?;
+            let maps = SheetMap::after_steps(now, &ParameterSteps::one(*parameter, h), &pose)?;
             let seen: Option<Vec<_>> = matches.iter().map(|m| see([&maps[0], &maps[1]], m)).collect();
             weighted_plane(&seen?, &fit.weights)
         };

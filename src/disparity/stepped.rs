@@ -13,8 +13,7 @@ use crate::camera::{Camera, EffectivePinhole, INTRINSIC_NAMES, Intrinsics, WINDO
 use crate::dewarp::SheetMap;
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::record::{self, CameraSigma, Covariance, Effective, Pose, PoseSigma, Record, RigSigma, WindowSigma};
-use crate::rigid::{AxesAngle, Motion, rotation_exp, rotation_log};
-use crate::sheet::STEP_NAMES;
+use crate::rigid::{AxesAngle, Motion, STEP_NAMES, rotation_exp, rotation_log};
 use nalgebra::{Matrix3, SVector, Vector3};
 use std::collections::BTreeMap;
 
@@ -59,21 +58,14 @@ fn stepped(camera: &record::Camera, steps: &Steps<'_>) -> Option<Stepped> {
     let d = INTRINSIC_NAMES.map(|n| steps.of(name, n));
     let has_valley = VALLEY.iter().all(|q| steps.get(name, q).is_some());
     let (next, frames, turn) = if has_valley {
-        let ((sa, ca), (sb, cb)) = (i.alpha_rad.sin_cos(), i.beta_rad.sin_cos());
-        let (f, m) = (i.f_px, i.aspect);
-        let [df, dm, dcx, dcy, da, db, k @ .., pupil] = d;
-        let e = model.effective_pinhole();
-        let moved = EffectivePinhole {
-            f_px: e.f_px + ca * cb * df - f * sa * cb * da - f * ca * sb * db,
-            cx_px: e.cx_px + dcx - sb * df - f * cb * db,
-            cy_px: e.cy_px + dcy - m * sa * cb * df - m * f * ca * cb * da + m * f * sa * sb * db - f * sa * cb * dm,
-        };
-        let mut next = moved.with_axis_point(i.cx_px + dcx, i.cy_px + dcy, m + dm);
+        let [_, dm, dcx, dcy, da, db, k @ .., pupil] = d;
+        let (e, by) = (model.effective_pinhole(), model.effective_pinhole_by_intrinsics() * SVector::from(d));
+        let moved = EffectivePinhole { f_px: e.f_px + by[0], cx_px: e.cx_px + by[1], cy_px: e.cy_px + by[2] };
+        let mut next = moved.with_axis_point(i.cx_px + dcx, i.cy_px + dcy, i.aspect + dm);
         (0..3).for_each(|j| next.k[j] = i.k[j] + k[j]);
         (next.pupil_ratio, next.radial) = (i.pupil_ratio + pupil, i.radial);
         let after = Camera::new(next).ok()?.cam_from_pinhole();
-        let turn = Vector3::new(cb, 0.0, sb) * da - Vector3::y() * db;
-        (next, [model.cam_from_pinhole(), after], turn)
+        (next, [model.cam_from_pinhole(), after], model.pinhole_turn(da, db))
     } else {
         let mut p = i.to_array();
         p.iter_mut().zip(d).for_each(|(p, d)| *p += d);
@@ -315,24 +307,13 @@ fn of_terms(covariance: &Covariance, terms: &[(String, f64)]) -> f64 {
 }
 
 fn effective_sigma(camera: &record::Camera, covariance: &Covariance) -> Effective {
-    let pinhole = |p: &[f64; 10]| -> Option<[f64; 3]> {
-        let e = Camera::new(Intrinsics::from_array(p, camera.radial.into())).ok()?.effective_pinhole();
-        Some([e.f_px, e.cx_px, e.cy_px])
+    let Ok(model) = camera.model() else { return Effective::default() };
+    let by = model.effective_pinhole_by_intrinsics();
+    let sigma = |q: usize| {
+        let terms = INTRINSIC_NAMES.iter().zip(by.row(q)).map(|(n, d)| (format!("{}.{n}", camera.name), *d));
+        of_terms(covariance, &terms.collect::<Vec<_>>())
     };
-    let at = camera.intrinsics().to_array();
-    let mut terms = [const { Vec::new() }; 3];
-    for (k, name) in INTRINSIC_NAMES.iter().enumerate() {
-        let h = 1e-6 * at[k].abs().max(1e-2);
-        let side = |sign: f64| {
-            let mut p = at;
-            p[k] += sign * h;
-            pinhole(&p)
-        };
-        let (Some(p), Some(m)) = (side(1.0), side(-1.0)) else { return Effective::default() };
-        (0..3).for_each(|q| terms[q].push((format!("{}.{name}", camera.name), (p[q] - m[q]) / (2.0 * h))));
-    }
-    let [f_px, cx_px, cy_px] = terms.map(|t| of_terms(covariance, &t));
-    Effective { f_px, cx_px, cy_px }
+    Effective { f_px: sigma(0), cx_px: sigma(1), cy_px: sigma(2) }
 }
 
 /// Of baseline and angle between the axes: `d|t| = b . dv`.

@@ -17,8 +17,8 @@ use crate::diagnosis::mapping_of_record;
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::record::{MappingUncertainty, Record};
-use crate::rigid::Motion;
-use crate::sheet::{STEP_NAMES, SheetEstimate, pose_rows, standing_on, with_frame};
+use crate::rigid::{Motion, STEP_NAMES};
+use crate::sheet::{SheetEstimate, pose_rows, standing_on, with_frame};
 use nalgebra::{DMatrix, Matrix6, SMatrix, SVector, Vector3};
 
 /// Covariance of (a, b, c) in a frame of the sheet and of the second projection centre; `NaN` where the record does not state it.

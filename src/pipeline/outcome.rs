@@ -129,25 +129,14 @@ fn pose_sigma(s: &Solved, name: &str) -> PoseSigma {
     }
 }
 
-/// Sigmas of the effective pinhole: `f_e = f ca cb`, `cx_e = cx - f sb`, `cy_e = cy - aspect f sa cb`.
+/// Sigmas of the effective pinhole.
 fn effective_sigma(s: &Solved, name: &str, camera: &Camera) -> Effective {
-    let i = camera.intrinsics();
-    let ((sa, ca), (sb, cb)) = (i.alpha_rad.sin_cos(), i.beta_rad.sin_cos());
-    let f = i.f_px;
-    let rows = [
-        vec![("f_px", ca * cb), ("alpha_rad", -f * sa * cb), ("beta_rad", -f * ca * sb)],
-        vec![("cx_px", 1.0), ("f_px", -sb), ("beta_rad", -f * cb)],
-        vec![
-            ("cy_px", 1.0),
-            ("f_px", -i.aspect * sa * cb),
-            ("alpha_rad", -i.aspect * f * ca * cb),
-            ("beta_rad", i.aspect * f * sa * sb),
-            ("aspect", -f * sa * cb),
-        ],
-    ];
-    let named: Vec<Vec<(String, f64)>> =
-        rows.into_iter().map(|r| r.into_iter().map(|(n, v)| (format!("{name}.{n}"), v)).collect()).collect();
-    let sigmas = s.covariance.sigmas(&named);
+    let by = camera.effective_pinhole_by_intrinsics();
+    let row = |q: usize| -> Vec<(String, f64)> {
+        let terms = INTRINSIC_NAMES.iter().zip(by.row(q)).filter(|(_, d)| **d != 0.0);
+        terms.map(|(n, d)| (format!("{name}.{n}"), *d)).collect()
+    };
+    let sigmas = s.covariance.sigmas(&[row(0), row(1), row(2)]);
     Effective { f_px: sigmas[0], cx_px: sigmas[1], cy_px: sigmas[2] }
 }
 

@@ -3,25 +3,20 @@
 //! Where the views differ by more than their noise, and tell larger standard deviations, these are stated: the pattern over the sheet is that of the
 //! covariance, its size that of the scatter of the views.
 
-use crate::camera::{Camera, INTRINSIC_NAMES, Intrinsics, WINDOW_STEP_NAMES, WINDOW_STEPS};
+use crate::bundle::{Parameter, ParameterSteps, SHEET};
 use crate::dewarp::SheetMap;
 use crate::error::Result;
-use crate::frames::{Cam, Rig, Sheet};
+use crate::frames::Sheet;
 use crate::record::Record;
 use crate::rigid::Motion;
-use crate::sheet::{SHEET, STEP_NAMES, determines_measurements};
-use nalgebra::{DMatrix, DVector, SVector, Vector3};
+use crate::sheet::{determines_measurements, step_rows};
+use nalgebra::{DMatrix, DVector, SVector};
 
 /// One number of the calibration that moves the maps.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Moved {
-    Intrinsic(usize, usize),
-    /// Camera and step of its window.
-    Window(usize, usize),
-    /// Part of a left step of a camera's pose.
-    Pose(usize, usize),
-    /// Part of a left step of the sheet's pose.
-    Sheet(usize),
+    /// One that the covariance names.
+    Named(Parameter),
     /// Turn about the sheet's own x or y, and shift along its normal, where the covariance does not name the sheet.
     SheetAlone(usize),
 }
@@ -29,52 +24,29 @@ enum Moved {
 /// Numbers that move the maps with their covariance; none where one of them is not determined.
 fn moved_numbers(record: &Record) -> Option<(Vec<Moved>, DMatrix<f64>)> {
     let c = &record.covariance;
-    let mut moved = vec![];
-    let mut rows = vec![];
-    for (i, camera) in record.cameras.iter().enumerate() {
-        for (k, name) in INTRINSIC_NAMES.iter().enumerate() {
-            if let Some(row) = c.index(&format!("{}.{name}", camera.name)) {
-                moved.push(Moved::Intrinsic(i, k));
-                rows.push(Some(row));
-            }
-        }
-        for (k, name) in WINDOW_STEP_NAMES.iter().enumerate() {
-            if let Some(row) = c.index(&format!("{}.window.{name}", camera.name)) {
-                moved.push(Moved::Window(i, k));
-                rows.push(Some(row));
-            }
-        }
-        for (k, step) in STEP_NAMES.iter().enumerate().filter(|_| i > 0) {
-            if let Some(row) = c.index(&format!("{}.cam_from_rig.{step}", camera.name)) {
-                moved.push(Moved::Pose(i, k));
-                rows.push(Some(row));
-            }
-        }
-    }
+    let names = [0, 1].map(|k| record.cameras.get(k).map_or("", |camera| camera.name.as_str()));
+    let named = |(row, name): (usize, &String)| Some((Moved::Named(Parameter::of(name, names)?), Some(row), 0.0));
+    let of_sheet = |m: &Moved| matches!(m, Moved::Named(Parameter::Sheet(_)));
+    let all: Vec<(Moved, Option<usize>, f64)> = c.names.iter().enumerate().filter_map(named).collect();
+    let (sheet, mut numbers): (Vec<_>, Vec<_>) = all.into_iter().partition(|(m, ..)| of_sheet(m));
     // Of cameras that another program found nothing is known; where images were adjusted, the second one's place is always a number.
-    if moved.is_empty() {
+    if numbers.is_empty() {
         return None;
     }
-    let mut own = vec![0.0; rows.len()];
-    let named: Vec<Option<usize>> = STEP_NAMES.iter().map(|s| c.index(&format!("{SHEET}{s}"))).collect();
-    if named.iter().all(Option::is_some) {
-        (0..6).for_each(|k| moved.push(Moved::Sheet(k)));
-        rows.extend(named);
-        own.extend([0.0; 6]);
+    if step_rows(c, SHEET).is_some() {
+        numbers.extend(sheet);
     } else {
         let s = &record.sheet.as_ref()?.sigma;
-        for (k, sigma) in [s.normal_rad[0], s.normal_rad[1], s.distance_mm].into_iter().enumerate() {
-            moved.push(Moved::SheetAlone(k));
-            rows.push(None);
-            own.push(sigma);
-        }
+        let own = [s.normal_rad[0], s.normal_rad[1], s.distance_mm].into_iter().enumerate();
+        numbers.extend(own.map(|(k, sigma)| (Moved::SheetAlone(k), None, sigma)));
     }
-    let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| match (rows[i], rows[j]) {
-        (Some(a), Some(b)) => c.matrix[a][b],
-        _ if i == j => own[i] * own[i],
+    let covariance = DMatrix::from_fn(numbers.len(), numbers.len(), |i, j| match (&numbers[i], &numbers[j]) {
+        ((_, Some(a), _), (_, Some(b), _)) => c.matrix[*a][*b],
+        ((.., sigma), _) if i == j => sigma * sigma,
         _ => 0.0,
     });
-    covariance.iter().all(|v| v.is_finite()).then_some((moved, covariance))
+    let finite = covariance.iter().all(|v| v.is_finite());
+    finite.then(|| (numbers.into_iter().map(|(m, ..)| m).collect(), covariance))
 }
 
 /// What errors of a calibration do to three components.
@@ -126,39 +98,20 @@ pub fn perturbed_maps(record: &Record) -> Result<Option<PerturbedMaps>> {
 
 fn maps_after(record: &Record, steps: &[(Moved, f64)]) -> Option<Vec<SheetMap>> {
     let sheet = record.sheet.as_ref()?;
-    let mut in_rig = SVector::<f64, 6>::zeros();
     let mut in_sheet = SVector::<f64, 6>::zeros();
     for (what, step) in steps {
         match what {
-            Moved::Sheet(k) => in_rig[*k] += step,
             Moved::SheetAlone(2) => in_sheet[5] += step,
             Moved::SheetAlone(k) => in_sheet[*k] += step,
-            _ => {}
+            Moved::Named(_) => {}
         }
     }
-    let rig_from_sheet: Motion<Rig, Sheet> = sheet.rig_from_sheet.motion::<Rig, Sheet>().retract(&in_rig)
-        * Motion::<Sheet, Sheet>::identity().retract(&in_sheet);
-    let map = |(i, camera): (usize, &crate::record::Camera)| {
-        let intrinsics = camera.intrinsics();
-        let mut values = intrinsics.to_array();
-        let mut pose = SVector::<f64, 6>::zeros();
-        let mut window = [0.0; WINDOW_STEPS];
-        for (what, step) in steps {
-            match what {
-                Moved::Intrinsic(c, k) if *c == i => values[*k] += step,
-                Moved::Pose(c, k) if *c == i => pose[*k] += step,
-                Moved::Window(c, k) if *c == i => window[*k] += step,
-                _ => {}
-            }
-        }
-        let cam_from_rig = camera.cam_from_rig.motion::<Cam, Rig>().retract(&pose);
-        let [rx, ry, rz, layers @ ..] = window;
-        let window = match camera.model().ok()?.window() {
-            Some(window) => Some(window.stepped(&Vector3::new(rx, ry, rz), &layers).ok()?),
-            None => None,
-        };
-        let moved = Camera::new(Intrinsics::from_array(&values, intrinsics.radial)).ok()?.with_window(window);
-        Some(SheetMap::new(moved, cam_from_rig * rig_from_sheet, camera.image_size_px))
-    };
-    record.cameras.iter().enumerate().map(map).collect()
+    let named = steps.iter().filter_map(|(what, step)| match what {
+        Moved::Named(parameter) => Some((*parameter, *step)),
+        Moved::SheetAlone(_) => None,
+    });
+    let named: ParameterSteps = named.collect();
+    let rig_from_sheet =
+        named.sheet(&sheet.rig_from_sheet.motion()) * Motion::<Sheet, Sheet>::identity().retract(&in_sheet);
+    SheetMap::after_steps(record, &named, &rig_from_sheet)
 }

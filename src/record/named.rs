@@ -3,8 +3,8 @@
 use super::check::{Check, fault};
 use super::schema::{Covariance, Record};
 use super::sigma::{PoseSigma, TargetSigma};
-use crate::bundle::STEP_NAMES;
 use crate::camera::{INTRINSIC_NAMES, WINDOW_STEP_NAMES};
+use crate::rigid::STEP_NAMES;
 use std::collections::{HashMap, HashSet};
 
 /// Files written with five digits agree to this.

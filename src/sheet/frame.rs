@@ -17,11 +17,11 @@
 //!
 //! Source: the conventions of [`super`] and [`crate::rigid`]. Where a row is not determined the old ones stay: the frame is then lost as well.
 
-use super::parameter::{SHEET, STEP_NAMES};
 use super::{Placement, plane_geometry};
+use crate::bundle::SHEET;
 use crate::frames::{Rig, Sheet};
 use crate::record::Covariance;
-use crate::rigid::Motion;
+use crate::rigid::{Motion, STEP_NAMES};
 use nalgebra::{DMatrix, Matrix6, SVector};
 
 /// Turn (rad) and shift (mm) of the central differences.
@@ -50,13 +50,18 @@ pub(crate) fn on_plane_of(frame: &Motion<Rig, Sheet>, placement: &Placement) -> 
     plane_geometry(axis, axis.dot(&frame.translation_mm), None, placement).estimate.rig_from_sheet
 }
 
-/// Six rows of a pose in a covariance; none where one is not there or not determined.
-pub(crate) fn pose_rows(covariance: &Covariance, prefix: &str) -> Option<[usize; 6]> {
+/// Six rows of a pose in a covariance; none where one is not there.
+pub(crate) fn step_rows(covariance: &Covariance, prefix: &str) -> Option<[usize; 6]> {
     let mut rows = [0; 6];
     for (row, step) in rows.iter_mut().zip(STEP_NAMES) {
-        *row = covariance.index(&format!("{prefix}{step}")).filter(|i| covariance.determines(*i))?;
+        *row = covariance.index(&format!("{prefix}{step}"))?;
     }
     Some(rows)
+}
+
+/// The same; none where one is not determined.
+pub(crate) fn pose_rows(covariance: &Covariance, prefix: &str) -> Option<[usize; 6]> {
+    step_rows(covariance, prefix).filter(|rows| rows.iter().all(|i| covariance.determines(*i)))
 }
 
 /// A covariance whose rows of the sheet, now those of its plane with any steps in itself, become those of the frame: `views` are the rows of the poses

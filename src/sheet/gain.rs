@@ -28,9 +28,8 @@
 //! Source: method sections 6 and 7; Prasad, "Stereoscopic particle image velocimetry" (2000) for the ratio of out-of-plane to in-plane errors.
 //! Not valid where both cameras see the sheet along the same line (A has no inverse: `None`).
 
-use super::parameter::{Parameter, stepped_camera, stepped_motion, stepped_window};
 use super::{Placement, plane_geometry};
-use crate::bundle::{NamedCovariance, symmetric_eigen};
+use crate::bundle::{NamedCovariance, Parameter, ParameterSteps, symmetric_eigen};
 use crate::camera::Camera;
 use crate::frames::{Cam, Rig, Sheet};
 use crate::rigid::Motion;
@@ -223,15 +222,13 @@ impl StereoSheet {
 
     /// The calibration after a change of one number.
     fn stepped(&self, parameter: Parameter, h: f64) -> Option<Self> {
-        let (mut cameras, [first, mut second]) = (self.cameras, self.cam_from_rig);
-        match parameter {
-            Parameter::Intrinsic(c, k) => cameras[c] = stepped_camera(&cameras[c], k, h)?,
-            Parameter::Window(c, k) => cameras[c] = stepped_window(&cameras[c], k, h)?,
-            Parameter::Motion(k) => second = stepped_motion(&second, k, h),
-            Parameter::Sheet(k) => {
-                return Some(self.found_anew(cameras, second, &stepped_motion(&self.rig_from_sheet, k, h)));
-            }
+        let steps = ParameterSteps::one(parameter, h);
+        let [first, second] = self.cam_from_rig;
+        if let Parameter::Sheet(_) = parameter {
+            return Some(self.found_anew(self.cameras, second, &steps.sheet(&self.rig_from_sheet)));
         }
+        let cameras = [steps.camera(0, &self.cameras[0])?, steps.camera(1, &self.cameras[1])?];
+        let second = steps.motion(&second);
         Some(Self {
             own_from_sheet: self.own_from_sheet,
             ..Self::placed(cameras, [first, second], self.rig_from_sheet)

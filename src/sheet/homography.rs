@@ -34,10 +34,9 @@
 //! linear in abc.
 
 use super::features::{PairCovariance, PairFeatures, TOUCHING, derivative};
-use super::parameter::{Parameter, stepped_camera, stepped_motion, stepped_window};
 use super::rows::with_sheet;
 use super::{Placement, SheetEstimate, plane_geometry, sigmas};
-use crate::bundle::NamedCovariance;
+use crate::bundle::{NamedCovariance, Parameter, ParameterSteps};
 use crate::camera::Camera;
 use crate::error::{Insufficient, Result};
 use crate::frames::{Cam, Rig};
@@ -137,14 +136,11 @@ impl HeldCameras {
 
     /// The cameras after a change of one parameter.
     fn stepped(&self, parameter: Parameter, h: f64) -> Option<Pair> {
-        let mut out = self.pair.clone();
-        match parameter {
-            Parameter::Intrinsic(c, k) => out.cameras[c] = stepped_camera(&out.cameras[c], k, h)?,
-            Parameter::Window(c, k) => out.cameras[c] = stepped_window(&out.cameras[c], k, h)?,
-            Parameter::Motion(k) => out.second_from_first = stepped_motion(&out.second_from_first, k, h),
-            Parameter::Sheet(_) => {}
-        }
-        Some(out)
+        let (steps, pair) = (ParameterSteps::one(parameter, h), &self.pair);
+        Some(Pair {
+            cameras: [steps.camera(0, &pair.cameras[0])?, steps.camera(1, &pair.cameras[1])?],
+            second_from_first: steps.motion(&pair.second_from_first),
+        })
     }
 }
 

@@ -1,10 +1,9 @@
 //! The sheet as the common plane of the joint adjustment.
 
-use super::parameter::{SHEET, STEP_NAMES};
 use super::{Placement, SheetEstimate, plane_geometry, sigmas};
-use crate::bundle::NamedCovariance;
+use crate::bundle::{NamedCovariance, SHEET};
 use crate::frames::{Rig, Sheet};
-use crate::rigid::Motion;
+use crate::rigid::{Motion, STEP_NAMES};
 use nalgebra::{DMatrix, SMatrix, Vector3};
 
 /// The common plane with its standard deviations, all correlations with the cameras included; `second` is the name of

@@ -1,9 +1,8 @@
 //! A plane as the record holds it.
 
 use super::gain::SheetUncertainty;
-use super::parameter::Parameter;
 use super::{Placement, SheetEstimate, plane_geometry};
-use crate::bundle::{NamedCovariance, Natural, ParameterKnowledge, typical};
+use crate::bundle::{NamedCovariance, Natural, Parameter, ParameterKnowledge, typical};
 use crate::camera::INTRINSICS;
 use crate::record::{ANGLES_CONVENTION, Pose, Record, Sheet, SheetSigma};
 use nalgebra::{DMatrix, DVector, Vector3};

@@ -1,7 +1,8 @@
 //! Rows of a sheet in the covariance of a calibration.
 
-use super::parameter::{SHEET, STEP_NAMES};
+use crate::bundle::SHEET;
 use crate::record::Covariance;
+use crate::rigid::STEP_NAMES;
 use nalgebra::{DMatrix, DVector, Dyn, Matrix6, OMatrix, U6};
 
 /// A covariance with rows of another sheet, or of one for the first time: `by_number` (6 x n) are left steps of that sheet by the numbers
