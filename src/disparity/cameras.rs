@@ -8,6 +8,7 @@
 //! minimise |w|^2 + sum u_i r_i^2 / s^2     by Gauss-Newton:   (G^T R^-1 G + diag(1, 0)) step = -G^T R^-1 r - (w, 0)
 //! N = G^T R^-1 G + diag(1, 0),   C = N^-1            covariance of (w, a, b, c); nothing is known of (a, b, c) before
 //! x = x_0 (+) M w,  M = P_xp P_pp^-1 L,  P_xx' = P_xx - M M^T + G C_ww G^T    every number x of the calibration; G = dx/dw, M at w = 0
+//! d log F = A D (w, a, b, c) + S (G_q w + e_q),   cov(e_q, x) = P_qx - M_q M_x^T    a frame that a mark or a view placed; A, S as in `propagate.rs`
 //! ```
 //! This is the update of a Kalman filter, written with as many unknowns as P has directions, so that a covariance with exact
 //! correlations and numbers that are held need no care. Where no window tells anything, w stays 0 and P stays P.
@@ -26,6 +27,8 @@
 //! | symbol | identifier | shape | meaning |
 //! |---|---|---|---|
 //! | L, M | `factor`, `gain` | n x k, N x k | numbers of the cameras, and of the calibration, by w |
+//! | D | `sheet_by` | 6 x (k + 3) | left step of the sheet, carried with the anchor, by w and (a, b, c) |
+//! | q, G_q, e_q | `q`, `start_by`, `rest` | 6, 6 x k, 6 | left step of the starting sheet's frame: all, by w, and what the cameras do not tell of it |
 //! | w | `w` | k | in standard deviations of independent directions |
 //! | C | `covariance` | k + 3 square | of (w, a, b, c) |
 //!
@@ -36,7 +39,7 @@ mod windows;
 
 use super::anchor::Anchor;
 use super::propagate::{
-    Propagated, against_by_sheet, against_by_start, camera_numbers, sheet_pose, start_rows, tilted,
+    Propagated, against_by_sheet, against_by_start, camera_numbers, frame_by, over, sheet_pose, start_rows, tilted,
 };
 use super::stepped::{Steps, numbers_between, record_after, take_sigmas};
 use crate::bundle::{Parameter, SHEET, symmetric_eigen};
@@ -44,8 +47,9 @@ use crate::error::{Error, Insufficient, Result};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::record::{CamerasRefined, Covariance, Pose, Record, RefinedNumber, View};
 use crate::rigid::{Motion, STEP_NAMES};
+use crate::sheet::Placement;
 use crate::stats::chi_square_above;
-use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Matrix6, OMatrix, SVector, U3};
+use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Matrix6, OMatrix, SVector, U3, U6};
 pub(super) use windows::Update;
 
 /// Directions of the correlation with less than this part of the largest are exact dependences.
@@ -183,6 +187,15 @@ impl Prior {
         Some(at(to)? * beside)
     }
 
+    /// Where the frame of a sheet stands at the w of `reference`, the calibration there with the starting sheet moved along: over that one's frame, where a
+    /// mark or a view placed it that the covariance knows. Other frames are carried with the cameras.
+    pub(super) fn placement(start: &Record, reference: &Record) -> Option<Placement> {
+        let placed = Placement::of_frame(&sheet_pose(start)?);
+        let known = start_rows(start)?.iter().all(|i| start.covariance.determines(*i));
+        let frame = sheet_pose(reference)?;
+        (placed.origin_in_rig_mm.is_some() && known).then(|| over(&placed, &frame))
+    }
+
     /// What is known afterwards: `reference` is the calibration at w with the starting sheet moved along, `now` the one with the sheet found.
     ///
     /// Derivatives by w are those at the new place: along weak directions the old ones no longer are.
@@ -197,7 +210,7 @@ impl Prior {
         let (k, old, w) = (update.w.len(), &start.covariance, &update.w);
         let (pose, start_pose, q) = (sheet_pose(now)?, sheet_pose(reference)?, start_rows(start));
         let mut g = self.gain.clone();
-        let (mut start_by, mut sheet_by) = (DMatrix::zeros(6, k), DMatrix::zeros(6, k + 3));
+        let (mut start_by, mut sheet_by) = (OMatrix::<f64, U6, Dyn>::zeros(k), OMatrix::<f64, U6, Dyn>::zeros(k + 3));
         for j in 0..k {
             let side = |h: f64| {
                 let mut moved = w.clone();
@@ -234,7 +247,20 @@ impl Prior {
         let own_step = pose.inverse().adjoint() * &sheet_by;
         let plane_by = tilted().transpose() * own_step;
         let plane_and_center = self.plane_and_center(now, old, &plane_by, c, &g);
-        let (sheet, cross) = (&sheet_by * c * sheet_by.transpose(), &sheet_by * c.columns(0, k) * g.transpose());
+        // A placed frame goes with the start's, of which the cameras do not tell all; others are carried.
+        let placed = Self::placement(start, reference).map(|kind| frame_by(&kind, &start_pose, &pose));
+        if let Some([by_pose, by_frame]) = placed {
+            sheet_by = by_pose * sheet_by;
+            let mut part = sheet_by.columns_mut(0, k);
+            part += by_frame * &start_by;
+        }
+        let (mut sheet, mut cross) =
+            (&sheet_by * c * sheet_by.transpose(), &sheet_by * c.columns(0, k) * g.transpose());
+        if let (Some(q), Some([_, by_frame])) = (q, placed) {
+            let rest = DMatrix::from_fn(6, old.names.len(), |i, x| old.matrix[q[i]][x] - before[(q[i], x)]);
+            sheet += by_frame * rest.select_columns(&q) * by_frame.transpose();
+            cross += by_frame * rest;
+        }
         let kept: Vec<usize> = (0..old.names.len()).filter(|i| !old.names[*i].starts_with(SHEET)).collect();
         let n = kept.len();
         let entry = |i: usize, j: usize| match (i < n, j < n) {

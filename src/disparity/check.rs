@@ -16,6 +16,7 @@ use crate::frames::{Rig, Sheet};
 use crate::image::GrayView;
 use crate::record::{CheckRound, DisparityMap, Misalignment, Pose, Record, SheetCheck};
 use crate::rigid::Motion;
+use crate::sheet::Placement;
 use nalgebra::{Matrix3, Matrix6, Vector3};
 use rayon::prelude::*;
 
@@ -139,7 +140,7 @@ pub fn check_sheet_masked(
         .collect();
     let series = Series { moments, masks };
     let mut history = vec![];
-    let start = moved(record, &found.plane, &Matrix6::zeros())?;
+    let start = moved(record, &found.plane, &Matrix6::zeros(), &own_placement(record)?)?;
     let (mut current, mut result, mut converged) = refine_plane(record, start, &series, &grid, options, &mut history)?;
     if options.refine && !converged {
         flags.push(format!("the plane still moves after {ROUNDS} rounds; more image pairs would hold it"));
@@ -212,6 +213,7 @@ fn refine_plane(
     options: &CheckOptions,
     history: &mut Vec<CheckRound>,
 ) -> Result<(Record, Round, bool)> {
+    let placement = own_placement(start)?;
     // Coarse windows first, unless the field holds too few of them.
     let coarse = 2 * options.window_px;
     let enough = (grid.width_px / coarse) * (grid.height_px / coarse) >= 2 * FEWEST;
@@ -221,7 +223,7 @@ fn refine_plane(
         let result = measure(&current, series, window, fine)?;
         let abc = result.fit.abc;
         let step_sigmas = result.fit.covariance.try_inverse().map_or(f64::INFINITY, |w| abc.dot(&(w * abc)).sqrt());
-        let next = moved(&current, &abc, &cameras_held(&result.fit.covariance))?;
+        let next = moved(&current, &abc, &cameras_held(&result.fit.covariance), &placement)?;
         history.push(entry(start, &next, &result, window, options)?);
         current = next;
         let converged = fine && (result.step_px < STILL_PX || step_sigmas < STILL_SIGMAS);
@@ -289,7 +291,8 @@ fn refine_cameras(
         if let Some(s) = &mut next.sheet {
             s.rig_from_sheet = Pose::from(&sheet);
         }
-        now = moved(&next, &update.abc, &cameras_held(&round.fit.covariance))?;
+        let placement = Prior::placement(start, &reference).map_or_else(|| own_placement(&next), Ok)?;
+        now = moved(&next, &update.abc, &cameras_held(&round.fit.covariance), &placement)?;
         history.push(entry(&reference, &now, &round, options.window_px, options)?);
         // At rest when neither cameras nor the light's place change by more than their sigmas allow.
         let sigmas = prior.propagated(start, &reference, &now, &update, options.reference_mm).map(|p| p.against_start);
@@ -377,8 +380,14 @@ fn coarse_plane(
     }
 }
 
-fn moved(record: &Record, abc: &Vector3<f64>, covariance: &Matrix6<f64>) -> Result<Record> {
-    moved_sheet(record, abc, covariance).ok_or_else(|| crate::Error::Bug("a sheet was lost on the way".into()))
+/// How the frame of a record's sheet was placed.
+fn own_placement(record: &Record) -> Result<Placement> {
+    Ok(Placement::of_frame(&pose(record)?))
+}
+
+fn moved(record: &Record, abc: &Vector3<f64>, covariance: &Matrix6<f64>, placement: &Placement) -> Result<Record> {
+    moved_sheet(record, abc, covariance, placement)
+        .ok_or_else(|| crate::Error::Bug("a sheet was lost on the way".into()))
 }
 
 fn pose(record: &Record) -> Result<Motion<Rig, Sheet>> {
@@ -528,7 +537,7 @@ fn output(
 fn corrected_record(corrected: Record, shared: Option<Propagated>, options: &CheckOptions) -> Result<Record> {
     let mut r = corrected;
     if let Some(s) = shared {
-        r = moved(&r, &Vector3::zeros(), &s.plane_and_center)?;
+        r = moved(&r, &Vector3::zeros(), &s.plane_and_center, &own_placement(&r)?)?;
         if options.refine_cameras {
             r = with_sigmas(r, &s.covariance);
         }
@@ -537,7 +546,7 @@ fn corrected_record(corrected: Record, shared: Option<Propagated>, options: &Che
         let c = &r.covariance;
         let kept: Vec<usize> = (0..c.names.len()).filter(|i| !c.names[*i].starts_with("sheet.")).collect();
         if c.shared_nullity() > 0 {
-            r = moved(&r, &Vector3::zeros(), &Matrix6::repeat(f64::NAN))?;
+            r = moved(&r, &Vector3::zeros(), &Matrix6::repeat(f64::NAN), &own_placement(&r)?)?;
         }
         r.covariance = r.covariance.only(&kept);
     }

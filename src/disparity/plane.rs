@@ -5,7 +5,7 @@ use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Rig, Sheet, Target};
 use crate::record::{self, Record};
 use crate::rigid::Motion;
-use crate::sheet::SheetEstimate;
+use crate::sheet::{Placement, SheetEstimate};
 use crate::stats;
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
 
@@ -166,13 +166,18 @@ pub(super) fn fit_plane(matches: &[Match], seen: &[Seen]) -> Option<PlaneFit> {
     Some(PlaneFit { abc, covariance, scatter_mm: scale, used, weights })
 }
 
-/// The record with its sheet at `z = a + b x + c y` of its present sheet frame; the covariance is that of (a, b, c) and of the second
-/// projection centre.
-pub(super) fn moved_sheet(record: &Record, abc: &Vector3<f64>, covariance: &Matrix6<f64>) -> Option<Record> {
+/// The record with its sheet at `z = a + b x + c y` of its present sheet frame, the new one where `placement` says; the covariance is that of (a, b, c)
+/// and of the second projection centre.
+pub(super) fn moved_sheet(
+    record: &Record,
+    abc: &Vector3<f64>,
+    covariance: &Matrix6<f64>,
+    placement: &Placement,
+) -> Option<Record> {
     let mut out = record.clone();
     let old = record.sheet.as_ref()?;
     let center = record.cameras.get(1).map(|c| c.cam_from_rig.motion::<Cam, Rig>().inverse().translation_mm);
-    let estimate = SheetEstimate::from_plane(&old.rig_from_sheet.motion(), abc, covariance, center);
+    let estimate = SheetEstimate::from_placed_plane(&old.rig_from_sheet.motion(), abc, covariance, center, placement);
     out.sheet = Some(estimate.to_record("self-calibration", old.views.clone()));
     Some(out)
 }

@@ -7,14 +7,15 @@
 //! C     = J P J^T + S        covariance of the plane in the rig frame
 //! e     = offset and tilts of the light against the starting sheet
 //! C_e   = G_p P_pp G_p^T + G_p P_pq G_q^T + ... + G S G^T,   G = de/d(a, b, c),   G_p = G J,   G_q = de/dq
-//! steps of the new sheet = T (a, b, c) + B q;   their covariance with any number x of the calibration: T J P_px + B P_qx
+//! steps of the new sheet = T (a, b, c) + S q,   T = A Ad tilt;   their covariance with any number x of the calibration: T J P_px + S P_qx
 //! ```
 //!
 //! | symbol | identifier | shape | meaning |
 //! |---|---|---|---|
 //! | J | `by_number` | 3 x n | plane by the numbers of both cameras and the motion between them |
 //! | G, G_q | `by_plane`, `by_start` | 3 x 3, 3 x 6 | offset (mm) and tilts (rad) by the plane and by the starting sheet |
-//! | T, B | `step_by_plane`, `step_by_start` | 6 x 3, 6 x 6 | left step of the sheet's frame by the plane and by the frame that was started from |
+//! | T, S | `step_by_plane`, `step_by_start` | 6 x 3, 6 x 6 | left step of the sheet's frame by the plane and by the frame that was started from |
+//! | A, Ad, tilt | [`frame_by`], `adjoint`, [`tilted`] | 6 x 6, 6 x 6, 6 x 3 | left step of the frame by one of a pose in its plane; left step of the pose by one in itself; that by the plane |
 //!
 //! Source: method section 5 (sigmas with the cameras held are too small). Not valid along directions that the calibration leaves
 //! undetermined: then there is no covariance of the plane.
@@ -25,9 +26,7 @@ use crate::dewarp::SheetMap;
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::{Covariance, Record};
 use crate::rigid::Motion;
-use crate::sheet::{
-    Placement, by_steps, determines_measurements, on_plane_of, standing_on, step_rows, with_frame_on_axis, with_sheet,
-};
+use crate::sheet::{Placement, by_steps, determines_measurements, on_plane_of, standing_on, step_rows, with_sheet};
 use nalgebra::{DMatrix, Dyn, Matrix3, Matrix6, Matrix6x3, OMatrix, SMatrix, SVector, U6, Vector3};
 
 /// Covariances with the calibration's share in them.
@@ -153,7 +152,8 @@ pub(super) fn propagate(
         DMatrix::from_fn(3, all.len(), |i, k| if k < p.len() { by_p[(i, k)] } else { by_start[(i, k - p.len())] });
     let known = &gradient * both * gradient.transpose();
     let against_start = Matrix3::from_fn(|i, j| known[(i, j)]) + by_plane * fit.covariance * by_plane.transpose();
-    let (step_by_plane, step_by_start) = frame_steps(&start_pose, &pose);
+    let [by_pose, step_by_start] = frame_by(&Placement::of_frame(&start_pose), &start_pose, &pose);
+    let step_by_plane = by_pose * pose.adjoint() * tilted();
     let steps = DMatrix::from_fn(6, all.len(), |i, k| match k.checked_sub(p.len()) {
         None => (step_by_plane * by_number.column(k))[i],
         Some(k) => step_by_start[(i, k)],
@@ -162,20 +162,24 @@ pub(super) fn propagate(
     let own = Matrix6::from_fn(|i, j| own[(i, j)]) + step_by_plane * fit.covariance * step_by_plane.transpose();
     let covariance =
         with_sheet(&start.covariance, &all, &OMatrix::<f64, U6, Dyn>::from_fn(all.len(), |i, k| steps[(i, k)]), &own);
-    let covariance = with_frame_on_axis(covariance, &pose);
     Some(Propagated { plane_and_center, against_start, covariance })
 }
 
-/// Left steps of a sheet's frame by its plane (a, b, c), and by left steps of the frame that it was started from: one that was placed keeps its origin and its
-/// x axis over the start's, laid into the plane along the normal. One on the first camera's axis hangs on the plane alone.
-fn frame_steps(start: &Motion<Rig, Sheet>, pose: &Motion<Rig, Sheet>) -> (Matrix6x3<f64>, Matrix6<f64>) {
-    let by_plane = pose.adjoint() * tilted();
-    if Placement::of_frame(pose).origin_in_rig_mm.is_none() {
-        return (by_plane, Matrix6::zeros());
+/// Where a sheet's frame stands whose start was placed as `kind` says ([`Placement::of_frame`]), with the start here: its origin and its x axis over the start's,
+/// laid into the plane along the normal; what `kind` leaves to the first camera's axis and x stays with them.
+pub(super) fn over(kind: &Placement, start: &Motion<Rig, Sheet>) -> Placement {
+    let stands = standing_on(start);
+    Placement {
+        origin_in_rig_mm: stands.origin_in_rig_mm.filter(|_| kind.origin_in_rig_mm.is_some()),
+        x_in_rig: stands.x_in_rig.filter(|_| kind.x_in_rig.is_some()),
+        flip_x: false,
     }
-    // The plane goes through both as a left step of the pose, of which a placed frame takes the plane alone.
-    let plane = by_steps(|step| on_plane_of(&pose.retract(step), &standing_on(start)));
-    (plane * by_plane, by_steps(|step| on_plane_of(pose, &standing_on(&start.retract(step)))))
+}
+
+/// Left steps of that frame, A by left steps of a pose in its plane, of which the plane alone counts, and S by left steps of the start.
+pub(super) fn frame_by(kind: &Placement, start: &Motion<Rig, Sheet>, pose: &Motion<Rig, Sheet>) -> [Matrix6<f64>; 2] {
+    let by_plane = by_steps(|step| on_plane_of(&pose.retract(step), &over(kind, start)));
+    [by_plane, by_steps(|step| on_plane_of(pose, &over(kind, &start.retract(step))))]
 }
 
 /// Derivative of [`against`] by left steps of the starting sheet.

@@ -95,8 +95,9 @@ pub fn placed_at_view(record: &Record, view: usize) -> Result<Record> {
     let pose = record.views.iter().find(|v| v.index == view).and_then(|v| v.rig_from_target);
     let rows = pose_rows(&out.covariance, &format!("view{view}.rig_from_target."));
     if let (Some(pose), Some(rows), Some(placed)) = (pose, rows, &out.sheet) {
-        let stands = |steps: &[SVector<f64, 6>]| standing_on(&pose.motion::<Rig, Target>().retract(&steps[0]));
-        if let Some(covariance) = with_frame(&out.covariance, &placed.rig_from_sheet.motion(), &[rows], stands) {
+        let stands =
+            |step: &[f64]| standing_on(&pose.motion::<Rig, Target>().retract(&SVector::from_column_slice(step)));
+        if let Some(covariance) = with_frame(&out.covariance, &placed.rig_from_sheet.motion(), &rows, stands) {
             out.covariance = covariance;
         }
     }

@@ -59,7 +59,7 @@ pub(super) fn stated_frame(s: &Solved) -> Result<Option<Motion<Rig, SheetFrame>>
 /// Where the rig file places the sheet frame.
 fn placement(s: &Solved, plane: &Motion<Rig, SheetFrame>) -> Result<Placement> {
     let wanted = &s.job.sheet;
-    let placement = placed_by(s, &|view| s.covariance.natural.rig_from_target[view]);
+    let placement = placed_by(s, &|view| s.covariance.natural.rig_from_target[view], [0.0; 3]);
     let normal = plane.rotation.column(2);
     if let (Some(view), Some(x)) = (wanted.x_axis_view, &placement.x_in_rig)
         && x.cross(&normal).norm() < LEAST_X_AXIS
@@ -75,43 +75,62 @@ fn placement(s: &Solved, plane: &Motion<Rig, SheetFrame>) -> Result<Placement> {
     Ok(placement)
 }
 
-/// The same with the targets of views where `pose` says.
-fn placed_by(s: &Solved, pose: &dyn Fn(usize) -> Motion<Rig, Target>) -> Placement {
+/// The same with the targets of views where `pose` says, and their lengths longer by some mm.
+fn placed_by(s: &Solved, pose: &dyn Fn(usize) -> Motion<Rig, Target>, longer_mm: [f64; 3]) -> Placement {
     let wanted = &s.job.sheet;
     let origin_in_rig_mm = match wanted.origin {
         SheetOrigin::FirstAxis => None,
         SheetOrigin::Point(p) => Some(Vector3::from(p)),
-        SheetOrigin::Disc { view, id } => Some(pose(view).apply(&place_on_target(s, view, id))),
+        SheetOrigin::Disc { view, id } => Some(pose(view).apply(&place_on_target(s, view, id, longer_mm))),
     };
     let x_in_rig: Option<Vector3<f64>> = wanted.x_axis_view.map(|v| pose(v).rotation.column(0).into_owned());
     Placement { origin_in_rig_mm, x_in_rig, flip_x: wanted.flip_x }
 }
 
-/// The covariance with rows of the sheet that are those of its frame, as the rig file places it (a disc of the target stays where it is in its view, however
-/// well its place on the target is known); where a view that places it is not determined they stay
-/// those of the plane.
+/// The covariance with rows of the sheet that are those of its frame, as the rig file places it: it moves with the views that place it, and a disc with the
+/// lengths of the target (where discs are adjusted one by one, what is left of its own place is held). Where one of these is not determined they stay those of
+/// the plane.
 pub(super) fn of_frame(s: &Solved, covariance: Covariance, frame: &Motion<Rig, SheetFrame>) -> Covariance {
-    let origin = match s.job.sheet.origin {
-        SheetOrigin::Disc { view, .. } => Some(view),
+    let disc = match s.job.sheet.origin {
+        SheetOrigin::Disc { view, id } => Some((view, id)),
         SheetOrigin::FirstAxis | SheetOrigin::Point(_) => None,
     };
-    let mut views: Vec<usize> = origin.into_iter().chain(s.job.sheet.x_axis_view).collect();
+    let mut views: Vec<usize> = disc.map(|(view, _)| view).into_iter().chain(s.job.sheet.x_axis_view).collect();
     views.dedup();
+    let lengths = disc.map_or_else(Vec::new, |(view, id)| lengths_of_place(s, &covariance, view, id));
     let rows: Option<Vec<[usize; 6]>> =
         views.iter().map(|v| pose_rows(&covariance, &format!("view{v}.rig_from_target."))).collect();
-    let placement = |steps: &[SVector<f64, 6>]| {
-        placed_by(s, &|view| {
+    let placement = |steps: &[f64]| {
+        let (poses, longer) = steps.split_at(6 * views.len());
+        let mut longer_mm = [0.0; 3];
+        lengths.iter().zip(longer).for_each(|((k, _), d)| longer_mm[*k] = *d);
+        let pose = |view: usize| {
             let pose = s.covariance.natural.rig_from_target[view];
-            views.iter().position(|v| *v == view).map_or(pose, |k| pose.retract(&steps[k]))
-        })
+            let step = |k: usize| SVector::from_column_slice(&poses[6 * k..6 * (k + 1)]);
+            views.iter().position(|v| *v == view).map_or(pose, |k| pose.retract(&step(k)))
+        };
+        placed_by(s, &pose, longer_mm)
     };
-    rows.and_then(|rows| with_frame(&covariance, frame, &rows, placement)).unwrap_or(covariance)
+    let from = rows.map(|r| r.into_iter().flatten().chain(lengths.iter().map(|(_, row)| *row)).collect::<Vec<usize>>());
+    from.and_then(|from| with_frame(&covariance, frame, &from, placement)).unwrap_or(covariance)
 }
 
-/// Place of a disc or mark of the target in the target's frame, mm, in a view.
-fn place_on_target(s: &Solved, view: usize, id: DotId) -> Vector3<f64> {
+/// The lengths of the target that move a disc on it in a view: their places in the shape, and their rows in a covariance. What is held has none.
+fn lengths_of_place(s: &Solved, covariance: &Covariance, view: usize, id: DotId) -> Vec<(usize, usize)> {
+    let owner = if s.adjustment.model.target.per_view() { format!("view{view}") } else { "target".into() };
+    let place = |k: usize, longer: f64| {
+        place_on_target(s, view, id, std::array::from_fn(|j| if j == k { longer } else { 0.0 }))
+    };
+    let moves = |k: usize| place(k, 1.0) != place(k, 0.0);
+    let named = |(k, q): (usize, &str)| Some((k, covariance.index(&format!("{owner}.{q}"))?));
+    [(0, "spacing_mm"), (2, "step_mm")].into_iter().filter(|(k, _)| moves(*k)).filter_map(named).collect()
+}
+
+/// Place of a disc or mark of the target in the target's frame, mm, in a view, with lengths longer by some mm.
+fn place_on_target(s: &Solved, view: usize, id: DotId, longer_mm: [f64; 3]) -> Vector3<f64> {
     let (model, state) = (&s.adjustment.model.target, &s.adjustment.state);
-    let shape = if model.per_view() { state.views[view].shape_mm } else { state.shape_mm };
+    let own = if model.per_view() { state.views[view].shape_mm } else { state.shape_mm };
+    let shape: [f64; 3] = std::array::from_fn(|k| own[k] + longer_mm[k]);
     if let Some(j) = s.built.labels.iter().position(|l| *l == id) {
         let offset = state.offsets_mm.get(j).map_or_else(Vector3::zeros, |o| Vector3::new(o[0], o[1], o[2]));
         return model.nominal_disc(j, &shape).0 + offset;

@@ -1,19 +1,21 @@
 //! Where the sheet frame stands, in the covariance.
 //!
-//! The frame follows from the plane and from what places it: the first camera's axis and x, points and directions held in the rig, or the target of views.
-//! An adjustment knows the plane, whose steps in itself mean nothing, and the views:
+//! The frame follows from the plane and from what places it: the first camera's axis and x, points and directions held in the rig, or the target of views
+//! (pose, and lengths where it stands on a disc that is not the target's origin).
+//! An adjustment knows the plane, whose steps in itself mean nothing, and what places it:
 //! ```text
-//! F(s, s_1, ...) = frame placed on the plane of exp(s) F by the views after their steps s_k
-//! d log F = J s + sum_k K_k s_k            J, K_k 6 x 6 by central differences;   rows of the frame = [J K_1 ...] rows of the steps
+//! F(s, d) = frame placed on the plane of exp(s) F by poses and lengths after their steps d
+//! d log F = J s + K d                      J 6 x 6, K 6 x n by central differences;   rows of the frame = [J K] rows of the steps
+//! on disc m = (i L, j L) of a view (R, t):  origin = foot of R m + t,   so that K has R (i, j, 0) laid into the plane in the column of the pitch L
 //! ```
 //! Left steps of the frame as rows of plane and views are its own standard deviations, and those of what is told in its coordinates: where the axis meets
 //! the sheet is known ten times worse than where the sheet lies.
 //!
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
-//! | s | `steps[0]` | 6 | rad, mm | left step of the sheet, of which the plane alone counts |
-//! | s_k | `steps[k]` | 6 | rad, mm | left step of `rig_from_target` of a view that places the frame |
-//! | [J K_1 ...] | `by` | 6 x 6 n | mixed | left step of the frame |
+//! | s | `step` | 6 | rad, mm | left step of the sheet, of which the plane alone counts |
+//! | d | `steps` | n | rad, mm | left steps of `rig_from_target` of the views that place the frame, and steps of lengths |
+//! | [J K] | `by` | 6 x (6 + n) | mixed | left step of the frame |
 //!
 //! Source: the conventions of [`super`] and [`crate::rigid`]. Where a row is not determined the old ones stay: the frame is then lost as well.
 
@@ -37,11 +39,14 @@ pub(crate) fn standing_on<T>(pose: &Motion<Rig, T>) -> Placement {
 pub(crate) fn by_steps(frame: impl Fn(&SVector<f64, 6>) -> Motion<Rig, Sheet>) -> Matrix6<f64> {
     let mut out = Matrix6::zeros();
     for k in 0..6 {
-        let h = if k < 3 { STEPS[0] } else { STEPS[1] };
-        let at = |h: f64| frame(&SVector::ith(k, h));
-        out.set_column(k, &(at(-h).step_to(&at(h)) / (2.0 * h)));
+        out.set_column(k, &by_one(STEPS[usize::from(k >= 3)], |h| frame(&SVector::ith(k, h))));
     }
     out
+}
+
+/// The same by one number.
+fn by_one(h: f64, frame: impl Fn(f64) -> Motion<Rig, Sheet>) -> SVector<f64, 6> {
+    frame(-h).step_to(&frame(h)) / (2.0 * h)
 }
 
 /// The frame on the plane of another one, placed anew.
@@ -64,26 +69,31 @@ pub(crate) fn pose_rows(covariance: &Covariance, prefix: &str) -> Option<[usize;
     step_rows(covariance, prefix).filter(|rows| rows.iter().all(|i| covariance.determines(*i)))
 }
 
-/// A covariance whose rows of the sheet, now those of its plane with any steps in itself, become those of the frame: `views` are the rows of the poses
-/// that place it, and `placement` says how they do after steps of theirs. None where a row is not there or not determined.
+/// A covariance whose rows of the sheet, now those of its plane with any steps in itself, become those of the frame: `from` are the rows of the numbers
+/// that place it, and `placement` says how they do after steps of theirs, in their order. None where a row is not there or not determined.
 pub(crate) fn with_frame(
     covariance: &Covariance,
     frame: &Motion<Rig, Sheet>,
-    views: &[[usize; 6]],
-    placement: impl Fn(&[SVector<f64, 6>]) -> Placement,
+    from: &[usize],
+    placement: impl Fn(&[f64]) -> Placement,
 ) -> Option<Covariance> {
     let sheet = pose_rows(covariance, SHEET)?;
-    let mut by = DMatrix::zeros(6, 6 * (1 + views.len()));
-    for source in 0..=views.len() {
-        let part = by_steps(|step| {
-            let mut steps = vec![SVector::<f64, 6>::zeros(); 1 + views.len()];
-            steps[source] = *step;
-            on_plane_of(&frame.retract(&steps[0]), &placement(&steps[1..]))
+    let still = vec![0.0; from.len()];
+    let mut by = DMatrix::zeros(6, 6 + from.len());
+    let here = placement(&still);
+    by.columns_mut(0, 6).copy_from(&by_steps(|step| on_plane_of(&frame.retract(step), &here)));
+    for (k, row) in from.iter().enumerate() {
+        let h = STEPS[usize::from(!covariance.names.get(*row)?.ends_with("_rad"))];
+        let moved = by_one(h, |h| {
+            let mut steps = still.clone();
+            steps[k] = h;
+            on_plane_of(frame, &placement(&steps))
         });
-        by.columns_mut(6 * source, 6).copy_from(&part);
+        by.set_column(6 + k, &moved);
     }
-    let from: Vec<usize> = sheet.iter().chain(views.iter().flatten()).copied().collect();
-    Some(covariance.with_rows(&sheet, &from, &by))
+    let all: Vec<usize> = sheet.iter().chain(from).copied().collect();
+    let lost = from.iter().any(|i| !covariance.determines(*i));
+    (!lost).then(|| covariance.with_rows(&sheet, &all, &by))
 }
 
 /// [`with_frame`] of a frame that stands where the first camera's axis meets the sheet, its x axis held in the rig; others stay.
@@ -158,13 +168,13 @@ mod tests {
         let n = Vector3::new(0.6, -0.1, 0.79).normalize();
         let view: Motion<Rig, Sheet> = plane_geometry(n, 400.0, None, &Placement::default()).estimate.rig_from_sheet;
         let mark = Vector3::new(12.0, -7.0, 0.0);
-        let placed = |s: &SVector<f64, 6>| {
-            let view = view.retract(s);
+        let placed = |s: &[f64]| {
+            let view = view.retract(&SVector::from_column_slice(s));
             Placement { origin_in_rig_mm: Some(view.apply(&mark)), ..standing_on(&view) }
         };
-        let frame = on_plane_of(&view, &placed(&SVector::zeros()));
+        let frame = on_plane_of(&view, &placed(&[0.0; 6]));
         let rows = pose_rows(&c, "view3.rig_from_target.").unwrap();
-        let out = with_frame(&c, &frame, &[rows], |s| placed(&s[0])).unwrap();
+        let out = with_frame(&c, &frame, &rows, placed).unwrap();
         // Of the mark in the frame: rig displacement by the view less that by the frame, along x and y of the frame.
         let p = frame.translation_mm;
         let by = |first: usize, sign: f64, e: &Vector3<f64>| -> Vec<(usize, f64)> {

@@ -14,6 +14,17 @@ impl SheetEstimate {
         covariance: &Matrix6<f64>,
         second_center_mm: Option<Vector3<f64>>,
     ) -> Self {
+        Self::from_placed_plane(rig_from_older, abc, covariance, second_center_mm, &Placement::of_frame(rig_from_older))
+    }
+
+    /// [`SheetEstimate::from_plane`] with the new frame where `placement` says.
+    pub(crate) fn from_placed_plane(
+        rig_from_older: &Motion<Rig, Sheet>,
+        abc: &Vector3<f64>,
+        covariance: &Matrix6<f64>,
+        second_center_mm: Option<Vector3<f64>>,
+        placement: &Placement,
+    ) -> Self {
         // Normal away from the first camera, and distance.
         let plane = |p: &Vector3<f64>| {
             let n = rig_from_older.rotation * -Vector3::new(-p.y, -p.z, 1.0).normalize();
@@ -29,7 +40,7 @@ impl SheetEstimate {
             moved.fixed_view_mut::<3, 1>(0, k).copy_from(&n.cross(&d.xyz()));
             moved[(3, k)] = d.w;
         }
-        let geometry = plane_geometry(n, at.w, second_center_mm, &Placement::of_frame(rig_from_older));
+        let geometry = plane_geometry(n, at.w, second_center_mm, placement);
         let mut by = SMatrix::<f64, 10, 6>::zeros();
         by.fixed_columns_mut::<3>(0).copy_from(&(geometry.derivative.fixed_columns::<4>(0) * moved));
         by.fixed_columns_mut::<3>(3).copy_from(&geometry.derivative.fixed_columns::<3>(4));
