@@ -91,7 +91,7 @@ impl Camera {
     }
 
     /// Its derivative by the intrinsics: rows f_e, cx_e, cy_e (px), columns in the order of [`super::INTRINSIC_NAMES`] (3 x 10).
-    pub fn effective_pinhole_by_intrinsics(&self) -> SMatrix<f64, 3, INTRINSICS> {
+    pub(crate) fn effective_pinhole_by_intrinsics(&self) -> SMatrix<f64, 3, INTRINSICS> {
         let (t, f, m) = (&self.tilt, self.intrinsics.f_px, self.intrinsics.aspect);
         let mut d = SMatrix::zeros();
         // f, aspect, cx, cy, alpha, beta.
@@ -103,7 +103,7 @@ impl Camera {
     }
 
     /// Left turn of [`Camera::cam_from_pinhole`] by changes of the two tilts (rad), to first order: `w = u d(alpha) - y d(beta)`, u the sensor's u axis.
-    pub fn pinhole_turn(&self, by_alpha_rad: f64, by_beta_rad: f64) -> Vector3<f64> {
+    pub(crate) fn pinhole_turn(&self, by_alpha_rad: f64, by_beta_rad: f64) -> Vector3<f64> {
         Vector3::new(self.tilt.cb, 0.0, self.tilt.sb) * by_alpha_rad - Vector3::y() * by_beta_rad
     }
 
