@@ -48,7 +48,7 @@ impl<'a> Apart<'a> {
         let start = Stood { before: start.clone(), after: start.clone() };
         let cost = self.cost(&start)?;
         let out = minimise(self, start, &Options { decrement: 1e-2, iterations: 200 }, &mut |_| true);
-        (out.termination == Termination::Converged).then(|| (out.state, cost - out.cost))
+        (out.termination == Termination::Converged).then_some((out.state, cost - out.cost))
     }
 
     /// View and equations of each image.
