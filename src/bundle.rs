@@ -60,6 +60,7 @@ mod layout;
 mod list;
 mod model;
 mod moved;
+mod open;
 mod outline;
 mod part;
 mod points;
@@ -92,6 +93,7 @@ pub use model::{
     PairObservation, PlanePosition, PointObservations, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
 };
 pub use moved::{Moved, MovedTest, moved_test};
+pub use open::{Released, open_rows, released};
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use reach::{Numbers, Observe, Reach};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};

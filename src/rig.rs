@@ -12,7 +12,7 @@
 //! 3. One metric fact fixes the scale; drifting bubbles have a scale of their own in every view until the baseline is common.
 //! 4. Several starts of the common adjustment, tried on a part of the edge points unless the first explains them to their
 //!    noise; the lowest cost wins.
-//! 5. Everything in one adjustment.
+//! 5. Everything in one adjustment. Focal lengths that views of one plane leave open are held where they usually are, and said to be undetermined.
 //!
 //! A view, a pairing or a whole camera that contradicts the others is named: images of a view exchanged or of different
 //! moments, a mirrored camera, a view marked as in the sheet that is not.
@@ -32,6 +32,7 @@ mod lone;
 mod mono;
 mod off_plane;
 mod one_plane;
+mod open;
 mod pitches;
 mod print;
 mod sides;

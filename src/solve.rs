@@ -38,6 +38,7 @@
 mod evidence;
 mod factor;
 mod flat;
+mod open;
 mod posterior;
 mod reduced;
 mod score;
@@ -46,6 +47,7 @@ mod tiles;
 
 pub use evidence::{evidence, likely_mean};
 pub use factor::{SymmetricEigen, symmetric_eigen};
+pub use open::OpenCombinations;
 pub use posterior::{BlockPosterior, Posterior, global_covariance, posterior};
 pub use score::{Prediction, Score, ScoreTests, predict};
 

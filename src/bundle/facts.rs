@@ -21,7 +21,7 @@ use super::model::{Model, PlanePosition, ViewPlace};
 use super::state::State;
 use crate::camera::INTRINSICS;
 use crate::solve::NormalEquations;
-use nalgebra::Vector3;
+use nalgebra::{DMatrix, Vector3};
 
 /// Something known before the images are looked at.
 #[derive(Debug, Clone, PartialEq)]
@@ -149,6 +149,22 @@ pub(super) fn rows(model: &Model, places: &Places, state: &State) -> Option<Vec<
             let slots = vec![(Slot::Global(first + k), 1.0 / sigma)];
             let of = PriorOf::Oval { disc: k / 2, part: k % 2 };
             out.push((of, Row { view: 0, residual: oval / sigma, slots }));
+        }
+    }
+    Some(out)
+}
+
+/// Derivatives of some intrinsics by the global unknowns, whitened: one row per fact, facts x n. `None` where one is about anything else.
+pub(super) fn intrinsic_rows(model: &Model, places: &Places, state: &State, facts: &[Fact]) -> Option<DMatrix<f64>> {
+    let mut charts = vec![None; model.cameras.len()];
+    let mut out = DMatrix::zeros(facts.len(), places.layout().global);
+    for (k, fact) in facts.iter().enumerate() {
+        if !matches!(fact, Fact::Intrinsic { .. }) {
+            return None;
+        }
+        for (slot, d) in row(model, places, state, fact, &mut charts)?.slots {
+            let Slot::Global(at) = slot else { return None };
+            out[(k, at)] += d;
         }
     }
     Some(out)

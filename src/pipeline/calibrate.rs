@@ -148,8 +148,8 @@ fn run(
 fn explained(error: Error, images: &[SeenImage]) -> Error {
     let first = images.iter().find_map(|i| Some(format!(" {}: {}", i.name, i.warnings.first()?)));
     match (error, first) {
-        (Error::Unusable(Unusable::NotConverged { reason, decrement, wanted, .. }), Some(besides)) => {
-            Unusable::NotConverged { reason, decrement, wanted, besides }.into()
+        (Error::Unusable(Unusable::NotConverged { reason, decrement, wanted, besides }), Some(first)) => {
+            Unusable::NotConverged { reason, decrement, wanted, besides: besides + &first }.into()
         }
         (error, _) => error,
     }

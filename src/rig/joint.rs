@@ -8,6 +8,7 @@ use super::labels::{changed, image_at, is_pair, labels, order_pairs, relabel};
 use super::lone::{lone_camera, place_lone_views};
 use super::mono::{calibrate_camera, thinned_model};
 use super::off_plane::views_off_plane;
+use super::open::{adjusted_as_usual, left_open, usual_where_open};
 use super::pitches::shifted;
 use super::print::labels_by_print;
 use super::sides::{Side, Way, cheapest_side, side, ways};
@@ -81,7 +82,7 @@ pub fn calibrate_rig(problem: &RigProblem, options: &AdjustOptions, observe: Obs
                 reason: format!("{}{}", t.word(), weak_windows(&problem.model)),
                 decrement: adjustment.decrement,
                 wanted: options.solve.decrement,
-                besides: String::new(),
+                besides: left_open(&adjustment),
             }
             .into());
         }
@@ -138,8 +139,10 @@ fn adjusted(start: (RigProblem, State), undecided: Vec<String>, context: &Contex
     let Context { options, told } = *context;
     let (mut problem, mut start) = start;
     labels_by_print(&mut problem, &mut start);
-    let start = best_start(&problem, start, options, told);
-    let adjustment = adjust(&problem.model, start, options, &mut |i| told(i));
+    let adjustment = adjusted_as_usual(&problem, &start, context).unwrap_or_else(|| {
+        let start = best_start(&problem, start, options, told);
+        adjust(&problem.model, start, options, &mut |i| told(i))
+    });
     Together { problem, adjustment, undecided }
 }
 
@@ -230,8 +233,10 @@ fn start_of(problem: &RigProblem, ways: &[Way], context: &Context<'_>, undecided
         let trial = adjust(model, state, &quick(options), &mut |i| told(i)).state;
         rms_of(model, &trial).filter(|r| *r < limit_px).map(|r| (trial, r))
     };
-    let light = fits(&thinned_model(&labelled.model), State { offsets_mm: vec![], ..state.clone() });
-    Ok(match light.and_then(|_| fits(&labelled.model, state)) {
+    let mut model = labelled.model.clone();
+    model.facts.extend(usual_where_open(&labelled, &state));
+    let light = fits(&thinned_model(&model), State { offsets_mm: vec![], ..state.clone() });
+    Ok(match light.and_then(|_| fits(&model, state)) {
         Some((state, rms_px)) if rms_px > DOUBT * worst_px(&way.monos) => {
             Common::Doubtful(Box::new((labelled, state, way)), views_agree.outside)
         }

@@ -10,7 +10,7 @@
 //! alpha, beta   0, or those of the drawing                8 degrees, 3 degrees
 //! k1..k3     their stated value or 0                      1 % at the corner of the image
 //! ```
-//! Nothing of this enters the common adjustment. Facts of the rig file stay as they are, and come instead.
+//! Facts of the rig file stay as they are, and come instead. Of this the common adjustment takes no more than what it leaves open ([`super::open`]).
 
 use super::{CameraStart, RigProblem};
 use crate::bundle::{Fact, State};
@@ -19,7 +19,7 @@ use std::f64::consts::PI;
 /// Normals of views nearer to each other than this say no more of the camera than noise does, rad.
 const PARALLEL_RAD: f64 = 2.0 * PI / 180.0;
 /// Usual departure of f from its nominal value.
-const NOMINAL: f64 = 0.15;
+pub(super) const NOMINAL: f64 = 0.15;
 /// Usual distance of the axis point from the sensor's centre, in widths.
 const OFF_CENTER: f64 = 0.05;
 /// Usual tilt, and departure of a tilt from the drawing, rad.
@@ -54,7 +54,7 @@ pub(super) fn usual(problem: &RigProblem, c: usize) -> Vec<Fact> {
 }
 
 /// Parameter, value and standard deviation.
-fn usual_values(start: &CameraStart) -> Vec<(usize, f64, f64)> {
+pub(super) fn usual_values(start: &CameraStart) -> Vec<(usize, f64, f64)> {
     let [width, height] = start.size_px;
     let mut out: Vec<(usize, f64, f64)> = start.nominal_f_px.iter().map(|f| (0, *f, NOMINAL * f)).collect();
     for (k, size) in [(2, width), (3, height)] {
