@@ -11,7 +11,7 @@
 //! b_g'  = b_g - S G (G^T S G)^-1 G^T r  = b_g - A^T V_open diag(j) V_open^T A S^-1 r
 //! ```
 //! H' is the information where everything may move along G by any amount: `S' G = 0`, and nothing else is lost. The blocks follow G as they do in S,
-//! so that only their global part changes. S is inverted by its eigenvalues, scaled as in [`super::posterior`]; one that is nothing but rounding counts
+//! so that only their global part changes. S is inverted by its eigenvalues, scaled as in [`mod@super::posterior`]; one that is nothing but rounding counts
 //! as that, which makes M large and j small: both are then of no size in H'.
 //!
 //! | symbol | identifier | shape | meaning |
