@@ -133,7 +133,7 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
     };
     let others = || -> Result<_> {
         let (mut first, mut of_tests, mut of_mapping) = (vec![], vec![], vec![]);
-        let tests = model_tests::model_tests(s, &keys, (&mut first, &mut of_tests));
+        let tests = model_tests::model_tests(s, &keys, &watch, (&mut first, &mut of_tests));
         watch.check()?;
         let intervals = reach::intervals(a, &keys, &sigmas, &watch)?;
         let mapping =

@@ -55,7 +55,7 @@ fn step() -> Step {
 }
 
 fn test_of(scene: &Scene, seed: u64) -> MovedTest {
-    moved_test(&adjusted(&drawn(scene, seed))).expect("the test was made")
+    moved_test(&adjusted(&drawn(scene, seed)), &mut |_| true).expect("the test was made")
 }
 
 /// Whichever view it was moved before, and whatever it was moved by: both are found.
@@ -140,6 +140,6 @@ fn who_moved_a_camera_is_told() {
     assert!(f.flags[0].contains("one camera was moved between view 6 and view 7 of 12"), "{:?}", f.flags);
     let of_model = |w: &String| w.contains("the images ask for") || w.contains("bent") || w.contains("the dots");
     assert!(!f.flags.iter().any(of_model), "{:#?}", f.flags);
-    let row = f.diagnosis.model_tests.iter().find(|t| t.question.contains("stand still")).expect("a row");
+    let row = f.diagnosis.model_tests.iter().find(|t| t.question.contains("did a camera move")).expect("a row");
     assert!(row.needed && row.unit == "degrees" && (row.size - 0.0068).abs() < 0.002, "{row:?}");
 }

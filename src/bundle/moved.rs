@@ -20,6 +20,7 @@
 //! chi2_rest within chance (above 1 %):  p = (number of steps and drifts) P(chi-square > chi2_max)
 //! else                                  p = part of all orders of the epochs in which chi2_max is as large (a sample of them)
 //! ```
+//!
 //! | symbol | identifier | unit | frame | meaning |
 //! |---|---|---|---|---|
 //! | eta | `estimate` | rad, mm | solver frame of the second camera | turn and shift of the camera; the shift is that of its projection centre |
@@ -38,7 +39,7 @@ use super::image_map::{MappedNormal, Slot};
 use super::layout::Places;
 use super::model::Model;
 use super::state::State;
-use crate::solve::{Score, ScoreTests};
+use crate::solve::{Iteration, Score, ScoreTests};
 use crate::stats::chi_square_above;
 use apart::Apart;
 use nalgebra::{DMatrix, DVector, Matrix6, Vector3, Vector6};
@@ -60,7 +61,7 @@ const RIDGE: f64 = 1e-9;
 /// When the cameras were moved against each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Moved {
-    /// Before this view, an index of the model's list.
+    /// Before this view, an index of the model's list; where epochs have several views, the first of one.
     Before(usize),
     /// By and by over all views.
     Steadily,
@@ -85,8 +86,9 @@ pub struct MovedTest {
     pub changes: [DVector<f64>; 2],
 }
 
-/// The test; `None` with one camera, too few views, or where the images say nothing.
-pub fn moved_test(adjustment: &Adjustment) -> Option<MovedTest> {
+/// The test; `None` with one camera, too few views, or where the images say nothing. `observe` sees the iterations of the adjustment with a step, and
+/// returns false to do without it.
+pub fn moved_test(adjustment: &Adjustment, observe: &mut dyn FnMut(&Iteration) -> bool) -> Option<MovedTest> {
     let (model, state) = (&adjustment.model, &adjustment.state);
     let places = Places::of(model);
     let motion = (*places.motions.get(1)?)?;
@@ -120,7 +122,7 @@ pub fn moved_test(adjustment: &Adjustment) -> Option<MovedTest> {
     let mut rest = (any.statistic - score.statistic, any.degrees.saturating_sub(score.degrees));
     if let Moved::Before(view) = out.when {
         let apart = Apart::of(model, &places, motion, view);
-        if let Some((stood, less)) = apart.adjusted(state) {
+        if let Some((stood, less)) = apart.adjusted(state, observe) {
             let images = apart.of_each_image(&stood)?;
             let epochs = Epochs { motions: [motion, places.shared()], first: places.shared() + 6, ..epochs };
             let left = Steps::of(model, (apart.places(), &epochs), images, &stood.before)?.any()?;
@@ -213,24 +215,27 @@ impl Steps {
     /// Part of the orders of the epochs in which one of the steps, or the drift, is as large as in the true one.
     fn among_orders(&self, asked: &[Option<usize>]) -> f64 {
         let (information, slope) = self.tests.left(&self.tested);
+        let between = |e: usize, f: usize| information.fixed_view::<6, 6>(6 * e, 6 * f);
+        // Of the epoch by itself, with what keeps directions of which it says nothing from being divided by.
+        let alone = |e: usize| between(e, e) + Matrix6::from_diagonal(&(between(e, e).diagonal() * RIDGE));
+        let statistic = |m: Matrix6<f64>, g: &Vector6<f64>| m.cholesky().map_or(0.0, |m| g.dot(&m.solve(g)));
         let largest = |order: &[usize]| {
-            let statistics = asked.iter().map(|step| {
-                let (mut m, mut g) = (Matrix6::zeros(), Vector6::zeros());
-                for (place, &e) in order.iter().enumerate() {
-                    let own = self.part(*step, place);
-                    if own == 0.0 {
-                        continue;
-                    }
-                    g += slope.fixed_rows::<6>(6 * e) * own;
-                    let alone = information.fixed_view::<6, 6>(6 * e, 6 * e).diagonal() * (RIDGE * own * own);
-                    m += Matrix6::from_diagonal(&alone);
-                    for (other, &f) in order.iter().enumerate() {
-                        m += information.fixed_view::<6, 6>(6 * e, 6 * f) * (own * self.part(*step, other));
-                    }
+            let mut out = 0.0_f64;
+            let [mut of_step, mut of_drift] = [(Matrix6::zeros(), Vector6::zeros()); 2];
+            for (place, &e) in order.iter().enumerate().rev() {
+                let (own, slope) = (self.part(None, place), slope.fixed_rows::<6>(6 * e));
+                of_step = (of_step.0 + alone(e), of_step.1 + slope);
+                of_drift = (of_drift.0 + alone(e) * own.powi(2), of_drift.1 + slope * own);
+                for (later, &f) in order.iter().enumerate().skip(place + 1) {
+                    let both = between(e, f) + between(f, e);
+                    of_step.0 += both;
+                    of_drift.0 += both * (own * self.part(None, later));
                 }
-                m.cholesky().map_or(0.0, |m| g.dot(&m.solve(&g)))
-            });
-            statistics.fold(0.0, f64::max)
+                if asked.contains(&Some(place)) {
+                    out = out.max(statistic(of_step.0, &of_step.1));
+                }
+            }
+            out.max(statistic(of_drift.0, &of_drift.1))
         };
         let mut order: Vec<usize> = (0..self.tested.len() / 6).collect();
         let true_one = largest(&order);

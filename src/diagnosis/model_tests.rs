@@ -2,7 +2,7 @@
 
 use super::keys::{Keys, intrinsic_unit};
 use super::moved;
-use super::{FALSE_ALARMS, FELT_SIGMAS, Subject, digits, measured};
+use super::{FALSE_ALARMS, FELT_SIGMAS, Subject, Watch, digits, measured};
 use crate::bundle::{Extension, ExtensionTest, extension_tests, intrinsic_words, moved_test, named_rows};
 use crate::record::ModelTest;
 use crate::stats::chi_square_above;
@@ -37,12 +37,13 @@ impl Felt<'_> {
 pub(super) fn model_tests(
     s: &Subject<'_>,
     keys: &Keys,
+    watch: &Watch<'_>,
     (first, flags): (&mut Vec<String>, &mut Vec<String>),
 ) -> Vec<ModelTest> {
     let Some(tests) = extension_tests(s.adjustment) else { return vec![] };
     let rows = named_rows(s.adjustment, &keys.rows).unwrap_or_else(|| DMatrix::zeros(0, 0));
     let felt = Felt { keys, rows, variance: s.covariance.propagate(&keys.rows).diagonal() };
-    let moved = moved_test(s.adjustment);
+    let moved = moved_test(s.adjustment, &mut |i| watch.goes_on(i));
     let asked = (tests.len() + usize::from(moved.is_some())) as f64;
     let needed = |p_value: f64| p_value * asked < FALSE_ALARMS;
     // Of what a moved camera does to the images other tests explain a part, and it a part of what they are of: what explains most is to be believed.

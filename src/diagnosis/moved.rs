@@ -9,7 +9,7 @@ pub(super) fn model_test(t: &MovedTest, views: usize, needed: bool, bias: (f64, 
     let [size, sigma] = t.turn_rad.map(f64::to_degrees);
     let felt = needed && bias.0 > FELT_SIGMAS;
     let row = ModelTest {
-        question: "did the cameras stand still to each other?".into(),
+        question: "did a camera move between views?".into(),
         statistic: t.statistic,
         degrees_of_freedom: t.degrees,
         p_value: t.p_value,

@@ -10,7 +10,7 @@ use crate::bundle::retraction;
 use crate::bundle::state::State;
 use crate::frames::{Cam, Rig};
 use crate::rigid::{Motion, rotation_log};
-use crate::solve::{NormalEquations, Options, Problem, Step, Termination, minimise};
+use crate::solve::{Iteration, NormalEquations, Options, Problem, Step, Termination, minimise};
 
 /// Where both cameras stand before, and the second one afterwards.
 #[derive(Debug, Clone)]
@@ -44,10 +44,10 @@ impl<'a> Apart<'a> {
     }
 
     /// The minimum, and its cost less than at the start.
-    pub(super) fn adjusted(&self, start: &State) -> Option<(Stood, f64)> {
+    pub(super) fn adjusted(&self, start: &State, observe: &mut dyn FnMut(&Iteration) -> bool) -> Option<(Stood, f64)> {
         let start = Stood { before: start.clone(), after: start.clone() };
         let cost = self.cost(&start)?;
-        let out = minimise(self, start, &Options { decrement: 1e-2, iterations: 200 }, &mut |_| true);
+        let out = minimise(self, start, &Options { decrement: 1e-2, iterations: 200 }, observe);
         (out.termination == Termination::Converged).then_some((out.state, cost - out.cost))
     }
 
