@@ -146,6 +146,8 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
     (out.diagnosis.model_tests, out.diagnosis.views) = (tests, views.influences);
     out.mapping = mapping.map(|m| MappingUncertainty { by_views: views.felt, ..m });
     out.diagnosis.outliers = outliers::outliers(s, !(first.is_empty() && of_tests.is_empty()));
+    // Views that stand on either side of a move contradict each other, whichever they are.
+    let of_views = if first.is_empty() { of_views } else { vec![] };
     out.flags = [first, out.flags, of_tests, of_views, of_mapping].concat();
     Ok(out)
 }

@@ -66,7 +66,7 @@ fn a_camera_that_was_moved_is_found_with_the_view_and_by_how_much() {
     for (name, parts) in [("plate", plate()), ("misprinted", misprinted()), ("pair", pair), ("bubbles", bubbles)] {
         let views = parts.views.len();
         let mut off = vec![];
-        for before in 2..=views - 2 {
+        for before in 1..views {
             let step = step();
             let scene = with_steps(&parts, &|v| if v >= before { step } else { Step::zeros() });
             let t = test_of(&scene, 70 + before as u64);
@@ -104,22 +104,25 @@ fn cameras_that_stood_still_are_said_to() {
     }
 }
 
-/// A mount that gives way a little otherwise in each view is no step.
+/// A mount that gives way a little otherwise in each view is no step, of many views and of few.
 #[test]
 fn views_that_scatter_without_order_are_no_step() {
-    let parts = plate();
-    let mut alarms = 0;
-    let runs = 60;
-    for seed in 0..runs {
-        let mut noise = Noise::stream(seed, 9);
-        let jitter: Vec<Step> =
-            (0..12).map(|_| Step::from_fn(|k, _| noise.normal() * if k < 3 { 2e-5 } else { 0.005 })).collect();
-        let t = test_of(&with_steps(&parts, &|v| jitter[v]), 40 + seed);
-        assert!(t.statistic > 30.0, "felt: {}", t.statistic);
-        alarms += usize::from(t.p_value < 0.01);
+    let few = Scene::grid_parts(5, cameras(), PLATE);
+    let mut fewer = few.clone();
+    fewer.views.truncate(5);
+    for (parts, most) in [(plate(), 3), (few, 6), (fewer, 6)] {
+        let (mut alarms, runs, views) = (0, 60, parts.views.len());
+        for seed in 0..runs {
+            let mut noise = Noise::stream(seed, 9);
+            let part = |noise: &mut Noise, k: usize| noise.normal() * if k < 3 { 2e-5 } else { 0.005 };
+            let jitter: Vec<Step> = (0..views).map(|_| Step::from_fn(|k, _| part(&mut noise, k))).collect();
+            let t = test_of(&with_steps(&parts, &|v| jitter[v]), 40 + seed);
+            assert!(t.statistic > 30.0, "felt: {}", t.statistic);
+            alarms += usize::from(t.p_value < 0.001);
+        }
+        println!("{alarms} of {runs} taken for a step, {views} views");
+        assert!(alarms <= most, "{alarms} of {runs}, {views} views");
     }
-    println!("{alarms} of {runs} taken for a step");
-    assert!(alarms <= 3, "{alarms} of {runs}");
 }
 
 #[test]

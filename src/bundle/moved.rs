@@ -5,7 +5,7 @@
 //! ```text
 //! delta_e in R^6,  d image / d delta_e = d image / d motion    for images of the second camera in epoch e
 //! any:    all delta_e free (but their common part, which is the motion)         chi2_any
-//! step:   delta_e = eta for e >= k, else 0,  k with two views at least on either side    chi2_k
+//! step:   delta_e = eta for e >= k, else 0    chi2_k
 //! drift:  delta_e = eta e / (E - 1)                                                 chi2_d
 //! ```
 //! Where the largest is a step beyond chance, it is adjusted ([`apart`]), since a camera that was pushed moves images by pixels, where equations bend:
@@ -17,9 +17,11 @@
 //! What differs from view to view without any order (a plate that bends, a mount that gives way) would pass for the largest step. So a step is compared with
 //! what is left beside it:
 //! ```text
-//! chi2_rest within chance (above 1 %):  p = (number of steps and drifts) P(chi-square > chi2_max)
-//! else                                  p = part of all orders of the epochs in which chi2_max is as large (a sample of them)
+//! chi2_rest within chance (above 1 %), and that of no other division of the epochs in two which has five sixths of chi2_max:
+//!         p = (number of steps and drifts) P(chi-square > chi2_max)
+//! else    p = part of all orders of the epochs in which chi2_max is as large (a sample of them)
 //! ```
+//! (of few views that scatter some division leaves nothing but chance: that it is the one in their order has to be as clear.)
 //!
 //! | symbol | identifier | unit | frame | meaning |
 //! |---|---|---|---|---|
@@ -46,13 +48,15 @@ use nalgebra::{DMatrix, DVector, Matrix6, Vector3, Vector6};
 
 /// Epochs at most.
 const MOST_EPOCHS: usize = 40;
-/// Views on either side of a step: a single one is left out to see what it does.
-const FEWEST: usize = 2;
+/// Fewer views tell no move from a view that is wrong by itself.
+const FEWEST: usize = 4;
 /// Chance of what is left beside a step below which views differ by more than noise.
 const SCATTERED: f64 = 0.01;
 /// Orders that are drawn, and of how many as good as the true one it is enough to know.
 const ORDERS: usize = 4999;
 const ENOUGH: usize = 100;
+/// Part of a step from which on that of another division is as good.
+const RIVAL: f64 = 5.0 / 6.0;
 /// Discs in all images at most where each is estimated: their equations are kept.
 const KEPT: usize = 200_000;
 /// Part of what an epoch says of its step by itself that is too little to be looked at.
@@ -67,6 +71,17 @@ pub enum Moved {
     Steadily,
 }
 
+impl Moved {
+    /// The view that alone stands on one side, of so many.
+    pub fn alone(self, views: usize) -> Option<usize> {
+        match self {
+            Moved::Before(1) => Some(0),
+            Moved::Before(view) => Some(view).filter(|view| view + 1 == views),
+            Moved::Steadily => None,
+        }
+    }
+}
+
 /// The most significant of all steps, and the drift.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MovedTest {
@@ -78,6 +93,8 @@ pub struct MovedTest {
     pub degrees: usize,
     /// Probability of so large a step by chance, of all that were asked.
     pub p_value: f64,
+    /// Whether views differ by more than noise, but as they do in other orders, too.
+    pub scattered: bool,
     /// Angle by which one camera turned against the other (between the first view and the last, for a drift), and its standard deviation, rad.
     pub turn_rad: [f64; 2],
     /// By how much the projection centre of one moved as seen from the other, and its standard deviation, mm.
@@ -93,7 +110,7 @@ pub fn moved_test(adjustment: &Adjustment, observe: &mut dyn FnMut(&Iteration) -
     let places = Places::of(model);
     let motion = (*places.motions.get(1)?)?;
     let views = model.views.len();
-    if views < 2 * FEWEST || places.offsets.is_some() && model.images.len() * model.target.disc_count() > KEPT {
+    if views < FEWEST || places.offsets.is_some() && model.images.len() * model.target.disc_count() > KEPT {
         return None;
     }
     let epochs = Epochs { views, each: views.div_ceil(MOST_EPOCHS), motions: [motion; 2], first: places.shared() };
@@ -112,6 +129,7 @@ pub fn moved_test(adjustment: &Adjustment, observe: &mut dyn FnMut(&Iteration) -
         statistic: score.statistic,
         degrees: score.degrees,
         p_value: chance(score.statistic).min(1.0),
+        scattered: false,
         turn_rad: size(&score, 0),
         shift_mm: size(&score, 3),
         changes: [change, at_last],
@@ -131,8 +149,11 @@ pub fn moved_test(adjustment: &Adjustment, observe: &mut dyn FnMut(&Iteration) -
             out.p_value = chance(out.statistic).min(1.0);
         }
     }
-    if chi_square_above(rest.0, rest.1 as f64) < SCATTERED {
-        out.p_value = steps.among_orders(&asked);
+    let among = steps.among_orders(&asked, step);
+    let by_chance = |(statistic, degrees): (f64, usize)| chi_square_above(statistic, degrees as f64) > SCATTERED;
+    let beside = any.degrees.saturating_sub(score.degrees);
+    if !by_chance(rest) || among.rival.is_some_and(|rival| by_chance((any.statistic - rival, beside))) {
+        (out.p_value, out.scattered) = (among.as_large, true);
     }
     Some(out)
 }
@@ -164,9 +185,16 @@ impl Epochs {
 
     /// Epochs before which there may be a step, and the drift.
     fn steps(&self) -> Vec<Option<usize>> {
-        let few = |k: &usize| k * self.each >= FEWEST && self.views - k * self.each >= FEWEST;
-        (1..self.count()).filter(few).map(Some).chain([None]).collect()
+        (1..self.count()).map(Some).chain([None]).collect()
     }
+}
+
+/// What other orders of the epochs have.
+struct Among {
+    /// Part of them with a step, or a drift, as large.
+    as_large: f64,
+    /// That of another division of the epochs in two which is nearly as good.
+    rival: Option<f64>,
 }
 
 /// Steps of all epochs, ready to be tested.
@@ -212,15 +240,20 @@ impl Steps {
         self.tests.test(&self.tested, &DMatrix::identity(n, n))
     }
 
-    /// Part of the orders of the epochs in which one of the steps, or the drift, is as large as in the true one.
-    fn among_orders(&self, asked: &[Option<usize>]) -> f64 {
+    /// The steps, and the drift, of other orders of the epochs beside `best`, the largest of the true one.
+    fn among_orders(&self, asked: &[Option<usize>], best: Option<usize>) -> Among {
         let (information, slope) = self.tests.left(&self.tested);
         let between = |e: usize, f: usize| information.fixed_view::<6, 6>(6 * e, 6 * f);
         // Of the epoch by itself, with what keeps directions of which it says nothing from being divided by.
         let alone = |e: usize| between(e, e) + Matrix6::from_diagonal(&(between(e, e).diagonal() * RIDGE));
         let statistic = |m: Matrix6<f64>, g: &Vector6<f64>| m.cholesky().map_or(0.0, |m| g.dot(&m.solve(g)));
+        let epochs = self.tested.len() / 6;
+        let after = |step: usize| (step..epochs).fold(0_u64, |set, e| set | 1 << e);
+        let divided = best.map(after);
+        let all = after(0);
+        // The largest, and the largest that does not divide the epochs as the true one does.
         let largest = |order: &[usize]| {
-            let mut out = 0.0_f64;
+            let (mut out, mut other, mut set) = (0.0_f64, 0.0_f64, 0_u64);
             let [mut of_step, mut of_drift] = [(Matrix6::zeros(), Vector6::zeros()); 2];
             for (place, &e) in order.iter().enumerate().rev() {
                 let (own, slope) = (self.part(None, place), slope.fixed_rows::<6>(6 * e));
@@ -231,14 +264,19 @@ impl Steps {
                     of_step.0 += both;
                     of_drift.0 += both * (own * self.part(None, later));
                 }
+                set |= 1 << e;
                 if asked.contains(&Some(place)) {
-                    out = out.max(statistic(of_step.0, &of_step.1));
+                    let own = statistic(of_step.0, &of_step.1);
+                    out = out.max(own);
+                    if divided.is_some_and(|d| d != set && d != all ^ set) {
+                        other = other.max(own);
+                    }
                 }
             }
-            out.max(statistic(of_drift.0, &of_drift.1))
+            (out.max(statistic(of_drift.0, &of_drift.1)), other)
         };
-        let mut order: Vec<usize> = (0..self.tested.len() / 6).collect();
-        let true_one = largest(&order);
+        let mut order: Vec<usize> = (0..epochs).collect();
+        let (true_one, mut rival) = largest(&order);
         let (mut as_large, mut drawn, mut state) = (0, 0, 1_u64);
         while drawn < ORDERS && as_large < ENOUGH {
             for i in (1..order.len()).rev() {
@@ -247,9 +285,14 @@ impl Steps {
                 order.swap(i, (state >> 33) as usize % (i + 1));
             }
             drawn += 1;
-            as_large += usize::from(largest(&order) >= true_one);
+            let (own, other) = largest(&order);
+            as_large += usize::from(own >= true_one);
+            rival = rival.max(other);
         }
-        (as_large + 1) as f64 / (drawn + 1) as f64
+        Among {
+            as_large: (as_large + 1) as f64 / (drawn + 1) as f64,
+            rival: (rival > RIVAL * true_one).then_some(rival),
+        }
     }
 }
 

@@ -49,7 +49,19 @@ pub(super) fn model_tests(
     // Of what a moved camera does to the images other tests explain a part, and it a part of what they are of: what explains most is to be believed.
     let beyond = |statistic: f64, degrees: usize| statistic - degrees as f64;
     let explained = tests.iter().map(|t| beyond(t.statistic, t.degrees)).fold(0.0, f64::max);
-    let by_move = moved.as_ref().is_some_and(|t| needed(t.p_value) && beyond(t.statistic, t.degrees) > explained);
+    let of_move = moved.map(|test| {
+        let views = s.adjustment.model.views.len();
+        let [at_first, at_last] = test.changes.each_ref().map(|change| felt.bias(change));
+        let bias = if at_first.0 > at_last.0 { at_first } else { at_last };
+        let enlarged = Some(enlarged(s)).filter(|times| *times > ENLARGED);
+        let (mut row, flagged) = moved::model_test(&test, views, (needed(test.p_value), enlarged), bias);
+        let most = beyond(test.statistic, test.degrees) > explained;
+        if row.needed && !most {
+            row.words += "; what else the images ask for explains more, and goes first";
+        }
+        (row, flagged && most, test.when.alone(views).is_some())
+    });
+    let by_move = of_move.as_ref().is_some_and(|(_, flagged, _)| *flagged);
     let mut out: Vec<ModelTest> = vec![];
     for test in &tests {
         let p_value = chi_square_above(test.statistic, test.degrees as f64);
@@ -60,16 +72,10 @@ pub(super) fn model_tests(
         flags.extend((flagged && !by_move).then(|| one.words.clone()));
         out.push(one);
     }
-    if let Some(test) = moved {
-        let views = s.adjustment.model.views.len();
-        let [at_first, at_last] = test.changes.each_ref().map(|change| felt.bias(change));
-        let bias = if at_first.0 > at_last.0 { at_first } else { at_last };
-        let (mut one, flagged) = moved::model_test(&test, views, needed(test.p_value), bias);
-        if one.needed && !by_move {
-            one.words += "; what else the images ask for explains more, and goes first";
-        }
-        first.extend((flagged && by_move).then(|| one.words.clone()));
-        out.push(one);
+    if let Some((row, flagged, alone)) = of_move {
+        // A single view may be wrong by itself: what else is said of it stays beside.
+        if alone { &mut *flags } else { &mut *first }.extend(flagged.then(|| row.words.clone()));
+        out.push(row);
     }
     out
 }
@@ -81,7 +87,7 @@ fn of_extension(
     (p_value, needed): (f64, bool),
     bias: (f64, String),
 ) -> (ModelTest, bool) {
-    let enlarged = s.adjustment.model.images.iter().map(|i| i.sigma_scale).fold(1.0, f64::max);
+    let enlarged = enlarged(s);
     let alike = needed && test.extension == Extension::DisplacedDiscs && enlarged > ENLARGED;
     let felt = needed && (bias.0 > FELT_SIGMAS || alike);
     let one = ModelTest {
@@ -98,6 +104,11 @@ fn of_extension(
         needed,
     };
     (one, felt)
+}
+
+/// By how much the sigmas of an image are enlarged, at most.
+fn enlarged(s: &Subject<'_>) -> f64 {
+    s.adjustment.model.images.iter().map(|i| i.sigma_scale).fold(1.0, f64::max)
 }
 
 /// Sigmas enlarged by more hold what discs scatter by, but not that displaced ones are off by the same in all images.
