@@ -21,7 +21,8 @@
 //!         p = (number of steps and drifts) P(chi-square > chi2_max)
 //! else    p = part of all orders of the epochs in which chi2_max is as large (a sample of them)
 //! ```
-//! (of few views that scatter some division leaves nothing but chance: that it is the one in their order has to be as clear.)
+//! (that of others in units of what the true one leaves, where this is below its degrees of freedom; of few views that scatter some division leaves
+//! nothing but chance: that it is the one in their order has to be as clear.)
 //!
 //! | symbol | identifier | unit | frame | meaning |
 //! |---|---|---|---|---|
@@ -152,7 +153,9 @@ pub fn moved_test(adjustment: &Adjustment, observe: &mut dyn FnMut(&Iteration) -
     let among = steps.among_orders(&asked, step);
     let by_chance = |(statistic, degrees): (f64, usize)| chi_square_above(statistic, degrees as f64) > SCATTERED;
     let beside = any.degrees.saturating_sub(score.degrees);
-    if !by_chance(rest) || among.rival.is_some_and(|rival| by_chance((any.statistic - rival, beside))) {
+    // Sigmas that were enlarged for the move are too large for what is left beside it, by as much as that is below chance.
+    let noise = (rest.0 / rest.1.max(1) as f64).clamp(f64::MIN_POSITIVE, 1.0);
+    if !by_chance(rest) || among.rival.is_some_and(|rival| by_chance(((any.statistic - rival) / noise, beside))) {
         (out.p_value, out.scattered) = (among.as_large, true);
     }
     Some(out)
