@@ -44,7 +44,7 @@ use super::model::Model;
 use super::state::State;
 use crate::solve::{Iteration, Score, ScoreTests};
 use crate::stats::chi_square_above;
-use apart::Apart;
+use apart::{Apart, Stood};
 use nalgebra::{DMatrix, DVector, Matrix6, Vector3, Vector6};
 
 /// Epochs at most.
@@ -120,16 +120,16 @@ pub fn moved_test(adjustment: &Adjustment, observe: &mut dyn FnMut(&Iteration) -
     let (any, asked) = (steps.any()?, epochs.steps());
     let found = asked.iter().filter_map(|step| Some((*step, steps.test(*step)?)));
     let (step, score) = found.max_by(|a, b| a.1.statistic.total_cmp(&b.1.statistic))?;
-    let chance = |statistic: f64| asked.len() as f64 * chi_square_above(statistic, score.degrees as f64);
     let mut change = DVector::zeros(places.global);
     change.rows_mut(0, places.shared()).copy_from(&score.shift.rows(0, places.shared()));
     let mut at_last = change.clone();
     (0..6).for_each(|k| at_last[motion + k] += score.estimate[k]);
+    let chance = |statistic: f64| (asked.len() as f64 * chi_square_above(statistic, score.degrees as f64)).min(1.0);
     let mut out = MovedTest {
         when: step.map_or(Moved::Steadily, |k| Moved::Before(k * epochs.each)),
         statistic: score.statistic,
         degrees: score.degrees,
-        p_value: chance(score.statistic).min(1.0),
+        p_value: chance(score.statistic),
         scattered: false,
         turn_rad: size(&score, 0),
         shift_mm: size(&score, 3),
@@ -138,27 +138,48 @@ pub fn moved_test(adjustment: &Adjustment, observe: &mut dyn FnMut(&Iteration) -
     if out.p_value > SCATTERED {
         return Some(out);
     }
-    let mut rest = (any.statistic - score.statistic, any.degrees.saturating_sub(score.degrees));
+    let degrees = any.degrees.saturating_sub(score.degrees);
+    let mut rest = Rest { statistic: any.statistic - score.statistic, degrees };
     if let Moved::Before(view) = out.when {
         let apart = Apart::of(model, &places, motion, view);
         if let Some((stood, less)) = apart.adjusted(state, observe) {
-            let images = apart.of_each_image(&stood)?;
-            let epochs = Epochs { motions: [motion, places.shared()], first: places.shared() + 6, ..epochs };
-            let left = Steps::of(model, (apart.places(), &epochs), images, &stood.before)?.any()?;
-            rest = (left.statistic, left.degrees);
+            rest = beside(model, (&apart, &stood), &epochs)?;
             (out.statistic, [out.turn_rad[0], out.shift_mm[0]]) = (2.0 * less, stood.moved_by());
-            out.p_value = chance(out.statistic).min(1.0);
+            out.p_value = chance(out.statistic);
         }
     }
     let among = steps.among_orders(&asked, step);
-    let by_chance = |(statistic, degrees): (f64, usize)| chi_square_above(statistic, degrees as f64) > SCATTERED;
-    let beside = any.degrees.saturating_sub(score.degrees);
-    // Sigmas that were enlarged for the move are too large for what is left beside it, by as much as that is below chance.
-    let noise = (rest.0 / rest.1.max(1) as f64).clamp(f64::MIN_POSITIVE, 1.0);
-    if !by_chance(rest) || among.rival.is_some_and(|rival| by_chance(((any.statistic - rival) / noise, beside))) {
+    let of_rival = |statistic: f64| Rest { statistic: (any.statistic - statistic) / rest.noise(), degrees };
+    if !rest.by_chance() || among.rival.is_some_and(|rival| of_rival(rival).by_chance()) {
         (out.p_value, out.scattered) = (among.as_large, true);
     }
     Some(out)
+}
+
+/// What is left beside a step.
+#[derive(Clone, Copy)]
+struct Rest {
+    statistic: f64,
+    degrees: usize,
+}
+
+impl Rest {
+    fn by_chance(self) -> bool {
+        chi_square_above(self.statistic, self.degrees as f64) > SCATTERED
+    }
+
+    /// Variance of the noise over the one that is stated, one at most: sigmas that were enlarged for a move are too large for what is left beside it.
+    fn noise(self) -> f64 {
+        (self.statistic / self.degrees.max(1) as f64).clamp(f64::MIN_POSITIVE, 1.0)
+    }
+}
+
+/// Beside a step that was adjusted.
+fn beside(model: &Model, (apart, stood): (&Apart<'_>, &Stood), epochs: &Epochs) -> Option<Rest> {
+    let images = apart.of_each_image(stood)?;
+    let epochs = Epochs { motions: apart.motions(), first: apart.places().shared(), ..*epochs };
+    let Score { statistic, degrees, .. } = Steps::of(model, (apart.places(), &epochs), images, &stood.before)?.any()?;
+    Some(Rest { statistic, degrees })
 }
 
 /// Size of the turn or the shift that begins at a place of eta, and its standard deviation.

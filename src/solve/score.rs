@@ -149,25 +149,24 @@ impl ScoreTests {
         Some(Self { information, rhs, base, base_inverse: inverse.matrix })
     }
 
+    /// `(S_tt, S_tx, r_t, r_x)` of what is `tested`.
+    fn parts(&self, tested: &[usize]) -> (DMatrix<f64>, DMatrix<f64>, DVector<f64>, DVector<f64>) {
+        let of = |a: &[usize], b: &[usize]| DMatrix::from_fn(a.len(), b.len(), |i, j| self.information[(a[i], b[j])]);
+        let rhs = |a: &[usize]| DVector::from_fn(a.len(), |i, _| self.rhs[a[i]]);
+        (of(tested, tested), of(tested, &self.base), rhs(tested), rhs(&self.base))
+    }
+
     /// M and g of what is `tested` where all of it is free (B the identity).
     pub fn left(&self, tested: &[usize]) -> (DMatrix<f64>, DVector<f64>) {
-        let (t, b) = (tested, &self.base);
-        let s_tt = DMatrix::from_fn(t.len(), t.len(), |i, j| self.information[(t[i], t[j])]);
-        let s_tx = DMatrix::from_fn(t.len(), b.len(), |i, j| self.information[(t[i], b[j])]);
+        let (s_tt, s_tx, r_t, r_x) = self.parts(tested);
         let carried = &self.base_inverse * s_tx.transpose();
-        let r_x = DVector::from_fn(b.len(), |i, _| self.rhs[b[i]]);
-        let r_t = DVector::from_fn(t.len(), |i, _| self.rhs[t[i]]);
         (s_tt - &s_tx * &carried, r_t - carried.tr_mul(&r_x))
     }
 
     /// Tests `tested = basis eta` (basis: tested x m); the remaining further unknowns stay zero. `None` where the images say nothing
     /// about it.
     pub fn test(&self, tested: &[usize], basis: &DMatrix<f64>) -> Option<Score> {
-        let (t, b) = (tested, &self.base);
-        let s_tt = DMatrix::from_fn(t.len(), t.len(), |i, j| self.information[(t[i], t[j])]);
-        let s_tx = DMatrix::from_fn(t.len(), b.len(), |i, j| self.information[(t[i], b[j])]);
-        let r_t = DVector::from_fn(t.len(), |i, _| self.rhs[t[i]]);
-        let r_x = DVector::from_fn(b.len(), |i, _| self.rhs[b[i]]);
+        let (s_tt, s_tx, r_t, r_x) = self.parts(tested);
         let alone = basis.tr_mul(&(s_tt * basis));
         let cross = basis.tr_mul(&s_tx);
         let carried = &self.base_inverse * cross.transpose();

@@ -39,6 +39,11 @@ impl<'a> Apart<'a> {
         self.bundle.places()
     }
 
+    /// Places of both motions.
+    pub(super) fn motions(&self) -> [usize; 2] {
+        self.motions
+    }
+
     fn is_after(&self, o: &ImageObservations) -> bool {
         o.camera == 1 && o.view >= self.view
     }
