@@ -107,14 +107,7 @@ pub(super) fn measure(record: &Record, series: &Series, window_px: usize, near: 
     let matches: Vec<Match> = found.into_iter().flatten().collect();
     let seen: Vec<Seen> = matches.iter().filter_map(|m| see(maps, m)).collect();
     let fit = if matches.len() >= FEWEST && seen.len() == matches.len() { fit_plane(&matches, &seen) } else { None };
-    let fit = fit.ok_or_else(|| {
-        Insufficient::Degenerate(format!(
-            "only {} of {} windows of {window_px} px show a clear correlation peak, {FEWEST} are needed to fix a plane; give more image pairs, \
-             or larger windows with --window-px",
-            matches.len(),
-            lattice.len()
-        ))
-    })?;
+    let fit = fit.ok_or_else(|| no_plane((window_px, &grid), lattice.len(), matches.len()))?;
     let away_px = median_across_mm(&seen).unwrap_or(0.0) / grid.mm_per_px;
     if away_px > ANYWHERE * search as f64 {
         return Err(Insufficient::Degenerate(format!(
@@ -131,6 +124,27 @@ pub(super) fn measure(record: &Record, series: &Series, window_px: usize, near: 
     Ok(Round { windows: lattice.len(), matches, fit, grid, median_px, step_px })
 }
 
+/// Why windows of a size, so many of them and of those with a peak, fix no plane.
+fn no_plane((window_px, grid): (usize, &SheetGrid), windows: usize, peaks: usize) -> Insufficient {
+    Insufficient::Degenerate(if windows < FEWEST {
+        let hold = |w: &usize| (grid.width_px / w) * (grid.height_px / w) >= FEWEST;
+        let largest = (1..window_px / 2).map(|half| 2 * half).rev().find(hold).unwrap_or(2);
+        format!(
+            "the field that both cameras see holds {windows} windows of {window_px} px, {FEWEST} are needed to fix a plane; give --window-px {largest} or less"
+        )
+    } else if peaks < FEWEST {
+        format!(
+            "only {peaks} of {windows} windows of {window_px} px show a clear correlation peak, {FEWEST} are needed to fix a plane; give more image pairs, \
+             or larger windows with --window-px"
+        )
+    } else {
+        format!(
+            "{peaks} of {windows} windows of {window_px} px show a clear correlation peak, but fix no plane together: what they show lies on a line, or where \
+             the cameras' lines of sight do not meet; check that left and right images are of the same moments and cameras, and give more image pairs"
+        )
+    })
+}
+
 /// Half of the disparities across the direction of depth are further than this off a linear field, mm.
 fn median_across_mm(seen: &[Seen]) -> Option<f64> {
     let across: Vec<Seen> = seen.iter().map(|s| Seen { point_mm: s.point_mm.xy().push(s.across_mm), ..*s }).collect();
@@ -144,4 +158,22 @@ fn furthest_mm(fit: &PlaneFit, grid: &SheetGrid) -> f64 {
     let [x0, y0, x1, y1] = grid.extent_mm();
     let z = |x: f64, y: f64| fit.abc.dot(&Vector3::new(1.0, x, y)).abs();
     z(x0, y0).max(z(x1, y0)).max(z(x0, y1)).max(z(x1, y1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whoever has windows that are too large is told to take smaller ones, of which enough fit.
+    #[test]
+    fn each_reason_for_no_plane_has_words_of_its_own() {
+        let grid = SheetGrid::over([0.0, 0.0, 99.9, 49.9], 0.1).unwrap();
+        let [w, h] = [grid.width_px, grid.height_px];
+        let large = no_plane((256, &grid), (w / 256) * (h / 256), 0).to_string();
+        let largest: usize = large.rsplit(' ').nth(2).unwrap().parse().unwrap_or_else(|_| panic!("{large}"));
+        assert!(large.contains("holds 3 windows of 256 px") && (w / largest) * (h / largest) >= FEWEST, "{large}");
+        assert!((w / (largest + 2)) * (h / (largest + 2)) < FEWEST, "{large}");
+        assert!(no_plane((32, &grid), 400, 3).to_string().contains("only 3 of 400 windows"));
+        assert!(no_plane((32, &grid), 400, 30).to_string().contains("fix no plane together"));
+    }
 }

@@ -131,7 +131,7 @@ fn sheet_table(out: &mut String, c: &SheetCheck) {
     let thickness = if c.thickness_mm.is_finite() {
         format!("{} mm (full width at 1/e²)", plain(c.thickness_mm, 2))
     } else {
-        "thinner than the particle images can show".into()
+        "not seen: thinner than the particle images, or too few windows tell of it".into()
     };
     row(out, "thickness of the light", &thickness);
     if let Some(p) = &c.profile {
