@@ -1,6 +1,6 @@
 //! `[sheet]`: where the sheet frame stands.
 
-use super::reader::{FINITE, Item, Section};
+use super::reader::{Item, PLACE_MM, Section};
 use super::{SheetFrame, SheetOrigin, ViewDescription};
 use crate::error::Result;
 use crate::target::{DotId, Target};
@@ -42,7 +42,7 @@ fn origin(item: &Item<'_>, target: &Target, views: &[ViewDescription]) -> Result
         let [x, y, z] = list.as_slice() else {
             return Err(point.refuse(format!("expected {what}, found a list of {}", list.len())));
         };
-        return Ok(SheetOrigin::Point([x.number(FINITE)?, y.number(FINITE)?, z.number(FINITE)?]));
+        return Ok(SheetOrigin::Point([x.number(PLACE_MM)?, y.number(PLACE_MM)?, z.number(PLACE_MM)?]));
     }
     section.only(&["view", "column", "row", "level"], |_| None)?;
     let view = view_index(&section, views)?;

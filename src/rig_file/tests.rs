@@ -247,9 +247,18 @@ fn exact_values_and_positions_are_told_how_they_are_written() {
             "plane_z_mm = 0.0",
             &z,
             12,
-            &["a finite number in mm, { value = ..., sigma = ... } or \"unknown\""],
+            &["a finite number in mm between -1 km and 1 km, { value = ..., sigma = ... } or \"unknown\""],
         );
     }
+}
+
+/// Lengths and places that no rig has would end in numbers that no sum holds.
+#[test]
+fn lengths_and_places_of_no_rig_are_refused() {
+    for wrong in ["1e-160", "0", "1e7"] {
+        refused(GRID, "spacing_mm = 3.5", &format!("spacing_mm = {wrong}"), 5, &["above 1e-6 and below 1 km"]);
+    }
+    refused(BUBBLES, "plane_z_mm = 0.0", "plane_z_mm = 1e300", 12, &["between -1 km and 1 km"]);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! `[[view]]`.
 
 use super::camera::VIEW_KEYS;
-use super::reader::{FINITE, Item, Limits, SIGMA, Section};
+use super::reader::{Item, Limits, PLACE_MM, SIGMA, Section};
 use super::{CameraDescription, PlaneZ, ViewDescription};
 use crate::error::Result;
 
@@ -72,7 +72,7 @@ fn read(section: &Section<'_>, item: &Item<'_>, cameras: &[CameraDescription]) -
 }
 
 const PLANE_Z: Limits =
-    Limits::new(f64::NEG_INFINITY, f64::INFINITY, "a finite number in mm, { value = ..., sigma = ... } or \"unknown\"");
+    Limits::new(-1e6, 1e6, "a finite number in mm between -1 km and 1 km, { value = ..., sigma = ... } or \"unknown\"");
 
 fn plane_z(item: &Item<'_>, sheet: bool) -> Result<PlaneZ> {
     let place = if item.is_text() && item.text("")? == "unknown" {
@@ -80,7 +80,7 @@ fn plane_z(item: &Item<'_>, sheet: bool) -> Result<PlaneZ> {
     } else if item.is_table() {
         let section = item.section("a table")?;
         section.only(&["value", "sigma"], |_| None)?;
-        let z_mm = section.require("value", "expected a position in mm")?.number(FINITE)?;
+        let z_mm = section.require("value", "expected a position in mm")?.number(PLACE_MM)?;
         PlaneZ::Known { z_mm, sigma_mm: section.number("sigma", SIGMA)? }
     } else {
         PlaneZ::Known { z_mm: item.number(PLANE_Z)?, sigma_mm: None }
