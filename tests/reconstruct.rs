@@ -12,6 +12,7 @@ use spivcal::dewarp::{SheetGrid, SheetMap};
 use spivcal::frames::{Cam, Rig, Sheet};
 use spivcal::reconstruct::*;
 use spivcal::record::Record;
+use spivcal::rigid::{Motion, rotation_exp};
 use std::process::Command;
 
 /// A vortex with an axial jet, mm per interval; lengths of some 10 mm.
@@ -138,6 +139,21 @@ fn bias_of_w(f: &VectorField) -> f64 {
         b += w * w;
     }
     a / b - 1.0
+}
+
+/// The grid of a turned frame has corners that no camera measured: they are no vectors that are missing.
+#[test]
+fn corners_of_a_turned_frame_are_not_missing() {
+    let texts = [0, 1].map(|c| raw_field(c, false, 0.0, 1, |_| true));
+    let fields = texts.each_ref().map(|t| beside(t, 0.0));
+    let turn = Motion::new(rotation_exp(&Vector3::new(0.0, 0.0, 0.8)), Vector3::zeros());
+    let m: Vec<SheetMap> = maps().iter().map(|m| m.in_frame(&turn)).collect();
+    let names = ["left", "right"];
+    let f = reconstruct([&m[0], &m[1]], [&fields[0], &fields[1]], names, &options(FieldUnit::RawPixels)).unwrap();
+    let (filled, all) = f.filled();
+    println!("{filled} vectors, {} points covered, {all} in all", f.covered);
+    assert!((filled as f64) < 0.7 * all as f64 && filled > 400, "{filled} of {all}");
+    assert!(f.covered >= filled && filled as f64 > 0.97 * f.covered as f64, "{filled} of {}", f.covered);
 }
 
 #[test]
@@ -470,7 +486,12 @@ fn the_program_reads_writes_and_refuses() {
 
     let half = raw_field(1, false, 0.05, 2, |n| n % 51 < 20);
     let (code, said) = run(&left, &half, &["--no-calibration-sigma"]);
-    assert!(code == 1 && said.contains("points have no vector") && said.contains("check masks"), "{said}");
+    assert!(
+        code == 1
+            && said.contains("points between the vectors of both cameras have no vector")
+            && said.contains("check masks"),
+        "{said}"
+    );
     let refused = |left: &str, right: &str, more: &[&str], code: i32, words: &str| {
         let _ = std::fs::remove_file(at("out.csv"));
         let (got, said) = run(left, right, more);

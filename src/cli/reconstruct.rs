@@ -137,11 +137,11 @@ fn fits_better(exchanged: &VectorField, found: &VectorField, names: [&str; 2]) -
 
 /// Says so where a good part of the points has no vector.
 fn gaps(found: &VectorField, fields: &[PlanarField; 2], names: [&str; 2]) -> Option<String> {
-    let (filled, all) = found.filled();
+    let (filled, all) = (found.filled().0, found.covered);
     let part = |f: &PlanarField| format!("{} of {}", f.filled().0, f.filled().1);
     ((all - filled) as f64 > MISSING_LIMIT * all as f64).then(|| {
         format!(
-            "{} of {all} points have no vector: the fields hold {} (\"{}\") and {} (\"{}\") of their vectors; check masks, flags and \
+            "{} of {all} points between the vectors of both cameras have no vector: the fields hold {} (\"{}\") and {} (\"{}\") of their vectors; check masks, flags and \
              validation of the planar fields",
             all - filled,
             part(&fields[0]),

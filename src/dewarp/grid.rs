@@ -173,7 +173,7 @@ impl SheetGrid {
 /// point.
 fn finest_mm_per_px(map: &SheetMap, p: [f64; 2]) -> Option<f64> {
     let (q, d) = map.project_jet(&Vector3::new(p[0], p[1], 0.0))?;
-    if !super::resample::inside(&q, map.size_px()) {
+    if !map.on_sensor(&q) {
         return None;
     }
     // Largest singular value of dq/d(x, y), px per mm.

@@ -174,6 +174,11 @@ impl SheetMap {
     pub fn size_px(&self) -> [usize; 2] {
         self.size_px
     }
+    /// Whether a pixel lies on the sensor, the outer halves of the border pixels included.
+    pub fn on_sensor(&self, q: &Vector2<f64>) -> bool {
+        let within = |x: f64, n: usize| x >= -0.5 && x <= n as f64 - 0.5;
+        within(q.x, self.size_px[0]) && within(q.y, self.size_px[1])
+    }
 
     /// Image (px) of one point (x, y, z) of the sheet frame, mm; for inner loops.
     ///

@@ -10,7 +10,6 @@ use super::weights::Table;
 use crate::error::{self, Invalid, Result};
 use crate::image::{GrayImage, GrayView, Pixels, Samples};
 use crate::lanes::Level;
-use nalgebra::Vector2;
 use rayon::prelude::*;
 
 /// Rows that one thread takes at a time.
@@ -23,12 +22,6 @@ pub struct Dewarped {
     pub image: GrayImage,
     /// Whether the camera sees the pixel, rows packed.
     pub valid: Vec<bool>,
-}
-
-/// Whether a position lies on the sensor, the outer halves of the border pixels included.
-pub(super) fn inside(q: &Vector2<f64>, size_px: [usize; 2]) -> bool {
-    let within = |x: f64, n: usize| x >= -0.5 && x <= n as f64 - 0.5;
-    within(q.x, size_px[0]) && within(q.y, size_px[1])
 }
 
 /// The grid in the plane z = `z_mm`, as a camera sees it.

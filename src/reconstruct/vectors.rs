@@ -99,6 +99,8 @@ pub struct VectorField {
     pub sigma_estimated: bool,
     /// Where the files state the standard deviations of the vectors: correlation of both cameras' errors across the direction of depth.
     pub common_errors: Option<f64>,
+    /// Points that the fields of both cameras cover, whether vectors are there or not.
+    pub covered: usize,
     /// What four equations leave over what the standard deviations of the vectors let expect, errors of both cameras being independent.
     pub residual_ratio: f64,
 }
@@ -146,10 +148,10 @@ impl Measured<'_> {
         }
     }
 
-    /// Whether a pixel lies on the sensor, outer halves of the border pixels included.
-    fn on_sensor(&self, q: &Vector2<f64>) -> bool {
-        let [w, h] = self.nominal.size_px().map(|n| n as f64);
-        (-0.5..=w - 0.5).contains(&q.x) && (-0.5..=h - 0.5).contains(&q.y)
+    /// Whether a pixel lies between the vectors of the field, there or not.
+    fn covers(&self, q: &Vector2<f64>) -> bool {
+        let e = self.field.extent();
+        self.nominal.on_sensor(q) && self.place(q).is_some_and(|p| (0..2).all(|a| (e[a]..=e[a + 2]).contains(&p[a])))
     }
 
     /// From raw px at a place (derivative of the sheet by the pixel there, where the field is in the sheet) to unit variance.
@@ -167,7 +169,7 @@ impl Measured<'_> {
 
     /// The planar vector at a raw pixel.
     fn at(&self, q: &Vector2<f64>) -> Option<Here> {
-        if !self.on_sensor(q) {
+        if !self.nominal.on_sensor(q) {
             return None;
         }
         let [x, y] = self.place(q)?;
@@ -272,7 +274,7 @@ fn coverage(m: &Measured, camera: &str) -> Result<([f64; 4], f64)> {
     let spacing = step(field.spacing[0], 0.0).zip(step(0.0, field.spacing[1])).map(|(a, b)| a.min(b));
     let all = field.filled().0;
     let seen = |p: &[f64; 2]| {
-        to_sheet(p[0], p[1]).and_then(|p| m.nominal.project(&p.push(0.0))).is_some_and(|q| m.on_sensor(&q))
+        to_sheet(p[0], p[1]).and_then(|p| m.nominal.project(&p.push(0.0))).is_some_and(|q| m.nominal.on_sensor(&q))
     };
     let unseen = all - field.positions().filter(seen).count();
     match spacing {
@@ -409,7 +411,10 @@ pub fn reconstruct(
         out.residual_ratio = Noise::fit(&expected, &vec![0.0; expected.len()]).map_or(f64::NAN, |n| n.still.sqrt());
     }
     for (i, s) in solved.iter().enumerate() {
-        let missing = |c: usize| maps[c].project(&place(i).push(0.0)).and_then(|q| measured[c].at(&q)).is_none();
+        let pixel = |c: usize| maps[c].project(&place(i).push(0.0));
+        let missing = |c: usize| pixel(c).and_then(|q| measured[c].at(&q)).is_none();
+        let covered = |c: usize| pixel(c).is_some_and(|q| measured[c].covers(&q));
+        out.covered += usize::from(s.is_some() || covered(0) && covered(1));
         let calibration = calibration.as_ref().map(|c| c[i]);
         out.push(&place(i), s.as_ref(), &noise, correlation, || [missing(0), missing(1)], calibration);
     }
@@ -507,6 +512,7 @@ impl VectorField {
             sigma_by_gradient: noise.by_gradient.sqrt(),
             sigma_estimated,
             common_errors: None,
+            covered: 0,
             residual_ratio: f64::NAN,
         }
     }
