@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use spivcal::record::Record;
-use spivcal::rig_file::RigDescription;
+use spivcal::rig_file::{Length, RigDescription, Scale};
 use spivcal::simulate::{PRESETS, Scene};
 use spivcal::target::Target;
 
@@ -32,6 +32,10 @@ fn every_way_to_set_the_scale_is_understood() {
             RigDescription::parse(&rig, "rig.toml").unwrap_or_else(|e| panic!("{word}: {e}\n{rig}"));
         }
     }
+    let grid = PRESETS.iter().find(|(n, _)| *n == "dot-grid").unwrap().1;
+    let told = grid.replace("[rig]", "[rig]\nscale_sigma_mm = 0.002");
+    let rig = RigDescription::parse(&Scene::parse(&told, "scene.toml").unwrap().rig_toml(), "rig.toml").unwrap();
+    assert!(matches!(rig.scale, Scale::TargetSpacing(Length { sigma_mm: Some(0.002), .. })), "{:?}", rig.scale);
     let plate = PRESETS.iter().find(|(n, _)| *n == "two-level-plate").unwrap().1;
     let known =
         plate.replace("[rig]", "[rig]\nradii_known = true\nfocus = { tilt_sigma_deg = 0.5, distance_sigma = 0.005 }");

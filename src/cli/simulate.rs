@@ -4,7 +4,7 @@ use super::Done;
 use super::arguments::Simulate;
 use super::files::{Output, can_write, fault, read_text};
 use super::progress::Bar;
-use crate::error::Result;
+use crate::error::{Error, Invalid, Result};
 use crate::pipeline::png_bytes;
 use crate::rig_file::RigDescription;
 use crate::simulate::{PRESETS, Scene, preset_text, simulate};
@@ -22,7 +22,7 @@ pub(super) fn run(command: &Simulate, progress: &Bar) -> Result<Done> {
             (Scene::preset(name)?, preset_text(name))
         }
     };
-    RigDescription::parse(&scene.rig_toml(), "the rig.toml of this scene")?;
+    can_be_calibrated(&scene, command.scene.as_deref())?;
     can_write(&command.output)?;
     if preset.is_some() {
         spare_scene(&command.output.join("scene.toml"))?;
@@ -49,6 +49,20 @@ pub(super) fn run(command: &Simulate, progress: &Bar) -> Result<Done> {
         rig.display()
     );
     Ok(Done { text, json, flags: Vec::new() })
+}
+
+/// Refuses a scene whose rig file nothing can be made of.
+fn can_be_calibrated(scene: &Scene, file: Option<&Path>) -> Result<()> {
+    let file = file.map_or("the preset".into(), |f| f.display().to_string());
+    match RigDescription::parse(&scene.rig_toml(), "rig.toml") {
+        Err(Error::Invalid(Invalid::Syntax { message, .. })) => {
+            let message = format!(
+                "of the scene a rig.toml would come that is refused ({message}); change [rig], [target] or names and views of the scene accordingly"
+            );
+            Err(Invalid::Syntax { file, line: 0, message }.into())
+        }
+        other => other.map(|_| ()),
+    }
 }
 
 /// Refuses to write a preset's scene over one that somebody wrote or changed.

@@ -58,7 +58,10 @@ fn target(out: &mut String, scene: &SceneFile) -> std::fmt::Result {
     let gives_scale = matches!(scene.rig.scale, None | Some(ScaleKey::Target));
     // The depth of a plate's second level is told beside its pitch.
     if let (true, Some(spacing)) = (gives_scale || t.kind == Kind::TwoLevelPlate, t.spacing_mm) {
-        writeln!(out, "spacing_mm = {spacing:?}")?;
+        match scene.rig.scale_sigma_mm.filter(|_| gives_scale) {
+            Some(sigma) => writeln!(out, "spacing_mm = {{ value = {spacing:?}, sigma = {sigma:?} }}")?,
+            None => writeln!(out, "spacing_mm = {spacing:?}")?,
+        }
     }
     if let (true, Some([a, b])) = (scene.rig.radii_known, t.radii_mm) {
         writeln!(out, "radii_mm = [{a:?}, {b:?}]")?;
