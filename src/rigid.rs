@@ -127,6 +127,10 @@ impl<A, B> Motion<A, B> {
         let rt = self.rotation.transpose();
         Motion::new(rt, -(rt * self.translation_mm))
     }
+    /// How the origin of `A` seen from `B`, C = -R^T t, follows the shift v of a left step: by -R^T.
+    pub fn center_by_shift(&self) -> Matrix3<f64> {
+        -self.rotation.transpose()
+    }
     /// A point seen from `A`.
     pub fn point(&self, p: &Point<B>) -> Point<A> {
         Point::from_vector(self.apply(&p.xyz_mm))

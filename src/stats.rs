@@ -30,6 +30,9 @@ pub fn chi_square_above(chi2: f64, degrees: f64) -> f64 {
     upper_gamma(degrees / 2.0, chi2 / 2.0)
 }
 
+/// Standard deviation of normal numbers over the median of their sizes.
+pub(crate) const SIGMA_OVER_MEDIAN: f64 = 1.4826;
+
 /// The middle one of some numbers, of two the larger, which end in another order; none of nothing.
 pub(crate) fn median(numbers: &mut [f64]) -> Option<f64> {
     let middle = numbers.len() / 2;

@@ -29,7 +29,7 @@ use crate::detect::sectors::{Lens, Sectors};
 use crate::detect::shot_noise::{ShotNoise, Told};
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::{GrayView, Samples};
-use crate::stats::median;
+use crate::stats::{SIGMA_OVER_MEDIAN, median};
 use crate::target::Polarity;
 use nalgebra::SMatrix;
 use pixels::{Exactly, clean_disc, fit_exactly};
@@ -409,7 +409,7 @@ fn drop_sectors(s: &mut Scratch) -> f64 {
         median(&mut s.sorted).unwrap_or(0.0)
     };
     let typical = of_kept(&|k| information[k]);
-    let shift = 1.4826 * of_kept(&|k| each(k).0.abs());
+    let shift = SIGMA_OVER_MEDIAN * of_kept(&|k| each(k).0.abs());
     let misfit = of_kept(&|k| each(k).1);
     let shift_limit = 4.5 * shift.max(typical.powf(-0.5));
     let keep: Vec<bool> = (0..count)

@@ -24,7 +24,7 @@ use crate::detect::candidate::Candidate;
 use crate::detect::level::ROUND;
 use crate::frames::Pixel;
 use crate::image::{GrayView, Samples};
-use crate::stats::median;
+use crate::stats::{SIGMA_OVER_MEDIAN, median};
 use crate::threads;
 use nalgebra::{SMatrix, SVector};
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -133,7 +133,7 @@ impl Polynomial {
             fitted.count = counts(kept.len()).last()?;
             fitted.solve(&sums)?;
             let off: Vec<f64> = kept.iter().map(|x| fitted.off(x).abs()).collect();
-            let limit = CLIP * 1.4826 * median(&mut off.clone())?;
+            let limit = CLIP * SIGMA_OVER_MEDIAN * median(&mut off.clone())?;
             let before = kept.len();
             let mut off = off.into_iter();
             kept.retain(|_| off.next().is_some_and(|off| off <= limit));

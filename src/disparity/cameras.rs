@@ -280,7 +280,7 @@ impl Prior {
         Some(Propagated { plane_and_center, against_start, covariance })
     }
 
-    /// Covariance of (a, b, c) and the second centre, C = -R^T t: a left step moves it by -R^T v.
+    /// Covariance of (a, b, c) and the second centre.
     fn plane_and_center(
         &self,
         now: &Record,
@@ -291,7 +291,7 @@ impl Prior {
     ) -> Matrix6<f64> {
         let k = g.ncols();
         let second = &now.cameras[1];
-        let turn = -second.cam_from_rig.motion::<Cam, Rig>().rotation.transpose();
+        let turn = second.cam_from_rig.motion::<Cam, Rig>().center_by_shift();
         let mut by = DMatrix::zeros(6, k + 3);
         by.rows_mut(0, 3).copy_from(plane_by);
         let row = |s: &str| old.index(&format!("{}.cam_from_rig.{s}", second.name));

@@ -22,6 +22,7 @@
 //! Sources: Wieneke, Exp. Fluids 39 (2005) 267 (disparity map); Wieneke, Meas. Sci. Technol. 29 (2018) 084002 (thick light).
 
 use crate::record::{DisparityMap, Misalignment};
+use crate::stats::SIGMA_OVER_MEDIAN;
 use nalgebra::{DMatrix, DVector};
 
 /// Coefficients of a quadratic in x and y.
@@ -42,7 +43,7 @@ fn median(values: &[f64]) -> f64 {
 fn signed_median(values: &[f64]) -> (f64, f64) {
     let middle = median(values);
     let away: Vec<f64> = values.iter().map(|v| (v - middle).abs()).collect();
-    (middle, MEDIAN_OVER_MEAN * 1.4826 * median(&away) / (values.len() as f64).sqrt())
+    (middle, MEDIAN_OVER_MEAN * SIGMA_OVER_MEDIAN * median(&away) / (values.len() as f64).sqrt())
 }
 
 /// Smooth part, what noise alone would make of it, and scatter; `taken` coefficients were fitted before. `NaN` where windows are too few.

@@ -93,7 +93,8 @@ pub(super) fn tukey_slope(t: f64) -> f64 {
 /// Whether a match is real, by the part of its disparity that no plane changes: 0 where it is far from all others.
 fn likely_across(seen: &[Seen]) -> Vec<f64> {
     let middle = median(seen.iter().map(|s| s.across_mm).collect());
-    let scale = (1.4826 * median(seen.iter().map(|s| (s.across_mm - middle).abs()).collect())).max(1e-12);
+    let scale =
+        (stats::SIGMA_OVER_MEDIAN * median(seen.iter().map(|s| (s.across_mm - middle).abs()).collect())).max(1e-12);
     seen.iter().map(|s| f64::from(u8::from((s.across_mm - middle).abs() < TUKEY * scale))).collect()
 }
 
@@ -131,7 +132,7 @@ pub(super) fn fit_plane(matches: &[Match], seen: &[Seen]) -> Option<PlaneFit> {
         let sizes: Vec<f64> = sizes.collect();
         // The fit has taken three numbers from them.
         let kept = sizes.len() as f64;
-        scale = (1.4826 * median(sizes) * (kept / (kept - 3.0).max(1.0)).sqrt()).max(1e-12);
+        scale = (stats::SIGMA_OVER_MEDIAN * median(sizes) * (kept / (kept - 3.0).max(1.0)).sqrt()).max(1e-12);
         for ((r, s), likely) in robust.iter_mut().zip(seen).zip(&likely) {
             *r = likely * tukey(residual(s, &abc) / scale);
         }

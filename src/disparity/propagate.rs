@@ -123,9 +123,8 @@ pub(super) fn propagate(
             weighted_plane(&seen?, &fit.weights)
         };
         by_number.set_column(k, &((at(h)? - at(-h)?) / (2.0 * h)));
-        // C = -R^T t: a left step moves it by -R^T v.
         if let Parameter::Motion(k_step @ 3..6) = parameter {
-            center_by_number.set_column(k, &(-center.rotation.row(k_step - 3).transpose()));
+            center_by_number.set_column(k, &center.center_by_shift().column(k_step - 3));
         }
     }
     let c = &start.covariance.matrix;

@@ -1,7 +1,7 @@
 //! Maps over the sheet: what the uncertainty of the calibration does where.
 
 use super::number::{plain, significant};
-use super::svg::{label, num, open};
+use super::svg::{bounds, colour, label, num, open};
 use crate::record::{MappingByViews, MappingUncertainty};
 use std::fmt::Write;
 
@@ -49,18 +49,6 @@ pub(super) fn maps(m: &MappingUncertainty) -> Vec<Map> {
         .collect()
 }
 
-fn bounds(values: &[f64]) -> [f64; 2] {
-    let finite = values.iter().copied().filter(|v| v.is_finite());
-    finite.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(v), h.max(v)])
-}
-
-fn colour(part: f64) -> String {
-    let t = part.clamp(0.0, 1.0) * (STOPS.len() - 1) as f64;
-    let k = (t.floor() as usize).min(STOPS.len() - 2);
-    let mix = |a: usize| (STOPS[k][a] + (t - k as f64) * (STOPS[k + 1][a] - STOPS[k][a])).round();
-    format!("rgb({},{},{})", mix(0), mix(1), mix(2))
-}
-
 fn picture(m: &MappingUncertainty, values: &[f64], unit: &str, title: &str) -> String {
     let [dx, dy] = m.map.spacing_mm;
     let ([x0, x1], [y0, y1]) = (bounds(&m.map.x_mm), bounds(&m.map.y_mm));
@@ -82,7 +70,7 @@ fn picture(m: &MappingUncertainty, values: &[f64], unit: &str, title: &str) -> S
             num(py),
             num(dx * scale + 0.3),
             num(dy * scale + 0.3),
-            colour((v - low) / span)
+            colour(&STOPS, (v - low) / span)
         );
     }
     for (x, anchor) in [(x0, "middle"), (x1, "middle")] {
@@ -102,7 +90,7 @@ fn picture(m: &MappingUncertainty, values: &[f64], unit: &str, title: &str) -> S
             num(x),
             num(top + height + 30.0),
             num(bar / 40.0 + 0.3),
-            colour(f64::from(k) / 39.0)
+            colour(&STOPS, f64::from(k) / 39.0)
         );
     }
     let y = top + height + 39.0;

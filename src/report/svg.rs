@@ -85,6 +85,20 @@ pub(super) fn line(out: &mut String, class: &str, from: [f64; 2], to: [f64; 2]) 
 }
 
 /// Opening tag of a picture with the view box `(0, 0, width, height)` and a spoken title.
+/// Smallest and largest of the finite ones.
+pub(super) fn bounds(values: &[f64]) -> [f64; 2] {
+    let finite = values.iter().copied().filter(|v| v.is_finite());
+    finite.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(v), h.max(v)])
+}
+
+/// The colour at a part (0 to 1) of a scale with evenly spaced stops.
+pub(super) fn colour(stops: &[[f64; 3]], part: f64) -> String {
+    let t = part.clamp(0.0, 1.0) * (stops.len() - 1) as f64;
+    let k = (t.floor() as usize).min(stops.len() - 2);
+    let mix = |a: usize| (stops[k][a] + (t - k as f64) * (stops[k + 1][a] - stops[k][a])).round();
+    format!("rgb({},{},{})", mix(0), mix(1), mix(2))
+}
+
 pub(super) fn open(width: f64, height: f64, title: &str) -> String {
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {} {}\" role=\"img\"><title>{}</title>",

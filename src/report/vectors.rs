@@ -1,7 +1,7 @@
 //! Three components as a picture: arrows in the plane over colours for w, axes in mm, doubtful vectors marked. One SVG file.
 
 use super::number::{nice_below, plain, significant};
-use super::svg::{escape, label, line, num, open, path, path_data};
+use super::svg::{bounds, colour, escape, label, line, num, open, path, path_data};
 use std::fmt::Write;
 
 /// Width of the field and room for its labels, px of the picture.
@@ -54,10 +54,6 @@ impl Frame {
     }
 }
 
-fn bounds(values: &[f64]) -> [f64; 2] {
-    values.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(*v), h.max(*v)])
-}
-
 /// Sorted finite values to a quantile; 0 without any.
 fn quantile(sorted: &[f64], part: f64) -> f64 {
     sorted.get((part * sorted.len().saturating_sub(1) as f64).round() as usize).copied().unwrap_or(0.0)
@@ -67,13 +63,6 @@ fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
     let mut out: Vec<f64> = values.filter(|v| v.is_finite()).collect();
     out.sort_by(f64::total_cmp);
     out
-}
-
-fn colour(part: f64) -> String {
-    let t = 2.0 * part.clamp(0.0, 1.0);
-    let k = if t < 1.0 { 0 } else { 1 };
-    let mix = |a: usize| (STOPS[k][a] + (t - k as f64) * (STOPS[k + 1][a] - STOPS[k][a])).round();
-    format!("rgb({},{},{})", mix(0), mix(1), mix(2))
 }
 
 /// Which colours stand for low and high: white is zero, or the end next to it where w has one sign only.
@@ -135,7 +124,7 @@ fn cells(out: &mut String, p: &VectorPicture, f: &Frame, [low, high]: [f64; 2]) 
         let w = p.displacement_mm[2][i];
         if w.is_finite() {
             let [x, y] = f.at(p.x_mm[i] - 0.5 * p.spacing_mm, p.y_mm[i] + 0.5 * p.spacing_mm);
-            let fill = colour(from + (to - from) * ((w - low) / (high - low)).clamp(0.0, 1.0));
+            let fill = colour(&STOPS, from + (to - from) * ((w - low) / (high - low)).clamp(0.0, 1.0));
             let _ = write!(
                 out,
                 "<rect x=\"{}\" y=\"{}\" width=\"{side}\" height=\"{side}\" fill=\"{fill}\"/>",
@@ -240,7 +229,7 @@ fn bar(out: &mut String, p: &VectorPicture, f: &Frame, [low, high]: [f64; 2]) {
             num(x),
             num(top + length * (1.0 - part - 1.0 / f64::from(PARTS))),
             num(length / f64::from(PARTS) + 0.4),
-            colour(from + (to - from) * (f64::from(k) + 0.5) / f64::from(PARTS))
+            colour(&STOPS, from + (to - from) * (f64::from(k) + 0.5) / f64::from(PARTS))
         );
     }
     for (w, y) in [(high, top), (0.5 * (low + high), top + 0.5 * length), (low, top + length)] {

@@ -30,9 +30,9 @@ pub fn placed_joint_sheet(
     let mut rows: Vec<Vec<(String, f64)>> = (0..3).map(|k| vec![(sheet_step(k), 1.0)]).collect();
     rows.push((0..3).map(|k| (sheet_step(3 + k), n[k])).collect());
     for k in 0..3 {
-        // C = -R^T t: a left step moves it by -R^T v.
         let terms = cam.zip(second).map(|(m, name)| {
-            (0..3).map(|j| (format!("{name}.cam_from_rig.{}", STEP_NAMES[3 + j]), -m.rotation[(j, k)])).collect()
+            let by = m.center_by_shift();
+            (0..3).map(|j| (format!("{name}.cam_from_rig.{}", STEP_NAMES[3 + j]), by[(k, j)])).collect()
         });
         rows.push(terms.unwrap_or_default());
     }

@@ -1,21 +1,13 @@
 //! A plane as the record holds it.
 
+use super::SheetEstimate;
 use super::gain::SheetUncertainty;
-use super::{Placement, SheetEstimate, plane_geometry};
 use crate::bundle::{NamedCovariance, Natural, Parameter, ParameterKnowledge, typical};
 use crate::camera::INTRINSICS;
 use crate::record::{ANGLES_CONVENTION, Pose, Record, Sheet, SheetSigma};
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector};
 
 impl SheetEstimate {
-    /// The plane `normal . p = distance` of the rig frame, its sigmas unknown; `second_center_mm` is the second projection
-    /// centre in the rig frame.
-    pub fn of_plane(normal: Vector3<f64>, distance_mm: f64, second_center_mm: Option<Vector3<f64>>) -> Self {
-        let mut estimate = plane_geometry(normal, distance_mm, second_center_mm, &Placement::default()).estimate;
-        estimate.sigmas.fill(f64::NAN);
-        estimate
-    }
-
     /// The part `sheet` of a record; `method` says how it was found, `views` from which views.
     pub fn to_record(&self, method: &str, views: Vec<usize>) -> Sheet {
         Sheet {

@@ -39,7 +39,7 @@ use crate::detect::band::LANES;
 use crate::detect::contour::Contour;
 use crate::detect::refine::Start;
 use crate::image::GrayView;
-use crate::stats::median;
+use crate::stats::{SIGMA_OVER_MEDIAN, median};
 
 /// Residual of an odd pixel, in units of the usual one.
 const ODD: f64 = 4.5;
@@ -149,7 +149,7 @@ fn pixel(frame: &Frame, x: f64, y: f64) -> (i64, i64) {
 }
 
 fn usual(mut sizes: Vec<f64>) -> f64 {
-    median(&mut sizes).map_or(1.0, |size| (1.4826 * size).max(1.0))
+    median(&mut sizes).map_or(1.0, |size| (SIGMA_OVER_MEDIAN * size).max(1.0))
 }
 
 impl Exact {

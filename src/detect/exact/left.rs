@@ -6,7 +6,7 @@ use crate::conic::Frame;
 use crate::detect::band::LANES;
 use crate::detect::dense::FIXED;
 use crate::detect::refine::Start;
-use crate::stats::median;
+use crate::stats::{SIGMA_OVER_MEDIAN, median};
 
 /// Pairs of neighbours below which smoke may pass for noise: chance alone makes three standard deviations of their likeness a quarter.
 const FEW: f64 = 144.0;
@@ -143,7 +143,7 @@ impl Exact {
             let kept = self.shares.iter().zip(kept).filter(|(x, k)| **k && x.information > 0.0);
             median(&mut kept.map(|(x, _)| f(x)).collect::<Vec<_>>()).unwrap_or(0.0)
         };
-        let scatter = (1.4826 * median(&|x| x.shift_px().abs() * x.information.sqrt())).max(1.0);
+        let scatter = (SIGMA_OVER_MEDIAN * median(&|x| x.shift_px().abs() * x.information.sqrt())).max(1.0);
         let misfit = median(&|x| x.squares / x.pixels.max(1.0)).max(1.0);
         let agrees = |x: &Share| {
             let off = if x.information > 0.0 { x.shift_px().abs() * x.information.sqrt() } else { 0.0 };

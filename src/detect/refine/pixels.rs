@@ -10,7 +10,7 @@ use crate::detect::quick::Clean;
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::GrayView;
 use crate::lanes::{self, Kernel, Lanes};
-use crate::stats::median;
+use crate::stats::{SIGMA_OVER_MEDIAN, median};
 use nalgebra::{SMatrix, SVector};
 
 /// Least information of an edge point, of the largest.
@@ -128,7 +128,8 @@ fn agree(shares: &[Share], sorted: &mut Vec<f64>) -> bool {
     let furthest = furthest2.sqrt();
     // What is typical lies below the most, and the limit is no less than that of noise alone: mostly neither needs to be known.
     even && (least > LEAST_TOLD * most || least > LEAST_TOLD * typical(&|x| x.information))
-        && (furthest < FURTHEST || furthest < FURTHEST * (1.4826 * typical(&|x| x.deviation2().sqrt())).max(1.0))
+        && (furthest < FURTHEST
+            || furthest < FURTHEST * (SIGMA_OVER_MEDIAN * typical(&|x| x.deviation2().sqrt())).max(1.0))
 }
 
 /// Edge points of the sectors that count, as wide as the processor is.
@@ -470,7 +471,7 @@ mod tests {
     fn plainly(shares: &[Share]) -> bool {
         let typical = |f: &dyn Fn(&Share) -> f64| median(&mut shares.iter().map(f).collect::<Vec<_>>()).unwrap_or(0.0);
         let off = |x: &Share| x.shift_px().abs() * x.information.sqrt();
-        let (information, limit) = (typical(&|x| x.information), 4.5 * (1.4826 * typical(&off)).max(1.0));
+        let (information, limit) = (typical(&|x| x.information), 4.5 * (SIGMA_OVER_MEDIAN * typical(&off)).max(1.0));
         shares.iter().all(|x| {
             let (enough, spread) = (x.information > 0.15 * information, x.squares / x.pixels.max(1.0));
             enough && off(x) < limit && spread < 2.0 + 5.0 * (2.0 / x.pixels.max(1.0)).sqrt()

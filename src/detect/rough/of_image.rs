@@ -36,7 +36,7 @@ use super::{Said, roughen, said, shrunk};
 use crate::conic::Feet;
 use crate::detect::refine::is_known;
 use crate::detect::{DetectOptions, Disc, RejectionReason};
-use crate::stats::median;
+use crate::stats::{SIGMA_OVER_MEDIAN, median};
 use crate::threads::{self, OwnMemory};
 
 /// Roughness that no contour is asked about, of the variance by noise.
@@ -154,7 +154,7 @@ impl Pool {
         let mut sorted: Vec<f64> = all.iter().map(|x| x.excess_px2).collect();
         let middle_px2 = median(&mut sorted)?;
         sorted.iter_mut().for_each(|x| *x = (*x - middle_px2).abs());
-        let spread_px2 = 1.4826 * median(&mut sorted)?;
+        let spread_px2 = SIGMA_OVER_MEDIAN * median(&mut sorted)?;
         let noise_px2 = all.iter().map(|x| x.noise_px2).sum::<f64>() / all.len() as f64;
         let mut pool =
             Self { common_px2: middle_px2, apart_px4: 0.0, middle_px2, spread_px2, noise_px2, rim: Rim::default() };

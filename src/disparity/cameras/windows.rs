@@ -7,6 +7,7 @@ use super::Prior;
 use crate::frames::Sheet;
 use crate::record::Record;
 use crate::rigid::Motion;
+use crate::stats::SIGMA_OVER_MEDIAN;
 use nalgebra::{DMatrix, DVector, Vector3};
 
 /// Gauss-Newton steps on one set of matches; two suffice but for cameras that were knocked.
@@ -204,7 +205,7 @@ fn scattered(places: &DMatrix<f64>, values: &DVector<f64>, matches: &[Match], us
         let mut sizes: Vec<f64> =
             (0..values.len()).filter(|i| used[*i]).map(|i| rest[i].abs() * even[i].sqrt()).collect();
         sizes.sort_by(f64::total_cmp);
-        scale = (1.4826 * sizes[sizes.len() / 2]).max(1e-12);
+        scale = (SIGMA_OVER_MEDIAN * sizes[sizes.len() / 2]).max(1e-12);
         (0..values.len()).for_each(|i| robust[i] = tukey(rest[i] * even[i].sqrt() / scale));
     }
     let (mut slope, mut square, mut sum) = (0.0, 0.0, 0.0);
