@@ -133,7 +133,10 @@ fn two_levels<'a>(image: &str, detection: &Detection, dots: &'a Dots) -> Result<
     let middle = Vector2::new(f64::from(offset.0) + 0.5, f64::from(offset.1) + 0.5);
     let parallax = (at - middle) * 2.0;
     if parallax.amax() > 0.85 {
-        return Err(refused("the levels are shifted by almost half a pitch, so that their order is not certain"));
+        let message = "the depth of the plate shifts its levels by almost half a pitch against each other, so that which dot lies beside which is not \
+                       certain; look at it less obliquely, or tilt it towards the camera"
+            .into();
+        return Err(pattern_error(image, message));
     }
     Ok(TwoLevels { dots, levels: [first, second], offset, parallax })
 }
