@@ -291,8 +291,9 @@ fn open_points(r: &Record) -> Vec<String> {
 }
 
 const NOTHING: &str = "Nothing has to be done.";
-const BY_ITSELF: &str = "Nothing has to be done for displacements: what is not determined is counted in the uncertainties of u, v and w. Where one \
-                         of those numbers is needed by itself, record further views, tilted about other axes, or give it a prior in the rig file.";
+const BY_ITSELF: &str = "Nothing has to be done for displacements as long as what was known beforehand is right: what the images leave open is counted by it \
+                         in the uncertainties of u, v and w. Where one of those numbers is needed by itself, record further views, tilted about other axes, \
+                         or give it a prior in the rig file.";
 
 /// What further views would help, and what else that is not known beforehand.
 fn more_views(r: &Record) -> Option<String> {
