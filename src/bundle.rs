@@ -87,12 +87,12 @@ pub use conflict::{PriorCheck, prior_checks};
 pub use extension::{Extension, ExtensionTest, extension_tests};
 pub use facts::{Fact, PriorOf};
 pub use focus::Focus;
-pub use influence::{ViewsLeftOut, named_rows, natural_of, predicted_with_all_views, readjusted_without_views};
+pub use influence::{ViewsLeftOut, named_rows, natural_of, predicted_with_all_views, readjusted_without};
 pub use model::{
     CameraModel, DiscObservation, ImageObservations, LensDependence, Loss, Model, Node, Observed, OvalDependence,
     PairObservation, PlanePosition, PointObservations, TargetModel, TargetShape, ViewModel, ViewPlace, WindowModel,
 };
-pub use moved::{Moved, MovedTest, moved_test};
+pub use moved::{Moved, MovedFit, MovedTest, moved_before, moved_test};
 pub use open::{Released, open_rows, released};
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use reach::{Numbers, Observe, Reach};

@@ -15,6 +15,7 @@
 //! it touches a number that a user relies on.
 
 mod culprit;
+mod explained;
 mod field;
 mod keys;
 mod mapping;
@@ -83,6 +84,19 @@ pub struct Findings {
     pub flags: Vec<String>,
 }
 
+/// A row of the record, and whether a user must look at it.
+struct Asked<T> {
+    row: T,
+    /// Its words without what to do.
+    found: String,
+    flagged: bool,
+}
+
+/// Words of those that a user must look at.
+fn flags<T: explained::Finding>(asked: &[Asked<T>]) -> Vec<String> {
+    asked.iter().filter(|one| one.flagged).map(|one| one.row.words().into()).collect()
+}
+
 /// Asks whether to go on, and remembers a no.
 struct Watch<'a> {
     observe: Observe<'a>,
@@ -122,33 +136,32 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
     let keys = Keys::of(s.covariance, &names);
     let sigmas = s.covariance.sigmas(&keys.rows);
     let mut out = Findings { near_null: weak::near_null(s.covariance, &names, &keys), ..Findings::default() };
-    out.diagnosis.priors = priors::priors(s, &mut out.flags);
+    let mut priors = priors::priors(s);
     watch.check()?;
     let sheet = SeenSheet::of(s.covariance, s.sizes_px, &names, s.sheet_frame.as_ref());
-    // Each part has flags of its own, so that they stand in one order whoever is done first.
-    let views = || -> Result<_> {
-        let mut flags = vec![];
-        let probes = sheet.as_ref().and_then(|sheet| Probes::of(s.covariance, sheet));
-        Ok((views::views(s, &names, (&keys, probes.as_ref()), &watch, &mut flags)?, flags))
-    };
+    let probes = sheet.as_ref().and_then(|sheet| Probes::of(s.covariance, sheet));
+    let views = || views::views(s, &names, (&keys, probes.as_ref()), &watch);
     let others = || -> Result<_> {
-        let (mut first, mut of_tests, mut of_mapping) = (vec![], vec![], vec![]);
-        let tests = model_tests::model_tests(s, &keys, &watch, (&mut first, &mut of_tests));
+        let tests = model_tests::model_tests(s, (&keys, probes.as_ref()), &watch);
         watch.check()?;
         let intervals = reach::intervals(a, &keys, &sigmas, &watch)?;
+        let mut of_mapping = vec![];
         let mapping =
             sheet.as_ref().and_then(|sheet| mapping::mapping_uncertainty(s.covariance, sheet, &mut of_mapping));
-        Ok((tests, [first, of_tests], mapping, of_mapping, intervals))
+        Ok((tests, mapping, of_mapping, intervals))
     };
+    // Each part has flags of its own, so that they stand in one order whoever is done first.
     let (views, others) = threads::both(views, others);
-    let ((views, of_views), (tests, [first, of_tests], mapping, of_mapping, intervals)) = (views?, others?);
+    let (mut views, (mut tests, mapping, of_mapping, intervals)) = (views?, others?);
+    let of_wrong = explained::explained(s, &names, (&mut priors, &mut tests, &mut views), &watch)?;
     out.diagnosis.key_quantities = quantities(&keys, &sigmas, &views.spreads, &intervals);
-    (out.diagnosis.model_tests, out.diagnosis.views) = (tests, views.influences);
     out.mapping = mapping.map(|m| MappingUncertainty { by_views: views.felt, ..m });
+    let [first, of_tests] = tests.flags();
     out.diagnosis.outliers = outliers::outliers(s, !(first.is_empty() && of_tests.is_empty()));
-    // Views that stand on either side of a move contradict each other, whichever they are.
-    let of_views = if first.is_empty() { of_views } else { vec![] };
-    out.flags = [first, out.flags, of_tests, of_views, of_mapping].concat();
+    out.flags = [first, of_wrong, flags(&priors.asked), of_tests, views.flags, of_mapping].concat();
+    out.diagnosis.priors = priors.asked.into_iter().map(|p| p.row).collect();
+    out.diagnosis.model_tests = tests.asked.into_iter().map(|t| t.row).collect();
+    out.diagnosis.views = views.influences;
     Ok(out)
 }
 

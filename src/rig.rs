@@ -30,6 +30,7 @@ mod joint;
 mod labels;
 mod lone;
 mod mono;
+mod moved;
 mod off_plane;
 mod one_plane;
 mod open;
@@ -42,7 +43,7 @@ mod windows;
 pub use joint::calibrate_rig;
 pub use labels::{OpenImage, OpenLabels};
 
-use crate::bundle::{Adjustment, Iteration, Model, State};
+use crate::bundle::{Adjustment, ImageObservations, Iteration, Model, State};
 use crate::camera::{INTRINSICS, Intrinsics, Radial};
 use crate::conic::Ellipse;
 use crate::frames::{Cam, Target};
@@ -113,9 +114,14 @@ struct Mono {
 type Told<'a> = &'a (dyn Fn(&Iteration) -> bool + Sync);
 
 fn rms_of(model: &Model, state: &State) -> Option<f64> {
+    rms_in(model, |_| state)
+}
+
+/// Root mean square contour distance of images in a state each, px.
+fn rms_in<'a>(model: &Model, state: impl Fn(&ImageObservations) -> &'a State) -> Option<f64> {
     let (mut sum, mut n) = (0.0, 0.0);
     for image in &model.images {
-        for disc in crate::bundle::residuals(model, state, image)?.discs {
+        for disc in crate::bundle::residuals(model, state(image), image)?.discs {
             sum += disc.edges.distance_px.iter().map(|d| d * d).sum::<f64>();
             n += disc.edges.distance_px.len() as f64;
         }

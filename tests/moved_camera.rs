@@ -7,8 +7,9 @@ mod rig_scene;
 
 use nalgebra::SVector;
 use rig_scene::{Grid, Noise, Parts, Problem, Scene, adjusted, diagnosed, drawn, tilted_camera};
-use spivcal::bundle::{Moved, MovedTest, moved_test};
+use spivcal::bundle::{AdjustOptions, Moved, MovedTest, moved_test};
 use spivcal::camera::Camera;
+use spivcal::rig::calibrate_rig;
 
 const PLATE: Grid = Grid { columns: 5, rows: 5, pitch_mm: 5.0, radius_mm: 1.5, print_error_mm: 0.0, turn: 1.0 };
 
@@ -145,4 +146,33 @@ fn who_moved_a_camera_is_told() {
     assert!(!f.flags.iter().any(of_model), "{:#?}", f.flags);
     let row = f.diagnosis.model_tests.iter().find(|t| t.question.contains("did a camera move")).expect("a row");
     assert!(row.needed && row.unit == "degrees" && (row.size - 0.0068).abs() < 0.002, "{row:?}");
+}
+
+/// A push by many pixels, which no common adjustment follows: what it stops at is said to be the move, with the view and by how much.
+#[test]
+fn a_refusal_names_the_move() {
+    let pair = Scene::parts(21, cameras(), false, true, false);
+    let mut refused = 0;
+    for (name, parts) in [("plate", plate()), ("pair", pair)] {
+        let views = parts.views.len();
+        for before in [views / 2, views - 2, views - 1] {
+            for turn in [6e-3, 0.02] {
+                let step = Step::from_column_slice(&[turn, 0.6 * turn, -0.3 * turn, 0.0, 0.0, 0.0]);
+                let scene = with_steps(&parts, &|v| if v >= before { step } else { Step::zeros() });
+                let problem = scene.with_noise(before as u64).problem();
+                let Err(error) = calibrate_rig(&problem, &AdjustOptions::default(), &mut |_| true) else { continue };
+                let words = error.to_string();
+                println!("{name}, before view {before}, {turn}: {words}");
+                let when = match before + 1 == views {
+                    true => format!("view {before} stands apart from the others, as if one camera was moved before it"),
+                    false => format!("one camera was moved between view {} and view {before} of {views}", before - 1),
+                };
+                let by = words.split("turned by ").nth(1).and_then(|w| w.split(' ').next()?.parse::<f64>().ok());
+                let off = by.unwrap_or_else(|| panic!("{words}")) - step.norm().to_degrees();
+                assert!(words.contains(&when) && off.abs() < 0.02, "{off}: {words}");
+                refused += 1;
+            }
+        }
+    }
+    assert!(refused >= 4, "{refused} of 12 were refused");
 }

@@ -16,7 +16,7 @@ use super::assemble;
 use super::facts::Fact;
 use super::image_map::MappedNormal;
 use super::layout::Places;
-use super::model::Model;
+use super::model::{ImageObservations, Model};
 use super::posterior::{self, Natural};
 use super::state::State;
 use crate::solve::{
@@ -49,11 +49,11 @@ pub fn natural_of(model: &Model, state: &State) -> Option<Natural> {
     posterior::natural(model, state)
 }
 
-fn without(model: &Model, views: &[usize]) -> Model {
-    let Model { cameras, target, views: all, facts, images, loss } = model;
-    let images = images.iter().filter(|i| !views.contains(&i.view)).cloned().collect();
+fn without(model: &Model, is_out: &dyn Fn(&ImageObservations) -> bool) -> Model {
+    let Model { cameras, target, views, facts, images, loss } = model;
+    let images = images.iter().filter(|i| !is_out(i)).cloned().collect();
     let (cameras, target) = (cameras.clone(), target.clone());
-    Model { cameras, target, views: all.clone(), facts: facts.clone(), images, loss: *loss }
+    Model { cameras, target, views: views.clone(), facts: facts.clone(), images, loss: *loss }
 }
 
 /// Most numbers kept of all images together.
@@ -62,7 +62,7 @@ const KEPT: usize = 4_000_000;
 /// A function whose standard deviation grows by no more than this factor is not lost, whatever holds it.
 const SPARED: f64 = 2.0;
 
-/// An adjustment, ready to be asked what it would be without one of its views.
+/// An adjustment, ready to be asked what it would be without some of its views.
 pub struct ViewsLeftOut<'a> {
     adjustment: &'a Adjustment,
     /// View and equations of each image at the estimate; none where they are too large to be kept.
@@ -93,32 +93,32 @@ impl<'a> ViewsLeftOut<'a> {
         Self { adjustment, images, unaided }
     }
 
-    /// Normal equations of the images at hand without those of a view.
-    fn summed(&self, bundle: &Bundle<'_>, view: Option<usize>) -> Option<NormalEquations> {
-        let images = self.images.as_ref()?.iter().filter(|(v, _)| Some(*v) != view);
+    /// Normal equations of the images at hand without those of some views.
+    fn summed(&self, bundle: &Bundle<'_>, views: &[usize]) -> Option<NormalEquations> {
+        let images = self.images.as_ref()?.iter().filter(|(v, _)| !views.contains(v));
         bundle.summed(images, &self.adjustment.state)
     }
 
     /// The same, one block per view, for the facts of a model.
-    fn equations(&self, model: &Model, view: Option<usize>) -> Option<NormalEquations> {
+    fn equations(&self, model: &Model, views: &[usize]) -> Option<NormalEquations> {
         match self.images {
             // Beside its images a model without a view is the same.
-            Some(_) => self.summed(&Bundle::with_views(model), view),
-            None => Bundle::with_views(&without(model, view.as_slice())).linearise(&self.adjustment.state),
+            Some(_) => self.summed(&Bundle::with_views(model), views),
+            None => Bundle::with_views(&without(model, &|i| views.contains(&i.view))).linearise(&self.adjustment.state),
         }
     }
 
-    /// Change and covariance of `rows` (functions x global unknowns) without the images of a view; facts about it stay. What only
-    /// priors hold then, and images do with the view, counts as not determined. `None` where nothing can be said.
-    pub fn predicted(&self, view: usize, rows: &DMatrix<f64>) -> Option<Prediction> {
-        let mut out = predict(&self.equations(&self.adjustment.model, Some(view))?, rows)?;
-        let unaided = |view: Option<usize>| predict(&self.equations(self.unaided.as_ref()?, view)?, rows);
-        let Some(alone) = unaided(Some(view)) else { return Some(out) };
+    /// Change and covariance of `rows` (functions x global unknowns) without the images of some views; facts about them stay. What only
+    /// priors hold then, and images do with the views, counts as not determined. `None` where nothing can be said.
+    pub fn predicted(&self, views: &[usize], rows: &DMatrix<f64>) -> Option<Prediction> {
+        let mut out = predict(&self.equations(&self.adjustment.model, views)?, rows)?;
+        let unaided = |views: &[usize]| predict(&self.equations(self.unaided.as_ref()?, views)?, rows);
+        let Some(alone) = unaided(views) else { return Some(out) };
         let held: Vec<usize> = (0..rows.nrows()).filter(|&k| out.determined[k] && !alone.determined[k]).collect();
         if held.is_empty() {
             return Some(out);
         }
-        if let (Some(all), Some(all_alone)) = (predicted_with_all_views(self.adjustment, rows), unaided(None)) {
+        if let (Some(all), Some(all_alone)) = (predicted_with_all_views(self.adjustment, rows), unaided(&[])) {
             let grows = |k: usize| out.covariance[(k, k)] > SPARED * SPARED * all.covariance[(k, k)];
             let lost: Vec<usize> = held.into_iter().filter(|&k| all_alone.determined[k] && grows(k)).collect();
             lost.into_iter().for_each(|k| out.determined[k] = false);
@@ -134,24 +134,24 @@ impl<'a> ViewsLeftOut<'a> {
         options: &Options,
         observe: &mut dyn FnMut(&Iteration) -> bool,
     ) -> Option<Outcome<State>> {
-        let model = without(&self.adjustment.model, &[view]);
+        let model = without(&self.adjustment.model, &|i| i.view == view);
         let bundle = Bundle::of(&model);
         let state = &self.adjustment.state;
-        let equations = self.summed(&bundle, Some(view)).or_else(|| bundle.linearise(state))?;
+        let equations = self.summed(&bundle, &[view]).or_else(|| bundle.linearise(state))?;
         let start = (state.clone(), equations);
         Some(minimise_from(&bundle, start, options, FIRST_DAMPING, observe))
     }
 }
 
-/// The adjustment without the images of some views, from its estimate, with its sigmas and outliers. The result has no meaning for
-/// those views themselves. `observe` sees each iteration and returns false to cancel.
-pub fn readjusted_without_views(
+/// The adjustment without some images, from its estimate, with its sigmas and outliers. The result has no meaning for views of which no image is
+/// left. `observe` sees each iteration and returns false to cancel.
+pub fn readjusted_without(
     adjustment: &Adjustment,
-    views: &[usize],
+    is_out: &dyn Fn(&ImageObservations) -> bool,
     options: &AdjustOptions,
     observe: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Adjustment {
-    let model = without(&adjustment.model, views);
+    let model = without(&adjustment.model, is_out);
     adjust(&model, adjustment.state.clone(), &AdjustOptions { rounds: 0, ..*options }, observe)
 }
 
@@ -179,11 +179,11 @@ mod tests {
             let all = ViewsLeftOut::of(&adjustment);
             let full = Bundle::with_views(&adjustment.model).linearise(&adjustment.state).unwrap();
             for view in 0..adjustment.model.views.len() {
-                let model = without(&adjustment.model, &[view]);
+                let model = without(&adjustment.model, &|i| i.view == view);
                 assert!(model.images.len() < adjustment.model.images.len());
                 for bundle in [Bundle::of(&model), Bundle::with_views(&model)] {
                     let wanted = bundle.linearise(&adjustment.state).unwrap();
-                    assert_eq!(all.summed(&bundle, Some(view)).unwrap(), wanted);
+                    assert_eq!(all.summed(&bundle, &[view]).unwrap(), wanted);
                     assert_ne!(wanted, full);
                 }
             }
@@ -198,7 +198,7 @@ mod tests {
         let options = AdjustOptions { rounds: 0, ..AdjustOptions::default() };
         for view in 0..adjustment.model.views.len() {
             let out = all.readjusted(view, &options.solve, &mut |_| true).unwrap();
-            let wanted = readjusted_without_views(&adjustment, &[view], &options, &mut |_| true);
+            let wanted = readjusted_without(&adjustment, &|i| i.view == view, &options, &mut |_| true);
             assert!(out.decrement < options.solve.decrement && wanted.decrement < options.solve.decrement);
             assert!((out.cost - wanted.cost).abs() < 1e-9 * wanted.cost, "{} {}", out.cost, wanted.cost);
             for (a, b) in out.state.cameras.iter().zip(&wanted.state.cameras) {

@@ -12,7 +12,8 @@
 //! ```text
 //! chi2_max = 2 (cost without the step - cost with it),   chi2_rest = chi2_any at that minimum
 //! ```
-//! else (and for a drift) `chi2_rest = chi2_any - chi2_max`.
+//! else (and for a drift) `chi2_rest = chi2_any - chi2_max`. Standard deviations of an adjusted step are those of its minimum, times the square root of
+//! what is left over its degrees of freedom where that is below one: those of the images may have been enlarged for the step.
 //!
 //! What differs from view to view without any order (a plate that bends, a mount that gives way) would pass for the largest step. So a step is compared with
 //! what is left beside it:
@@ -45,6 +46,7 @@ use super::state::State;
 use crate::solve::{Iteration, Score, ScoreTests};
 use crate::stats::chi_square_above;
 use apart::{Apart, Stood};
+pub use apart::{MovedFit, moved_before};
 use nalgebra::{DMatrix, DVector, Matrix6, Vector3, Vector6};
 
 /// Epochs at most.
@@ -79,6 +81,39 @@ impl Moved {
             Moved::Before(1) => Some(0),
             Moved::Before(view) => Some(view).filter(|view| view + 1 == views),
             Moved::Steadily => None,
+        }
+    }
+
+    /// What happened, of so many views.
+    pub fn words(self, views: usize) -> String {
+        if let Some(view) = self.alone(views) {
+            let when = if view == 0 { "after" } else { "before" };
+            return format!(
+                "view {view} stands apart from the others, as if one camera was moved {when} it (or the target, between its two exposures)"
+            );
+        }
+        match self {
+            Moved::Before(view) => format!(
+                "one camera was moved between view {} and view {view} of {views} (in the order of the rig file)",
+                view - 1
+            ),
+            Moved::Steadily => {
+                "the cameras drift against each other from view to view (in the order of the rig file), from the first to the last".into()
+            }
+        }
+    }
+
+    /// What to do.
+    pub fn advice(self, views: usize) -> &'static str {
+        match self {
+            when if when.alone(views).is_some() => {
+                "leave it out; if your recordings were made on its side, take the other views again"
+            }
+            Moved::Before(_) => {
+                "calibrate the views before and those after by themselves (each needs a length and a view in the sheet of its own), and take those of \
+                 the time of your recordings"
+            }
+            Moved::Steadily => "fasten the cameras, let them warm up, and take the views again",
         }
     }
 }
@@ -144,7 +179,9 @@ pub fn moved_test(adjustment: &Adjustment, observe: &mut dyn FnMut(&Iteration) -
         let apart = Apart::of(model, &places, motion, view);
         if let Some((stood, less)) = apart.adjusted(state, observe) {
             rest = beside(model, (&apart, &stood), &epochs)?;
-            (out.statistic, [out.turn_rad[0], out.shift_mm[0]]) = (2.0 * less, stood.moved_by());
+            let scale = rest.noise().sqrt();
+            [out.turn_rad, out.shift_mm] = apart.moved_by(&stood)?.map(|[size, sigma]| [size, scale * sigma]);
+            out.statistic = 2.0 * less;
             out.p_value = chance(out.statistic);
         }
     }

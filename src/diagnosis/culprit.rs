@@ -22,8 +22,8 @@
 
 use super::{Subject, Watch};
 use crate::bundle::{
-    AdjustOptions, Adjustment, Parameter, Prediction, SolveOptions, Termination, ViewsLeftOut, named_rows,
-    predicted_with_all_views, readjusted_without_views, symmetric_eigen,
+    AdjustOptions, Adjustment, ImageObservations, Parameter, Prediction, SolveOptions, Termination, ViewsLeftOut,
+    named_rows, predicted_with_all_views, readjusted_without, symmetric_eigen,
 };
 use crate::error::{Result, Unusable};
 use crate::stats::chi_square_above;
@@ -35,7 +35,7 @@ const INDEPENDENT: f64 = 1e-9;
 /// Difference of covariances, part of the covariance, below which rounding would be tested.
 const TESTABLE: f64 = 1e-4;
 /// Twice the log of a likelihood ratio of 100: two views whose T differ by less cannot be told apart.
-const TOLD_APART: f64 = 9.2;
+pub(super) const TOLD_APART: f64 = 9.2;
 /// Chance of naming one view too many in a round of the search: it follows an alarm, and every round asks anew.
 const BY_CHANCE: f64 = 0.001;
 /// Views that are put to the proof in each round.
@@ -70,7 +70,17 @@ pub(super) struct Culprit {
     pub(super) rivals: Vec<usize>,
 }
 
-/// T of a view from what its absence does to functions whose covariance with all views is `full`; `None` where nothing can be tested.
+/// The views that must go so that the rest agree.
+pub(super) struct Wrong {
+    /// In their order.
+    pub(super) views: Vec<Culprit>,
+    /// T of all of them together, less its degrees of freedom.
+    pub(super) excess: f64,
+    /// The adjustment without them; none where it does not get near its minimum.
+    pub(super) without: Option<Adjustment>,
+}
+
+/// T of a view (or of several, called by one) from what its absence does to functions whose covariance with all views is `full`; `None` where nothing can be tested.
 fn disagreement(view: usize, full: &Prediction, p: &Prediction) -> Option<Disagreement> {
     let usable: Vec<usize> = (0..full.determined.len())
         .filter(|&k| full.determined[k] && p.determined[k] && full.covariance[(k, k)] > 0.0)
@@ -118,7 +128,7 @@ fn disagreements(a: &Adjustment, functions: &[Vec<(String, f64)>], watch: &Watch
     let without = ViewsLeftOut::of(a);
     let one = |v: &usize| {
         watch.check()?;
-        Ok(without.predicted(*v, &rows).and_then(|p| disagreement(*v, &full, &p)))
+        Ok(without.predicted(&[*v], &rows).and_then(|p| disagreement(*v, &full, &p)))
     };
     let all: Result<Vec<Option<Disagreement>>> = gathered(true, &seen(a), one);
     Ok(all?.into_iter().flatten().collect())
@@ -151,7 +161,8 @@ impl Search<'_> {
     fn without(&self, views: &[usize]) -> Result<Option<Adjustment>> {
         let solve = SolveOptions { decrement: 1e-3, iterations: 40 };
         let options = AdjustOptions { solve, rounds: 0, ..*self.s.options };
-        let out = readjusted_without_views(self.s.adjustment, views, &options, &mut |i| self.watch.goes_on(i));
+        let is_out = |i: &ImageObservations| views.contains(&i.view);
+        let out = readjusted_without(self.s.adjustment, &is_out, &options, &mut |i| self.watch.goes_on(i));
         if out.termination == Termination::Cancelled {
             return Err(Unusable::Cancelled.into());
         }
@@ -190,8 +201,14 @@ impl Search<'_> {
     }
 }
 
-/// The views that must go so that the rest agree, in their order; `None` where no few do, or nothing disagrees.
-pub(super) fn culprits(s: &Subject<'_>, names: &[&str], watch: &Watch<'_>) -> Result<Option<Vec<Culprit>>> {
+/// Whether views contradict each other in an adjustment of the same rig.
+pub(super) fn contradict(s: &Subject<'_>, names: &[&str], a: &Adjustment, watch: &Watch<'_>) -> Result<bool> {
+    let search = Search { s, functions: functions(s, names), views: seen(a).len(), watch };
+    Ok(!search.suspects(a)?.is_empty())
+}
+
+/// The wrong views; `None` where no few are, or nothing disagrees.
+pub(super) fn culprits(s: &Subject<'_>, names: &[&str], watch: &Watch<'_>) -> Result<Option<Wrong>> {
     let views = seen(s.adjustment).len();
     let search = Search { s, functions: functions(s, names), views, watch };
     let mut suspects = search.suspects(s.adjustment)?;
@@ -207,10 +224,22 @@ pub(super) fn culprits(s: &Subject<'_>, names: &[&str], watch: &Watch<'_>) -> Re
         let best = trials.iter().position(clears).unwrap_or(0);
         let close = |t: &&Trial| clears(t) && trials[best].out.excess() - t.out.excess() < TOLD_APART;
         let rivals = trials[best + 1..].iter().filter(close).map(|t| t.out.view).collect();
-        out.push(Culprit { view: trials[best].out.view, rivals });
-        suspects = trials.swap_remove(best).left;
+        let Trial { out: found, left } = trials.swap_remove(best);
+        out.push(Culprit { view: found.view, rivals });
+        suspects = left;
     }
-    let mut out = search.pardoned(out)?;
-    out.sort_by_key(|c| c.view);
-    Ok((!out.is_empty()).then_some(out))
+    let mut views = search.pardoned(out)?;
+    if views.is_empty() {
+        return Ok(None);
+    }
+    views.sort_by_key(|c| c.view);
+    let all: Vec<usize> = views.iter().map(|c| c.view).collect();
+    let together = || {
+        let rows = named_rows(s.adjustment, &search.functions)?;
+        let full = predicted_with_all_views(s.adjustment, &rows)?;
+        let p = ViewsLeftOut::of(s.adjustment).predicted(&all, &rows)?;
+        disagreement(all[0], &full, &p)
+    };
+    let excess = together().map_or(0.0, |d| d.excess());
+    Ok(Some(Wrong { excess, without: search.without(&all)?, views }))
 }

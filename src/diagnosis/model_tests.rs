@@ -2,82 +2,127 @@
 
 use super::keys::{Keys, intrinsic_unit};
 use super::moved;
-use super::{FALSE_ALARMS, FELT_SIGMAS, Subject, Watch, digits, measured};
-use crate::bundle::{Extension, ExtensionTest, extension_tests, intrinsic_words, moved_test, named_rows};
+use super::probes::Probes;
+use super::{Asked, FALSE_ALARMS, FELT_SIGMAS, Subject, Watch, digits, measured};
+use crate::bundle::{Extension, ExtensionTest, Model, Moved, extension_tests, intrinsic_words, moved_test, named_rows};
 use crate::record::ModelTest;
 use crate::stats::chi_square_above;
 use nalgebra::{DMatrix, DVector};
 
-/// What a change of the global unknowns does to the keys.
+/// What a change of the global unknowns does to what a user relies on: the keys, and what is felt over the sheet.
 struct Felt<'a> {
     keys: &'a Keys,
+    probes: Option<&'a Probes>,
     rows: DMatrix<f64>,
     variance: DVector<f64>,
 }
 
-impl Felt<'_> {
-    /// Largest change of a key, in its standard deviations, and which.
+impl<'a> Felt<'a> {
+    fn of(s: &Subject<'_>, keys: &'a Keys, probes: Option<&'a Probes>) -> Self {
+        let by_name: Vec<_> = keys.rows.iter().chain(probes.iter().flat_map(|p| &p.rows)).cloned().collect();
+        let rows = named_rows(s.adjustment, &by_name).unwrap_or_else(|| DMatrix::zeros(0, 0));
+        Self { keys, probes, rows, variance: s.covariance.propagate(&by_name).diagonal() }
+    }
+
+    fn name(&self, k: usize) -> String {
+        match (self.keys.list.get(k), self.probes) {
+            (None, Some(probes)) => probes.name(k - self.keys.list.len()),
+            (key, _) => key.map_or(String::new(), |key| key.name.clone()),
+        }
+    }
+
+    /// Largest change, in its standard deviations, and of what.
     fn bias(&self, change: &DVector<f64>) -> (f64, String) {
-        let mut out = (0.0, String::new());
+        let mut out = (0.0, 0);
         if self.rows.ncols() != change.len() {
-            return out;
+            return (0.0, String::new());
         }
         let moved = &self.rows * change;
-        for (k, key) in self.keys.list.iter().enumerate().filter(|(k, _)| self.keys.determined[*k]) {
+        let determined = self.keys.determined.iter().chain(self.probes.iter().flat_map(|p| &p.determined));
+        for (k, _) in determined.enumerate().filter(|(_, determined)| **determined) {
             let sigma = self.variance[k].max(0.0).sqrt();
             if sigma > 0.0 && moved[k].abs() / sigma > out.0 {
-                out = (moved[k].abs() / sigma, key.name.clone());
+                out = (moved[k].abs() / sigma, k);
             }
         }
-        out
+        (out.0, if out.0 > 0.0 { self.name(out.1) } else { String::new() })
     }
 }
 
-/// All tests; what explains the others is flagged in `first`.
-pub(super) fn model_tests(
-    s: &Subject<'_>,
-    keys: &Keys,
-    watch: &Watch<'_>,
-    (first, flags): (&mut Vec<String>, &mut Vec<String>),
-) -> Vec<ModelTest> {
-    let Some(tests) = extension_tests(s.adjustment) else { return vec![] };
-    let rows = named_rows(s.adjustment, &keys.rows).unwrap_or_else(|| DMatrix::zeros(0, 0));
-    let felt = Felt { keys, rows, variance: s.covariance.propagate(&keys.rows).diagonal() };
+/// What was asked of the model.
+#[derive(Default)]
+pub(super) struct ModelTests {
+    pub(super) asked: Vec<Asked<ModelTest>>,
+    /// What the first of them are about; that of a move follows.
+    of: Vec<Extension>,
+    /// When a camera was moved, where a user must be told of it before all else.
+    pub(super) moved: Option<Moved>,
+    /// The view that alone stands on one side of a move.
+    pub(super) apart: Option<usize>,
+}
+
+impl ModelTests {
+    /// The model with the lens terms that a user must look at, and their number.
+    pub(super) fn granted(&self, mut model: Model) -> (Model, usize) {
+        let mut granted = 0;
+        for (of, _) in self.of.iter().zip(&self.asked).filter(|(_, asked)| asked.flagged) {
+            if let Extension::Intrinsic { camera, parameter } = *of {
+                model.cameras[camera].free[parameter] = true;
+                granted += 1;
+            }
+        }
+        (model, granted)
+    }
+
+    /// What a user must be told: of a move that goes first, of the others.
+    pub(super) fn flags(&self) -> [Vec<String>; 2] {
+        let (others, first) = self.asked.split_at(self.asked.len() - usize::from(self.moved.is_some()));
+        [first, others].map(super::flags)
+    }
+}
+
+/// All tests.
+pub(super) fn model_tests(s: &Subject<'_>, (keys, probes): (&Keys, Option<&Probes>), watch: &Watch<'_>) -> ModelTests {
+    let Some(tests) = extension_tests(s.adjustment) else { return ModelTests::default() };
+    let felt = Felt::of(s, keys, probes);
     let moved = moved_test(s.adjustment, &mut |i| watch.goes_on(i));
-    let asked = (tests.len() + usize::from(moved.is_some())) as f64;
-    let needed = |p_value: f64| p_value * asked < FALSE_ALARMS;
+    let count = (tests.len() + usize::from(moved.is_some())) as f64;
+    let needed = |p_value: f64| p_value * count < FALSE_ALARMS;
     // Of what a moved camera does to the images other tests explain a part, and it a part of what they are of: what explains most is to be believed.
     let beyond = |statistic: f64, degrees: usize| statistic - degrees as f64;
     let explained = tests.iter().map(|t| beyond(t.statistic, t.degrees)).fold(0.0, f64::max);
-    let of_move = moved.map(|test| {
+    let (mut of_move, mut first, mut apart) = (None, None, None);
+    if let Some(test) = moved {
         let views = s.adjustment.model.views.len();
         let [at_first, at_last] = test.changes.each_ref().map(|change| felt.bias(change));
         let bias = if at_first.0 > at_last.0 { at_first } else { at_last };
         let enlarged = Some(enlarged(s)).filter(|times| *times > ENLARGED);
-        let (mut row, flagged) = moved::model_test(&test, views, (needed(test.p_value), enlarged), bias);
-        let most = beyond(test.statistic, test.degrees) > explained;
-        if row.needed && !most {
-            row.words += "; what else the images ask for explains more, and goes first";
+        let mut one = moved::model_test(&test, views, (needed(test.p_value), enlarged), bias);
+        let excess = beyond(test.statistic, test.degrees);
+        if one.row.needed && excess <= explained {
+            one.row.words += "; what else the images ask for explains more, and goes first";
         }
-        (row, flagged && most, test.when.alone(views).is_some())
-    });
-    let by_move = of_move.as_ref().is_some_and(|(_, flagged, _)| *flagged);
-    let mut out: Vec<ModelTest> = vec![];
-    for test in &tests {
-        let p_value = chi_square_above(test.statistic, test.degrees as f64);
-        let (mut one, flagged) = of_extension(s, test, (p_value, needed(p_value)), felt.bias(&test.shift));
-        if one.needed && by_move {
-            one.words += "; a moved camera explains more, and goes first";
-        }
-        flags.extend((flagged && !by_move).then(|| one.words.clone()));
-        out.push(one);
-    }
-    if let Some((row, flagged, alone)) = of_move {
+        one.flagged &= excess > explained;
         // A single view may be wrong by itself: what else is said of it stays beside.
-        if alone { &mut *flags } else { &mut *first }.extend(flagged.then(|| row.words.clone()));
-        out.push(row);
+        apart = test.when.alone(views).filter(|_| one.flagged);
+        first = (one.flagged && apart.is_none()).then_some(test.when);
+        of_move = Some(one);
     }
-    out
+    let by_move = of_move.as_ref().is_some_and(|one| one.flagged);
+    let each = tests.iter().map(|test| {
+        let p_value = chi_square_above(test.statistic, test.degrees as f64);
+        let mut one = of_extension(s, test, (p_value, needed(p_value)), felt.bias(&test.shift));
+        if one.row.needed && by_move {
+            one.goes_after("a moved camera explains more");
+        }
+        one
+    });
+    ModelTests {
+        asked: each.chain(of_move).collect(),
+        of: tests.iter().map(|t| t.extension).collect(),
+        moved: first,
+        apart,
+    }
 }
 
 /// One test, and whether a user would feel what is lacking.
@@ -86,11 +131,12 @@ fn of_extension(
     test: &ExtensionTest,
     (p_value, needed): (f64, bool),
     bias: (f64, String),
-) -> (ModelTest, bool) {
+) -> Asked<ModelTest> {
     let enlarged = enlarged(s);
     let alike = needed && test.extension == Extension::DisplacedDiscs && enlarged > ENLARGED;
     let felt = needed && (bias.0 > FELT_SIGMAS || alike);
-    let one = ModelTest {
+    let [found, then] = if alike { misprinted(test, enlarged) } else { words(s, test, needed, felt, &bias) };
+    let row = ModelTest {
         question: question(s, test.extension),
         statistic: test.statistic,
         degrees_of_freedom: test.degrees,
@@ -98,12 +144,12 @@ fn of_extension(
         size: test.size * shown(test.extension).0,
         sigma: test.sigma * shown(test.extension).0,
         unit: shown(test.extension).1.into(),
-        words: if alike { misprinted(test, enlarged) } else { words(s, test, needed, felt, &bias) },
+        words: format!("{found}{then}"),
         bias_sigmas: bias.0,
         bias_of: bias.1,
         needed,
     };
-    (one, felt)
+    Asked { row, found, flagged: felt }
 }
 
 /// By how much the sigmas of an image are enlarged, at most.
@@ -115,13 +161,14 @@ fn enlarged(s: &Subject<'_>) -> f64 {
 const ENLARGED: f64 = 1.5;
 
 /// What is said of dots off their places where the scatter of discs has enlarged sigmas: these hold errors of single images, and shrink with their number.
-fn misprinted(t: &ExtensionTest, enlarged: f64) -> String {
-    format!(
+fn misprinted(t: &ExtensionTest, enlarged: f64) -> [String; 2] {
+    let found = format!(
         "the dots lie {} um (rms) off their nominal places, by the same in all images: sigmas enlarged {} times for discs that scatter from image to image \
-         do not hold that; write adjust = \"points\" in [target]",
+         do not hold that",
         digits(1e3 * t.size, 2),
         digits(enlarged, 2)
-    )
+    );
+    [found, "; write adjust = \"points\" in [target]".into()]
 }
 
 /// Pupil ratios that lenses have, retrofocus and telephoto among them.
@@ -153,7 +200,8 @@ fn question(s: &Subject<'_>, e: Extension) -> String {
     }
 }
 
-fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f64, String)) -> String {
+/// What was found, and what comes of it.
+fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f64, String)) -> [String; 2] {
     let (factor, unit) = shown(t.extension);
     let found = measured(t.size * factor, t.sigma * factor, unit);
     let (yes, no) = match t.extension {
@@ -175,16 +223,16 @@ fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f
         ),
     };
     if !needed {
-        return no;
+        return [no, String::new()];
     }
     if no_lens_has(s, t) {
-        return format!("{yes}, which no lens has: something else bends the images so (a decentred lens, a window)");
+        let then = ", which no lens has: something else bends the images so (a decentred lens, a window)";
+        return [yes, then.into()];
     }
     if !felt {
-        return format!(
-            "{yes}; adding it would move no result by more than {} of its standard deviations",
-            digits(bias.0, 2)
-        );
+        let then =
+            format!("; adding it would move no result by more than {} of its standard deviations", digits(bias.0, 2));
+        return [yes, then];
     }
     let advice = match t.extension {
         Extension::Intrinsic { parameter: parameter @ 6..=8, .. } => {
@@ -198,5 +246,7 @@ fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f
         }
         Extension::BentTarget | Extension::DisplacedDiscs => "write adjust = \"points\" in [target]".into(),
     };
-    format!("{yes}; without it the {} is off by {} of its standard deviations; {advice}", bias.1, digits(bias.0, 2))
+    let then =
+        format!("; without it the {} is off by {} of its standard deviations; {advice}", bias.1, digits(bias.0, 2));
+    [yes, then]
 }

@@ -1,9 +1,9 @@
 //! Priors against the images, in words.
 
 use super::keys::intrinsic_unit;
-use super::{FALSE_ALARMS, Subject, digits, measured};
+use super::{Asked, FALSE_ALARMS, Subject, digits, measured};
 use crate::bundle::{
-    Fact, MOSTLY_PRIOR, ONLY_PRIOR, PlanePosition, PriorCheck, PriorOf, TargetShape, ViewPlace, intrinsic_words,
+    Fact, MOSTLY_PRIOR, Model, ONLY_PRIOR, PlanePosition, PriorCheck, PriorOf, TargetShape, ViewPlace, intrinsic_words,
     layer_words, prior_checks,
 };
 use crate::record::Prior;
@@ -19,8 +19,37 @@ struct Known {
     advice: &'static str,
 }
 
-pub(super) fn priors(s: &Subject<'_>, flags: &mut Vec<String>) -> Vec<Prior> {
-    let Some(checks) = prior_checks(s.adjustment) else { return vec![] };
+/// What was asked of the priors.
+#[derive(Default)]
+pub(super) struct Priors {
+    pub(super) asked: Vec<Asked<Prior>>,
+    /// What the first of them are about; those that follow are about all dots together.
+    of: Vec<PriorOf>,
+}
+
+impl Priors {
+    /// The model without those that a user must look at, and their number.
+    pub(super) fn without_flagged(&self, model: &Model) -> (Model, usize) {
+        let mut out = model.clone();
+        let flagged = || self.of.iter().zip(&self.asked).filter(|(_, asked)| asked.flagged).map(|(of, _)| of);
+        for of in flagged() {
+            if let PriorOf::Position { view } = *of
+                && let ViewPlace::InPlane { known, .. } = &mut out.views[view].place
+            {
+                *known = PlanePosition::Unknown;
+            }
+        }
+        let mut index = 0..;
+        out.facts.retain(|_| {
+            let at = index.next();
+            !flagged().any(|of| matches!(of, PriorOf::Fact { index, .. } if Some(*index) == at))
+        });
+        (out, flagged().count())
+    }
+}
+
+pub(super) fn priors(s: &Subject<'_>) -> Priors {
+    let Some(checks) = prior_checks(s.adjustment) else { return Priors::default() };
     let own: Vec<(&PriorCheck, Known, bool)> = checks
         .iter()
         .filter_map(|check| match check.of {
@@ -30,40 +59,40 @@ pub(super) fn priors(s: &Subject<'_>, flags: &mut Vec<String>) -> Vec<Prior> {
         })
         .collect();
     let tested = own.iter().filter(|(c, ..)| c.z().is_some()).count().max(1) as f64;
-    let mut out: Vec<Prior> = own.iter().map(|(check, known, stated)| prior(known, check, *stated, tested)).collect();
-    out.extend(dots(s, &checks));
-    flags.extend(out.iter().filter(|p| p.conflict).map(|p| p.words.clone()));
-    out
+    let each = own.iter().map(|(check, known, stated)| prior(known, check, *stated, tested));
+    Priors { asked: each.chain(dots(s, &checks)).collect(), of: own.iter().map(|(check, ..)| check.of).collect() }
 }
 
-fn prior(k: &Known, check: &PriorCheck, stated: bool, tested: f64) -> Prior {
+fn prior(k: &Known, check: &PriorCheck, stated: bool, tested: f64) -> Asked<Prior> {
     let (value, sigma) = (k.value * k.factor, k.sigma * k.factor);
     let z = check.z().unwrap_or(f64::NAN);
     let (away, own) = check.images_alone().unwrap_or((f64::NAN, f64::NAN));
     let conflict = normal_beyond(z) * tested < FALSE_ALARMS;
     let (images_alone, images_alone_sigma) = (value + away * sigma, own * sigma);
     let said = measured(value, sigma, k.unit);
-    let words = if conflict {
+    let [found, then] = if conflict {
         let source = if stated { "the rig file says" } else { "where it is expected without other knowledge:" };
         let advice = if stated {
             k.advice
         } else {
             "look for what drives it there (a lens term that is lacking, a target that is bent or not as stated), or state what is known under [camera.known]"
         };
-        format!(
-            "{}: {source} {said}, but the images alone say {}, {} standard deviations apart; {advice}",
+        let found = format!(
+            "{}: {source} {said}, but the images alone say {}, {} standard deviations apart",
             k.name,
             measured(images_alone, images_alone_sigma, k.unit),
             digits(z.abs(), 2)
-        )
+        );
+        [found, format!("; {advice}")]
     } else if check.share > ONLY_PRIOR {
-        format!("{} is known only from its prior {said}; the images add next to nothing", k.name)
+        [format!("{} is known only from its prior {said}; the images add next to nothing", k.name), String::new()]
     } else if check.share > MOSTLY_PRIOR {
-        format!("{} is known mostly from its prior {said}; the images add less than it", k.name)
+        [format!("{} is known mostly from its prior {said}; the images add less than it", k.name), String::new()]
     } else {
-        format!("{}: prior {said} and images agree; the images know more", k.name)
+        [format!("{}: prior {said} and images agree; the images know more", k.name), String::new()]
     };
-    Prior {
+    let words = format!("{found}{then}");
+    let row = Prior {
         name: k.name.clone(),
         stated,
         unit: k.unit.into(),
@@ -76,7 +105,8 @@ fn prior(k: &Known, check: &PriorCheck, stated: bool, tested: f64) -> Prior {
         z,
         conflict,
         words,
-    }
+    };
+    Asked { row, found, flagged: conflict }
 }
 
 fn known(s: &Subject<'_>, index: usize, row: usize) -> Known {
@@ -177,7 +207,7 @@ fn position(s: &Subject<'_>, view: usize) -> Option<Known> {
 }
 
 /// The places of all dots together: departures in prior sigmas are a chi-square with as many degrees of freedom as the images decide.
-fn dots(s: &Subject<'_>, checks: &[PriorCheck]) -> Option<Prior> {
+fn dots(s: &Subject<'_>, checks: &[PriorCheck]) -> Option<Asked<Prior>> {
     let sigma = s.adjustment.model.target.offset_sigma_mm?[0];
     let own: Vec<&PriorCheck> = checks.iter().filter(|c| matches!(c.of, PriorOf::Disc { part: 0 | 1, .. })).collect();
     let chi2: f64 = own.iter().map(|c| c.residual * c.residual).sum();
@@ -193,15 +223,15 @@ fn dots(s: &Subject<'_>, checks: &[PriorCheck]) -> Option<Prior> {
         digits(1e3 * rms, 2),
         digits(1e3 * sigma, 2)
     );
-    let words = if conflict {
-        format!(
-            "{name}: {what}; give point_sigma_mm in [target] the size they have, and check that the plate is the one described"
-        )
+    let found = format!("{name}: {what}");
+    let then = if conflict {
+        "; give point_sigma_mm in [target] the size they have, and check that the plate is the one described"
     } else {
-        format!("{name}: {what}")
+        ""
     };
     let share = own.iter().map(|c| c.share).sum::<f64>() / own.len().max(1) as f64;
-    Some(Prior {
+    let words = format!("{found}{then}");
+    let row = Prior {
         name,
         stated: s.point_sigma_stated,
         unit: "mm".into(),
@@ -214,5 +244,6 @@ fn dots(s: &Subject<'_>, checks: &[PriorCheck]) -> Option<Prior> {
         z,
         conflict,
         words,
-    })
+    };
+    Some(Asked { row, found, flagged: conflict })
 }

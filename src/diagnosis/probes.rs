@@ -58,6 +58,25 @@ impl Probes {
         Some(out)
     }
 
+    /// What a function is, in words.
+    pub(super) fn name(&self, k: usize) -> String {
+        const AXES: [&str; 3] = ["u", "v", "w"];
+        match self.kinds[k] {
+            DISPARITY => "disparity over the field".into(),
+            PLACE => "place of pixels in the sheet".into(),
+            SCALE => "in-plane scale over the field".into(),
+            GAIN => "out-of-plane gain over the field".into(),
+            kind => {
+                let [measured, of] = [(kind - DISPLACEMENT) / 3, (kind - DISPLACEMENT) % 3].map(|a| AXES[a]);
+                if measured == of {
+                    format!("measured {of} over the field")
+                } else {
+                    format!("leak of {of} into {measured}")
+                }
+            }
+        }
+    }
+
     /// Change of each function from the estimate to another calibration of the same rig.
     pub(super) fn change(&self, n: &Natural) -> Option<DVector<f64>> {
         let cameras = [*n.cameras.first()?, *n.cameras.get(1)?];

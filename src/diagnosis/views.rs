@@ -4,7 +4,7 @@
 //! are linear they agree. Where they bend (an axis point is known by its prior alone as long as distortion seems to be nothing, and by the images once there
 //! is some) either may be many standard deviations of linear equations and say nothing of the view: whether it contradicts is judged by what both say.
 
-use super::culprit::{Culprit, culprits};
+use super::culprit::{Culprit, Wrong, culprits};
 use super::keys::Keys;
 use super::probes::Probes;
 use super::spread::{self, Change, Number, Spread};
@@ -90,6 +90,30 @@ pub(super) struct Views {
     pub(super) spreads: Vec<Option<Spread>>,
     /// How many times larger the views tell what is felt in the sheet.
     pub(super) felt: Option<MappingByViews>,
+    /// Those that are wrong, where few are.
+    pub(super) wrong: Option<Wrong>,
+    /// What else a user must look at.
+    pub(super) flags: Vec<String>,
+}
+
+impl Views {
+    /// None contradicts the others once something else is mended.
+    pub(super) fn agree_once(&mut self, mended: &str) {
+        for v in self.influences.iter_mut().filter(|v| v.contradicts) {
+            v.contradicts = false;
+            v.words = format!(
+                "view {} agrees with the others once {mended}; until then, it seems to contradict them",
+                v.view
+            );
+        }
+        self.flags.clear();
+    }
+
+    /// What a user must be told of wrong views: those that are felt, all where they are `blamed` for something else.
+    pub(super) fn contradictions(&self, blamed: bool) -> Vec<String> {
+        let told = self.influences.iter().filter(|v| v.contradicts && (blamed || change(v) > FELT_SIGMAS));
+        told.map(|v| v.words.clone()).collect()
+    }
 }
 
 pub(super) fn views(
@@ -97,7 +121,6 @@ pub(super) fn views(
     names: &[&str],
     (keys, probes): (&Keys, Option<&Probes>),
     watch: &Watch<'_>,
-    flags: &mut Vec<String>,
 ) -> Result<Views> {
     let model = &s.adjustment.model;
     if model.views.len() < 2 || keys.list.is_empty() {
@@ -113,19 +136,20 @@ pub(super) fn views(
     let mut out: Vec<ViewInfluence> =
         each.filter_map(|(v, left)| Some(influence(&functions, *v, left.as_ref()?, tests))).collect();
     let wrong = if out.iter().any(|v| v.contradicts) { culprits(s, names, watch)? } else { None };
-    let single = wrong.is_some();
-    name_the_wrong(&mut out, wrong);
+    name_the_wrong(&mut out, wrong.as_ref().map_or(&[], |w| &w.views));
     let Scatter { of_probes, spreads, finding } = Scatter::of(&functions, &left);
     let felt = probes.and_then(|p| p.by_views(&of_probes, finding.is_some()));
-    match finding.filter(|_| !single) {
+    let mut views = Views { influences: out, spreads, felt, wrong, flags: vec![] };
+    match finding.filter(|_| views.wrong.is_none()) {
         // Where all differ none is wrong by itself.
         Some(words) => {
-            flags.push(words + &most_different(&out));
-            flags.extend(felt.as_ref().filter(|f| f.untold()).map(|_| UNTOLD.into()));
+            views.flags.push(words + &most_different(&views.influences));
+            views.flags.extend(views.felt.as_ref().filter(|f| f.untold()).map(|_| UNTOLD.into()));
         }
-        None => flags.extend(out.iter().filter(|v| v.contradicts && change(v) > FELT_SIGMAS).map(|v| v.words.clone())),
+        None if views.wrong.is_none() => views.flags = views.contradictions(false),
+        None => {}
     }
-    Ok(Views { influences: out, spreads, felt })
+    Ok(views)
 }
 
 /// How all views scatter.
@@ -173,11 +197,11 @@ fn own_change(variance: f64, k: usize, left: &Left) -> Option<Change> {
 }
 
 /// Where few views explain all contradictions, only they contradict. Otherwise all do that seem to.
-fn name_the_wrong(views: &mut [ViewInfluence], wrong: Option<Vec<Culprit>>) {
-    let Some(wrong) = wrong else { return };
+fn name_the_wrong(views: &mut [ViewInfluence], wrong: &[Culprit]) {
     let list = |w: &[usize]| listed(&w.iter().map(usize::to_string).collect::<Vec<_>>());
     let all = list(&wrong.iter().map(|c| c.view).collect::<Vec<_>>());
-    let [without, there] = match wrong[..] {
+    let [without, there] = match wrong {
+        [] => return,
         [_] => [format!("view {all} is left out"), "that view".into()],
         _ => [format!("views {all} are left out"), "one of those".into()],
     };
@@ -237,7 +261,7 @@ fn left_out(
     watch: &Watch<'_>,
 ) -> Result<Option<Left>> {
     watch.check()?;
-    let Some(prediction) = without.predicted(view, &functions.rows) else { return Ok(None) };
+    let Some(prediction) = without.predicted(&[view], &functions.rows) else { return Ok(None) };
     // Where something is lost there is no minimum to go to.
     let lost = prediction.determined.iter().zip(&functions.keys.determined).any(|(now, before)| *before && !*now);
     if lost || s.adjustment.model.views.len() > MOST_ADJUSTED {

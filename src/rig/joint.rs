@@ -7,6 +7,7 @@ use super::contradiction::{
 use super::labels::{changed, image_at, is_pair, labels, order_pairs, relabel};
 use super::lone::{lone_camera, place_lone_views};
 use super::mono::{calibrate_camera, thinned_model};
+use super::moved::explaining_step;
 use super::off_plane::views_off_plane;
 use super::open::{adjusted_as_usual, left_open, usual_where_open};
 use super::pitches::shifted;
@@ -71,13 +72,17 @@ pub fn calibrate_rig(problem: &RigProblem, options: &AdjustOptions, observe: Obs
         return Err(Unusable::Cancelled.into());
     }
     let off_plane = views_off_plane(&problem, &monos, solved.as_ref().ok(), &context)?;
-    let Together { problem, adjustment, mut undecided } = solved?;
-    undecided.extend(off_plane);
-    match adjustment.termination {
+    let mut found = solved?;
+    found.undecided.extend(off_plane);
+    match found.adjustment.termination {
         Termination::Converged => {}
         Termination::Cancelled => return Err(Unusable::Cancelled.into()),
-        _ if adjustment.decrement < 1e-3 => {}
+        _ if found.adjustment.decrement < 1e-3 => {}
         t => {
+            if let Some(step) = explaining_step(&found, &monos, &context) {
+                return Err(Insufficient::Inconsistent(step.words()).into());
+            }
+            let Together { problem, adjustment, .. } = found;
             return Err(Unusable::NotConverged {
                 reason: format!("{}{}", t.word(), weak_windows(&problem.model)),
                 decrement: adjustment.decrement,
@@ -87,6 +92,7 @@ pub fn calibrate_rig(problem: &RigProblem, options: &AdjustOptions, observe: Obs
             .into());
         }
     }
+    let Together { problem, adjustment, undecided, .. } = found;
     let disc_of = problem.model.images.iter().map(|i| i.discs.iter().map(|d| d.disc).collect()).collect();
     Ok(RigSolution { adjustment, labels: labels(&problem), disc_of, undecided })
 }
@@ -96,6 +102,8 @@ pub(super) struct Together {
     /// The problem with the labels that were decided.
     pub(super) problem: RigProblem,
     pub(super) adjustment: Adjustment,
+    /// Where it started: poses of a camera alone, and the motion on which most views agree.
+    pub(super) start: State,
     undecided: Vec<String>,
 }
 
@@ -140,10 +148,10 @@ fn adjusted(start: (RigProblem, State), undecided: Vec<String>, context: &Contex
     let (mut problem, mut start) = start;
     labels_by_print(&mut problem, &mut start);
     let adjustment = adjusted_as_usual(&problem, &start, context).unwrap_or_else(|| {
-        let start = best_start(&problem, start, options, told);
+        let start = best_start(&problem, start.clone(), options, told);
         adjust(&problem.model, start, options, &mut |i| told(i))
     });
-    Together { problem, adjustment, undecided }
+    Together { problem, adjustment, start, undecided }
 }
 
 /// What to do where windows leave an adjustment without an end: directions in which the cost hardly changes.
@@ -246,7 +254,7 @@ fn start_of(problem: &RigProblem, ways: &[Way], context: &Context<'_>, undecided
 }
 
 /// An adjustment that tells whether something fits at all.
-fn quick(options: &AdjustOptions) -> AdjustOptions {
+pub(super) fn quick(options: &AdjustOptions) -> AdjustOptions {
     AdjustOptions { solve: SolveOptions { decrement: 1e-1, iterations: 100 }, rounds: 0, ..*options }
 }
 

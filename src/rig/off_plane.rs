@@ -13,17 +13,20 @@
 use super::contradiction::{DOUBT, contradicts_px, worst_px};
 use super::joint::{Context, Together, together};
 use super::lone::lone_camera;
+use super::moved::explaining_step;
 use super::{Mono, RigProblem, rms_of};
 use crate::bundle::{AdjustOptions, PlanePosition, SolveOptions, State, Termination, ViewPlace};
 use crate::error::{Insufficient, Result, Unusable};
 
 /// The views are not where they are said to be if the residuals fall to this part of theirs without it.
 const RELIEF: f64 = 0.5;
+/// What fits better by this part, fits better.
+const CLEARLY: f64 = 0.8;
 /// Views are named that are seen as far off as this part of the furthest.
 const SEEN: f64 = 0.1;
 
 /// Views that are said to lie in one plane, or parallel to it, and do not: told in words where the images fit half as badly with it, `None`
-/// where they do not say so.
+/// where they do not say so. Where a camera that was moved between two views explains it better, that is told instead.
 ///
 /// All views but one leave the plane for a second adjustment, only where the first hardly explains what each camera alone explains. Nothing is
 /// said unless that reaches its minimum and moves a view by more than its contours scatter.
@@ -67,7 +70,14 @@ pub(super) fn views_off_plane(
     if !off.out.iter().any(|o| o.seen_px > DOUBT * alone_px) {
         return Ok(None);
     }
-    let words = off.words([rms_px, freed_px]);
+    let mut words = off.words([rms_px, freed_px]);
+    match solved.and_then(|s| explaining_step(s, monos, context)) {
+        Some(step) if step.rms_px < CLEARLY * freed_px => words = step.words(),
+        Some(step) if step.rms_px < freed_px / CLEARLY => {
+            words += &format!("; or else, as the images fit as well so: {}", step.words());
+        }
+        _ => {}
+    }
     if rms_px > limit_px { Err(Insufficient::Inconsistent(words).into()) } else { Ok(Some(words)) }
 }
 

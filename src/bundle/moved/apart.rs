@@ -1,16 +1,62 @@
 //! The adjustment in which the second camera stands otherwise from one view on: its motion there is one of its own.
 
+use super::{FEWEST, Moved};
 use crate::bundle::adjust::Bundle;
 use crate::bundle::assemble;
 use crate::bundle::facts;
 use crate::bundle::image_map::{MappedNormal, Slot};
 use crate::bundle::layout::Places;
 use crate::bundle::model::{ImageObservations, Model};
+use crate::bundle::reach::Observe;
 use crate::bundle::retraction;
 use crate::bundle::state::State;
 use crate::frames::{Cam, Rig};
 use crate::rigid::{Motion, rotation_log};
-use crate::solve::{Iteration, NormalEquations, Options, Problem, Step, Termination, minimise};
+use crate::solve::{Iteration, NormalEquations, Options, Outcome, Problem, Step, Termination, minimise, predict};
+use crate::threads::gathered;
+use nalgebra::{DMatrix, Vector3};
+
+/// A step of the second camera, adjusted from a state that may be no minimum without it.
+#[derive(Debug, Clone)]
+pub struct MovedFit {
+    /// Before which view.
+    pub when: Moved,
+    view: usize,
+    stood: Stood,
+}
+
+impl MovedFit {
+    /// The state in which an image was taken.
+    pub fn state_of(&self, image: &ImageObservations) -> &State {
+        if image.camera == 1 && image.view >= self.view { &self.stood.after } else { &self.stood.before }
+    }
+
+    /// Angle by which one camera turned against the other, rad, and distance by which its projection centre moved, mm.
+    pub fn moved_by(&self) -> [f64; 2] {
+        let step = self.stood.step();
+        [rotation_log(&step.rotation).norm(), step.translation_mm.norm()]
+    }
+}
+
+/// Of steps before each view the one that leaves the least cost; `None` with one camera, too few views, or where none comes to an end. `observe` sees the
+/// iterations, from several threads, and returns false to stop.
+pub fn moved_before(model: &Model, start: &State, options: &Options, observe: Observe<'_>) -> Option<MovedFit> {
+    let places = Places::of(model);
+    let motion = (*places.motions.get(1)?)?;
+    let views: Vec<usize> = (1..model.views.len()).collect();
+    if model.views.len() < FEWEST {
+        return None;
+    }
+    let one = |&view: &usize| {
+        let apart = Apart::of(model, &places, motion, view);
+        let start = Stood { before: start.clone(), after: start.clone() };
+        let out = minimise(&apart, start, options, &mut |i| observe(i));
+        (out.termination == Termination::Converged).then_some((view, out))
+    };
+    let found: Vec<Option<(usize, Outcome<Stood>)>> = gathered(true, &views, one);
+    let found = found.into_iter().flatten().min_by(|a, b| a.1.cost.total_cmp(&b.1.cost));
+    found.map(|(view, out)| MovedFit { when: Moved::Before(view), view, stood: out.state })
+}
 
 /// Where both cameras stand before, and the second one afterwards.
 #[derive(Debug, Clone)]
@@ -56,6 +102,28 @@ impl<'a> Apart<'a> {
         (out.termination == Termination::Converged).then_some((out.state, cost - out.cost))
     }
 
+    /// Angle by which the second camera turned, rad, and distance by which its projection centre moved, mm, each with its standard deviation (`NaN` where
+    /// nothing determines it). Motions take left steps `(w, v)`, before and after:
+    /// ```text
+    /// d |turn| = n . (w_a - w_b),  n the axis          d |shift| = m . (v_a - R v_b),  m along the shift, R the turn
+    /// ```
+    pub(super) fn moved_by(&self, stood: &Stood) -> Option<[[f64; 2]; 2]> {
+        let equations = self.linearise(stood)?;
+        let step = stood.step();
+        let [turn, shift] = [rotation_log(&step.rotation), step.translation_mm];
+        let [axis, along] = [turn, shift].map(|x| x.try_normalize(0.0).unwrap_or_else(Vector3::x));
+        let before = step.rotation.transpose() * along;
+        let mut rows = DMatrix::zeros(2, equations.b_g.len());
+        let [first, second] = self.motions;
+        for k in 0..3 {
+            (rows[(0, second + k)], rows[(0, first + k)]) = (axis[k], -axis[k]);
+            (rows[(1, second + 3 + k)], rows[(1, first + 3 + k)]) = (along[k], -before[k]);
+        }
+        let known = predict(&equations, &rows)?;
+        let sigma = |k: usize| if known.determined[k] { known.covariance[(k, k)].max(0.0).sqrt() } else { f64::NAN };
+        Some([[turn.norm(), sigma(0)], [shift.norm(), sigma(1)]])
+    }
+
     /// View and equations of each image.
     pub(super) fn of_each_image(&self, stood: &Stood) -> Option<Vec<(usize, MappedNormal)>> {
         let state = |o: &ImageObservations| if self.is_after(o) { &stood.after } else { &stood.before };
@@ -79,10 +147,9 @@ fn motion(state: &State) -> Motion<Cam, Rig> {
 }
 
 impl Stood {
-    /// Angle by which the second camera turned, rad, and distance by which its projection centre moved, mm.
-    pub(super) fn moved_by(&self) -> [f64; 2] {
-        let step = motion(&self.after) * motion(&self.before).inverse();
-        [rotation_log(&step.rotation).norm(), step.translation_mm.norm()]
+    /// Where a point of the second camera's frame before is in that afterwards.
+    fn step(&self) -> Motion<Cam, Cam> {
+        motion(&self.after) * motion(&self.before).inverse()
     }
 }
 
