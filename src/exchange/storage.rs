@@ -23,7 +23,7 @@ pub(super) struct Matrix {
     pub(super) data: Vec<f64>,
 }
 
-/// What a storage holds.
+/// What a storage holds. A scalar is among the words as it is written, and among the numbers where it is one: a camera may be called "1".
 #[derive(Debug, Default)]
 pub(super) struct Storage {
     pub(super) matrices: BTreeMap<String, Matrix>,
@@ -57,7 +57,8 @@ pub(super) fn write(nodes: &[Node], syntax: Syntax) -> String {
             (Node::Number(k, x), Syntax::Yaml) => writeln!(out, "{k}: {x}"),
             (Node::Number(k, x), Syntax::Xml) => writeln!(out, "<{k}>{x}</{k}>"),
             (Node::Word(k, w), Syntax::Yaml) => writeln!(out, "{k}: {}", quoted(w)),
-            (Node::Word(k, w), Syntax::Xml) => writeln!(out, "<{k}>{}</{k}>", escaped(w)),
+            // In quotes, as OpenCV writes what it would else read as a number or as several words.
+            (Node::Word(k, w), Syntax::Xml) => writeln!(out, "<{k}>\"{}\"</{k}>", escaped(w)),
             (Node::Matrix(k, m), Syntax::Yaml) => writeln!(
                 out,
                 "{k}: !!opencv-matrix\n   rows: {}\n   cols: {}\n   dt: d\n   data: [ {} ]",
@@ -147,6 +148,15 @@ fn yaml_number(y: &Yaml) -> Option<f64> {
     }
 }
 
+fn yaml_word(y: &Yaml) -> Option<String> {
+    match y {
+        Yaml::Integer(i) => Some(i.to_string()),
+        Yaml::Boolean(b) => Some(b.to_string()),
+        Yaml::Real(text) | Yaml::String(text) => Some(text.clone()),
+        _ => None,
+    }
+}
+
 /// References make a few lines grow to more than any memory, and OpenCV writes none.
 fn spared_of_aliases(file: &NamedText, text: &str) -> Result<()> {
     let mut parser = Parser::new_from_str(text);
@@ -181,11 +191,10 @@ fn read_yaml(file: &NamedText) -> Result<Storage> {
             let numbers = data.iter().map(|y| yaml_number(y).unwrap_or(f64::NAN)).collect();
             let found = matrix(yaml_number(&value["rows"]), yaml_number(&value["cols"]), numbers);
             out.matrices.insert(key.into(), found.map_err(|m| refusal(file, key, format!("{key}: {m}")))?);
-        } else if let Some(x) = yaml_number(value) {
-            out.numbers.insert(key.into(), x);
-        } else if let Some(word) = value.as_str() {
-            out.words.insert(key.into(), word.into());
+            continue;
         }
+        out.words.extend(yaml_word(value).map(|word| (key.to_string(), word)));
+        out.numbers.extend(yaml_number(value).map(|x| (key.to_string(), x)));
     }
     Ok(out)
 }
@@ -202,11 +211,10 @@ fn read_xml(file: &NamedText) -> Result<Storage> {
             let found = matrix(first("rows")?, first("cols")?, data);
             out.matrices.insert(key.into(), found.map_err(|m| xml.fault(node, format!("{key}: {m}")))?);
         } else if let Some(text) = node.text() {
-            let text = text.trim().trim_matches('"');
-            match text.parse() {
-                Ok(x) => drop(out.numbers.insert(key.into(), x)),
-                Err(_) => drop(out.words.insert(key.into(), text.into())),
-            }
+            let text = text.trim();
+            let text = text.strip_prefix('"').and_then(|t| t.strip_suffix('"')).unwrap_or(text);
+            out.words.insert(key.into(), text.into());
+            out.numbers.extend(text.parse().ok().map(|x| (key.to_string(), x)));
         }
     }
     Ok(out)

@@ -376,6 +376,28 @@ fn marks_in_one_place_and_parts_of_a_pixel_are_refused() {
     }
 }
 
+/// Cameras called by digits, or by words that read as something else, keep their names.
+#[test]
+fn names_that_read_as_numbers_come_back() {
+    for names in [["1", "2"], ["true", "1e3"], ["a \"b\"", "<&>"], ["007", "nan"]] {
+        let mut record = record_of(lens(6.34, -0.15), lens(-6.34, 0.1));
+        record.cameras.iter_mut().zip(names).for_each(|(c, name)| c.name = name.into());
+        for format in [ExportFormat::OpenCv, ExportFormat::OpenCvXml] {
+            let out = export(&record, format).unwrap();
+            let back = import(&texts(&out.result), ImportFormat::OpenCv, &ImportOptions::default()).unwrap().result;
+            let found: Vec<&str> = back.cameras.iter().map(|c| c.name.as_str()).collect();
+            assert_eq!(found, names, "{}", texts(&out.result)[0].text);
+        }
+    }
+    // As a user may write it, and a size in quotes.
+    let out = export(&record_of(lens(6.34, 0.0), lens(-6.34, 0.0)), ExportFormat::OpenCv).unwrap();
+    let mut file = texts(&out.result).remove(0);
+    file.text =
+        file.text.replace("name1: \"left\"", "name1: 1").replace("image_width1: 1024", "image_width1: \"1024\"");
+    let back = import(&[file], ImportFormat::OpenCv, &ImportOptions::default()).unwrap().result;
+    assert_eq!((back.cameras[0].name.as_str(), back.cameras[0].image_size_px), ("1", SIZE));
+}
+
 #[test]
 fn a_record_read_back_is_a_valid_file() {
     let record = record_of(lens(6.34, -0.15), lens(-6.34, 0.1));
