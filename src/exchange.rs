@@ -1,9 +1,10 @@
 //! Other people's formats: a calibration written for another package, or read from it.
 //!
 //! Every format states cameras in a world whose plane z = 0 is the laser sheet (mm). Where a format holds the camera of
-//! this library exactly, the numbers are converted; where it does not, the nearest camera that it can hold is fitted
-//! over the whole image, on the sheet and [2 % of the distance](Conversion::notes) before and behind it, and the loss is stated in px.
-//! A flat window is held by `csv` and within the polynomials of `soloff` only; elsewhere the nearest camera without one is fitted (`behind.rs`).
+//! this library exactly, the numbers are converted; where it does not, the nearest camera that it can hold is fitted over the whole
+//! image, and the loss is stated in px. The projection centre stays where it is, so that the loss is the same at every depth.
+//! A flat window is held by `csv` and within the polynomials of `soloff` only; elsewhere the nearest camera without one is fitted on the
+//! sheet and [2 % of the distance](Conversion::notes) before and behind it (`behind.rs`), and the loss holds there.
 //!
 //! | format | written | read | conventions |
 //! |---|---|---|---|
@@ -39,6 +40,7 @@ use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::Record;
 use crate::rigid::Motion;
+use refit::PIXELS;
 
 pub use placed::{placed, placed_at_view};
 pub use refit::Loss;
@@ -252,6 +254,13 @@ impl Cameras {
                 near.name,
                 near.depth_mm()
             ));
+            if near.pixels_seen() < PIXELS {
+                self.notes.push(format!(
+                    "{}: {} of {PIXELS} pixels over its image see that volume through the window; the loss is that of these",
+                    near.name,
+                    near.pixels_seen()
+                ));
+            }
             self.cameras.push(near);
         }
         Ok(())

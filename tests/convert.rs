@@ -144,7 +144,7 @@ fn the_files_of_the_stereo_sample_are_read() {
     let said = String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr);
     assert!(out.status.code().unwrap() < 2 && said.contains("spivcal sheet"), "{said}");
     let r = record(&scratch.path().join("back/calibration.json"));
-    assert!(r.sheet.is_none() && (r.rig.unwrap().baseline_mm - 60.0).abs() < 1.0);
+    assert!(r.sheet.is_none() && (r.rig.unwrap().baseline_mm - 60.0).abs() < 1e-9);
     let said = String::from_utf8_lossy(&spivcal(&["show", &path("back/calibration.json")]).stdout).into_owned();
     assert!(!said.contains("laser sheet lies"), "{said}");
     let said = convert(&["--from", "opencv", &both[0], "--image-size", "640x480", "-o", &path("none")], 2);

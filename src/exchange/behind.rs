@@ -16,27 +16,20 @@
 
 use super::WorldCamera;
 use super::distorted::fit_scheimpflug;
-use super::refit::{DEPTH, Seen, volume};
+use super::refit::{Center, DEPTH, PIXELS, Seen, over_image, rays};
 use crate::camera::{Camera, Window};
 use crate::dewarp::SheetMap;
 use crate::error::{Insufficient, Result};
 use crate::frames::{Cam, Sheet};
 use crate::rigid::Motion;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector3;
 
 /// Pixels over the whole image at three depths about the sheet, through the window.
 fn seen_through(c: &WorldCamera) -> Vec<Seen> {
     let map = SheetMap::new(c.camera, c.cam_from_world, c.image_size_px);
     let depth_mm = DEPTH * c.cam_from_world.inverse().translation_mm.z.abs();
-    let last = c.image_size_px.map(|n| n as f64 - 1.0);
-    let mut out = Vec::with_capacity(17 * 13 * 3);
-    for (i, j) in (0..17).flat_map(|i| (0..13).map(move |j| (i, j))) {
-        let pixel = Vector2::new(last[0] * f64::from(i) / 16.0, last[1] * f64::from(j) / 12.0);
-        for z in [-depth_mm, 0.0, depth_mm] {
-            out.extend(map.hit(&pixel, z).map(|h| Seen { xyz_mm: h.xy_mm.push(z), pixel }));
-        }
-    }
-    out
+    let depths = [-depth_mm, 0.0, depth_mm];
+    over_image(c.image_size_px, |q| depths.map(|z| map.hit(q, z).map(|h| h.xy_mm.push(z))).into_iter().flatten())
 }
 
 /// The nearest camera without the window, with what it was fitted to.
@@ -61,14 +54,29 @@ pub(super) fn without_window(c: WorldCamera, window: &Window) -> Result<WorldCam
     if points.len() < 100 {
         return Err(degenerate().into());
     }
-    let (camera, cam_from_world, loss) = fit_scheimpflug(&Camera::new(start)?, &pose, &points)?;
+    let (camera, cam_from_world, loss) = fit_scheimpflug(&Camera::new(start)?, &pose, &points, Center::Free)?;
     Ok(WorldCamera { camera, cam_from_world, loss, points: Some(points), ..c })
 }
 
 impl WorldCamera {
-    /// The measured volume as this camera sees it; behind a window through that.
-    pub(super) fn seen(&self) -> Vec<Seen> {
-        self.points.clone().unwrap_or_else(|| volume(&self.camera, &self.cam_from_world, self.image_size_px))
+    /// What this camera sees over the whole image: points on its rays; behind a window those of the measured volume.
+    ///
+    /// # Errors
+    /// As [`rays`].
+    pub(super) fn seen(&self) -> Result<Vec<Seen>> {
+        let on_rays =
+            || rays(&self.name, self.image_size_px, &self.cam_from_world, |q| self.camera.ideal_of_pixel(q).ok());
+        self.points.clone().map_or_else(on_rays, Ok)
+    }
+
+    /// Whether the camera to be written is to keep this one's projection centre: not where this stands for one behind a window.
+    pub(super) fn center(&self) -> Center {
+        if self.points.is_some() { Center::Free } else { Center::Held }
+    }
+
+    /// Of the pixels compared, how many see that volume.
+    pub(super) fn pixels_seen(&self) -> usize {
+        self.points.as_ref().map_or(PIXELS, |points| points.chunk_by(|a, b| a.pixel == b.pixel).count())
     }
 
     /// Half the depth of that volume, mm.

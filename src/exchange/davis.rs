@@ -99,7 +99,7 @@ fn pinhole<'a>(xml: &Xml<'a>, mapper: Node<'_, 'a>, name: String, options: &Impo
         }
         None => image_size(options)?,
     };
-    let (camera, cam_from_world, loss) = model.to_scheimpflug(&pose, image_size_px)?;
+    let (camera, cam_from_world, loss) = model.to_scheimpflug(&name, &pose, image_size_px)?;
     Ok(WorldCamera { name, image_size_px, pixel_pitch_mm: Some(pitch_mm), camera, cam_from_world, loss, points: None })
 }
 

@@ -6,7 +6,7 @@
 //! of points near the marks are good in any case.
 
 use super::distorted::fit_scheimpflug;
-use super::refit::{Loss, Seen};
+use super::refit::{Center, Loss, Seen};
 use crate::camera::{Camera, Intrinsics};
 use crate::error::{Insufficient, Result};
 use crate::frames::{Cam, Sheet};
@@ -54,7 +54,7 @@ pub(super) fn camera_of_marks(marks: &Marks, image_size_px: [usize; 2]) -> Resul
     let tilted = plain.effective_pinhole().with_axis_point(center[0], center[1], intrinsics.aspect);
     let start = Camera::new(tilted)?;
     let turned: Motion<Cam, Cam> = Motion::new(start.cam_from_pinhole(), Vector3::zeros());
-    fit_scheimpflug(&start, &(turned * pose), seen)
+    fit_scheimpflug(&start, &(turned * pose), seen, Center::Free)
 }
 
 fn projection_matrix(seen: &[Seen]) -> Result<Matrix3x4<f64>> {

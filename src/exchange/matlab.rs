@@ -6,8 +6,8 @@
 //! `R<n>`, `t<n>` with `p_in_camera = R p_in_sheet + t` (mm).
 //! Source of the container: "MAT-File Format", MathWorks, level 5.
 
-use super::distorted::OpenCvCamera;
-use super::refit::{moved, refit};
+use super::distorted::{OpenCvCamera, squared_radii};
+use super::refit::{moved, radial_steps, refit_with_k3};
 use super::{Cameras, Conversion, Loss, WorldCamera};
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Sheet};
@@ -57,14 +57,14 @@ fn untilted(c: &WorldCamera) -> Result<(OpenCvCamera, Motion<Cam, Sheet>, Loss)>
         Motion::<Cam, Cam>::new(c.camera.cam_from_pinhole().transpose(), Vector3::zeros()) * c.cam_from_world;
     let of = |p: &[f64]| {
         let mut d = [0.0; 14];
-        (d[0], d[1], d[2], d[3]) = (p[10], p[11], p[12], p[13]);
+        (d[0], d[1], d[2], d[3], d[4]) = (p[10], p[11], p[12], p[13], p[14]);
         OpenCvCamera { fx_px: p[6] * e.f_px, fy_px: p[7] * e.f_px * aspect, cx_px: p[8], cy_px: p[9], d }
     };
-    let start = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, e.cx_px, e.cy_px, 0.0, 0.0, 0.0, 0.0];
-    let far = pose.translation_mm.norm();
-    let (turn, shift) = (1e-6, 1e-6 * far);
-    let steps = [turn, turn, turn, shift, shift, shift, 1e-6, 1e-6, 0.01, 0.01, 1e-4, 1e-2, 1e-5, 1e-5];
-    let (p, loss) = refit(&c.seen(), &start, &steps, &|p, x| of(p).project(&moved(&pose, p).apply(x)))
+    let start = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, e.cx_px, e.cy_px, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let seen = c.seen()?;
+    let (turn, shift, [k1, k2, k3]) = (1e-6, c.center().step_mm(&pose), radial_steps(squared_radii(&pose, &seen)));
+    let steps = [turn, turn, turn, shift, shift, shift, 1e-6, 1e-6, 0.01, 0.01, k1, k2, 1e-5, 1e-5, k3];
+    let (p, loss) = refit_with_k3(&seen, &start, &steps, &|p, x| of(p).project(&moved(&pose, p).apply(x)))
         .ok_or_else(|| Invalid::Contradiction(format!("camera \"{}\" does not see the sheet", c.name)))?;
     Ok((of(&p), moved(&pose, &p), loss))
 }
@@ -81,7 +81,7 @@ pub(super) fn export(rig: &Cameras) -> Result<Conversion<Vec<(String, Vec<u8>)>>
         let variables = [
             ("imageSize", row(&[c.image_size_px[1] as f64, c.image_size_px[0] as f64])),
             ("K", DMatrix::from_row_slice(3, 3, &k)),
-            ("radial", row(&m.d[0..2])),
+            ("radial", row(&[m.d[0], m.d[1], m.d[4]])),
             ("tangential", row(&m.d[2..4])),
             ("R", DMatrix::from_fn(3, 3, |a, b| r[(a, b)])),
             ("t", DMatrix::from_column_slice(3, 1, pose.translation_mm.as_slice())),

@@ -30,7 +30,8 @@ fn held(c: &WorldCamera) -> Result<Held> {
             if i.radial != start.radial {
                 start.k = i.k.map(|k| -k);
             }
-            let (camera, pose, loss) = fit_scheimpflug(&Camera::new(start)?, &c.cam_from_world, &c.seen())?;
+            let (camera, pose, loss) =
+                fit_scheimpflug(&Camera::new(start)?, &c.cam_from_world, &c.seen()?, c.center())?;
             (camera.to_opencv()?, pose, loss)
         }
     };
@@ -152,15 +153,20 @@ impl<'a> Source<'a> {
             let message = format!("{camera_matrix} has a skew of {}: the camera of this library has none", k.m12);
             return Err(self.refusal(camera_matrix, message));
         }
-        let mut d = [0.0; 14];
-        if let Some(found) = self.matrix(coefficients) {
-            if ![4, 5, 8, 12, 14].contains(&found.data.len()) {
-                let message =
-                    format!("{coefficients} has {} coefficients: OpenCV knows 4, 5, 8, 12 or 14", found.data.len());
-                return Err(self.refusal(coefficients, message));
-            }
-            d[..found.data.len()].copy_from_slice(&found.data);
+        let found = self.matrix(coefficients).ok_or_else(|| {
+            let seen = self.storage.matrices.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+            self.missing(&format!(
+                "matrix {coefficients}, the distortion coefficients that go with {camera_matrix} (matrices found: {seen}); name it \
+                 {coefficients}, or write four zeros where the lens has no distortion"
+            ))
+        })?;
+        if ![4, 5, 8, 12, 14].contains(&found.data.len()) {
+            let message =
+                format!("{coefficients} has {} coefficients: OpenCV knows 4, 5, 8, 12 or 14", found.data.len());
+            return Err(self.refusal(coefficients, message));
         }
+        let mut d = [0.0; 14];
+        d[..found.data.len()].copy_from_slice(&found.data);
         Ok(OpenCvCamera { fx_px: k.m11, fy_px: k.m22, cx_px: k.m13, cy_px: k.m23, d })
     }
     fn size(&self, n: &str, options: &ImportOptions) -> Result<[usize; 2]> {
@@ -195,7 +201,7 @@ pub(super) fn import(files: &[NamedText], options: &ImportOptions) -> Result<Fou
     let mut notes = Vec::new();
     let known = s.pose("R_sheet", "T_sheet")?;
     let has_sheet = known.is_some();
-    // Without a sheet, what OpenCV's polynomial needs fitted is fitted about a plane that faces the first camera.
+    // Without a sheet the world is a plane that faces the first camera; nothing that is found hangs on it.
     let facing = || Motion::new(Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0)), Vector3::new(0.0, 0.0, 1000.0));
     let plane = known.unwrap_or_else(facing);
     if !has_sheet {
@@ -213,9 +219,9 @@ pub(super) fn import(files: &[NamedText], options: &ImportOptions) -> Result<Fou
             Motion::<Cam, Cam>::new(motion.rotation, motion.translation_mm) * plane
         };
         let image_size_px = s.size(n, options)?;
-        let (camera, cam_from_world, loss) =
-            s.model(matrix, coefficients)?.to_scheimpflug(&opencv_from_plane, image_size_px)?;
         let name = s.storage.words.get(&format!("name{n}")).cloned().unwrap_or_else(|| format!("camera{}", i + 1));
+        let (camera, cam_from_world, loss) =
+            s.model(matrix, coefficients)?.to_scheimpflug(&name, &opencv_from_plane, image_size_px)?;
         let pixel_pitch_mm = options.pixel_pitch_mm;
         cameras.push(WorldCamera { name, image_size_px, pixel_pitch_mm, camera, cam_from_world, loss, points: None });
     }

@@ -11,8 +11,8 @@
 //! with one refractive index (air to air): the glass vector then has no effect. A camera with a tilt and distortion has
 //! its distortion about the lens axis, OpenPTV about the image centre: the nearest is fitted and the loss told.
 
-use super::distorted::fit_scheimpflug;
-use super::refit::{Loss, moved, refit, volume};
+use super::distorted::{fit_scheimpflug, squared_radii};
+use super::refit::{Center, Loss, ideal_of_pixel, moved, radial_steps, rays, refit_with_k3};
 use super::{Cameras, Conversion, Found, ImportOptions, NamedText, WorldCamera};
 use crate::camera::{Camera, Intrinsics};
 use crate::error::{Invalid, Result};
@@ -60,7 +60,7 @@ impl Interior {
 }
 
 fn interior(p: &[f64], cc_mm: f64) -> Interior {
-    let ap = [p[9], p[10], 0.0, p[11], p[12], p[13], p[14]];
+    let ap = [p[9], p[10], p[15], p[11], p[12], p[13], p[14]];
     Interior { cc_mm: cc_mm * p[6], xh_mm: p[7], yh_mm: p[8], ap }
 }
 
@@ -74,13 +74,13 @@ fn nearest(c: &WorldCamera, sensor: Sensor) -> Result<(Interior, Motion<Cam, She
     let half = sensor.size_px.map(|n| 0.5 * n as f64 - 0.5);
     let cc_mm = e.f_px * aspect * sensor.pitch_mm;
     let (xh, yh) = (aspect * (e.cx_px - half[0]) * sensor.pitch_mm, (half[1] - e.cy_px) * sensor.pitch_mm);
-    let start = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, xh, yh, 0.0, 0.0, 0.0, 0.0, 1.0 / aspect, 0.0];
-    let far = pose.translation_mm.norm();
-    let (turn, shift, mm) = (1e-6, 1e-6 * far, 1e-2 * sensor.pitch_mm);
-    let steps = [turn, turn, turn, shift, shift, shift, 1e-6, mm, mm, 1e-6, 1e-8, 1e-6, 1e-6, 1e-6, 1e-6];
-    let seen = c.seen();
+    let start = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, xh, yh, 0.0, 0.0, 0.0, 0.0, 1.0 / aspect, 0.0, 0.0];
+    let seen = c.seen()?;
+    let [k1, k2, k3] = radial_steps(squared_radii(&pose, &seen).map(|s| s * cc_mm * cc_mm));
+    let (turn, shift, mm) = (1e-6, c.center().step_mm(&pose), 1e-2 * sensor.pitch_mm);
+    let steps = [turn, turn, turn, shift, shift, shift, 1e-6, mm, mm, k1, k2, 1e-6, 1e-6, 1e-6, 1e-6, k3];
     let project = |p: &[f64], x: &Vector3<f64>| interior(p, cc_mm).project(&moved(&pose, p).apply(x), sensor);
-    let (p, loss) = refit(&seen, &start, &steps, &project)
+    let (p, loss) = refit_with_k3(&seen, &start, &steps, &project)
         .ok_or_else(|| Invalid::Contradiction(format!("camera \"{}\" does not see the sheet", c.name)))?;
     Ok((interior(&p, cc_mm), moved(&pose, &p), loss))
 }
@@ -165,15 +165,19 @@ fn camera(ori: &NamedText, addpar: Option<&NamedText>, sensor: Sensor) -> Result
     let mut start =
         Intrinsics::pinhole(f, half[0] + scale * it.xh_mm / sensor.pitch_mm, half[1] - it.yh_mm / sensor.pitch_mm);
     start.aspect = 1.0 / scale;
-    let start = Camera::new(start)?;
-    let mut seen = volume(&start, &pose, sensor.size_px);
-    for s in &mut seen {
-        s.pixel = it.project(&pose.apply(&s.xyz_mm), sensor).unwrap_or(Vector2::repeat(f64::NAN));
-    }
     let plain = it.ap[..5] == [0.0; 5] && it.ap[6] == 0.0;
-    let (camera, cam_from_world, loss) =
-        if plain { (start, pose, Loss::NONE) } else { fit_scheimpflug(&start, &pose, &seen)? };
     let name = ori.name.rsplit(['/', '\\']).next().unwrap_or_default().trim_end_matches(".ori").to_string();
+    let (camera, cam_from_world, loss) = if plain {
+        (Camera::new(start)?, pose, Loss::NONE)
+    } else {
+        let ideal = |q: &Vector2<f64>| ideal_of_pixel(q, |xy| it.project(&xy.push(1.0), sensor));
+        let seen = rays(&name, sensor.size_px, &pose, ideal)?;
+        // The same polynomial, were the distortion about the axis; k in 1/mm^2, 1/mm^4, 1/mm^6 of the sensor.
+        let bent = Intrinsics { k: [0, 1, 2].map(|n| it.ap[n] * it.cc_mm.powi(2 * n as i32 + 2)), ..start };
+        let sees = |c: &Camera| seen.iter().all(|s| c.project_xyz(&pose.apply(&s.xyz_mm)).is_ok());
+        let near = Camera::new(bent).ok().filter(sees);
+        fit_scheimpflug(&near.map_or_else(|| Camera::new(start), Ok)?, &pose, &seen, Center::Held)?
+    };
     let pixel_pitch_mm = Some(sensor.pitch_mm);
     Ok(WorldCamera { name, image_size_px: sensor.size_px, pixel_pitch_mm, camera, cam_from_world, loss, points: None })
 }
