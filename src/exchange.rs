@@ -16,6 +16,7 @@
 //! | `soloff` | text | - | 19 coefficients in u and v per camera over the common field, coordinates scaled to -1 to 1, fitted (`soloff.rs`); pixel (0, 0) is the centre of the first pixel |
 //! | `csv` | tables | - | everything in the record |
 //!
+//! Where a format does not state the laser sheet (OpenPTV, marks of DaVis, UVMAT) z = 0 of its world is taken for it, and noted.
 //! Covariances travel only in `csv`: no other format has a place for them, and a calibration read from one has none.
 
 mod behind;
@@ -100,6 +101,9 @@ pub struct Conversion<T> {
     pub result: T,
     /// Loss per camera, in the order of the cameras; [`Loss::NONE`] where the format holds the camera exactly.
     pub losses: Vec<Loss>,
+    /// How far marks lie from where the camera that was fitted to them sees them, px, per camera; empty where cameras were not fitted to marks.
+    /// It is what measured marks scatter, and no loss of the conversion.
+    pub marks: Vec<Loss>,
     /// What was assumed or left away, in words.
     pub notes: Vec<String>,
 }
@@ -107,20 +111,41 @@ pub struct Conversion<T> {
 /// A loss above this is told as a flag: it is larger than what a good calibration leaves, px.
 pub const LOSS_LIMIT_PX: f64 = 0.02;
 
+/// Marks whose residuals are larger than this, rms in px, are told as a flag: good ones leave 0.05 px, poor ones 0.2 px.
+pub const MARKS_LIMIT_PX: f64 = 0.3;
+
+/// A single mark that is further off than this is told as a flag, px: that is no scatter.
+pub const MARK_LIMIT_PX: f64 = 1.5;
+
 impl<T> Conversion<T> {
-    /// What the user must know before using the result: losses above [`LOSS_LIMIT_PX`].
+    /// A conversion of cameras that were not fitted to marks.
+    fn of(result: T, losses: Vec<Loss>, notes: Vec<String>) -> Self {
+        Self { result, losses, marks: Vec::new(), notes }
+    }
+
+    /// What the user must know before using the result: losses above [`LOSS_LIMIT_PX`], marks beyond [`MARKS_LIMIT_PX`] and [`MARK_LIMIT_PX`].
     pub fn flags(&self) -> Vec<String> {
         let large = self.losses.iter().enumerate().filter(|(_, l)| !(l.max_px <= LOSS_LIMIT_PX));
-        large
-            .map(|(i, l)| {
-                format!(
-                    "camera {}: it cannot be carried over exactly; the nearest camera of the other kind differs by {:.3} px rms, {:.3} px at most",
-                    i + 1,
-                    l.rms_px,
-                    l.max_px
-                )
-            })
-            .collect()
+        let losses = large.map(|(i, l)| {
+            format!(
+                "camera {}: it cannot be carried over exactly; the nearest camera of the other kind differs by {:.3} px rms, {:.3} px at most; \
+                 where that is too much, calibrate with a model that both packages have",
+                i + 1,
+                l.rms_px,
+                l.max_px
+            )
+        });
+        let off = |l: &Loss| !(l.rms_px <= MARKS_LIMIT_PX && l.max_px <= MARK_LIMIT_PX);
+        let marks = self.marks.iter().enumerate().filter(|(_, l)| off(l)).map(|(i, l)| {
+            format!(
+                "camera {}: its marks lie {:.3} px rms, {:.3} px at most, from where the camera fitted to them sees them, which is more than \
+                 measured marks scatter; look for marks of a wrong place or label, a view of another plate position, and a wrong image size",
+                i + 1,
+                l.rms_px,
+                l.max_px
+            )
+        });
+        losses.chain(marks).collect()
     }
 }
 
@@ -192,6 +217,8 @@ struct Found {
     cameras: Vec<WorldCamera>,
     /// Whether the plane z = 0 of the world is the laser sheet; else it was only fitted about.
     has_sheet: bool,
+    /// Whether the cameras were fitted to measured marks: their loss is then what these leave.
+    of_marks: bool,
     notes: Vec<String>,
     program: &'static str,
 }

@@ -17,7 +17,7 @@ pub(super) fn run(command: &Convert) -> Result<Done> {
     let folder = command.output.clone().unwrap_or_else(|| PathBuf::from("."));
     can_write(&folder)?;
     let mut output = Output::default();
-    let (notes, losses, flags) = match (command.to, command.from) {
+    let (notes, losses, marks, flags) = match (command.to, command.from) {
         (Some(to), None) => {
             let [file] = &command.files[..] else {
                 return Err(
@@ -55,7 +55,8 @@ pub(super) fn run(command: &Convert) -> Result<Done> {
     let names: Vec<String> = output.names().iter().map(|n| folder.join(n).display().to_string()).collect();
     output.commit_beside(&folder, &command.files.iter().map(AsRef::as_ref).collect::<Vec<&Path>>())?;
     let loss = |l: &Loss| json!({ "rms_px": l.rms_px, "max_px": l.max_px });
-    let json = json!({ "files": names, "loss": losses.iter().map(loss).collect::<Vec<_>>(), "notes": notes });
+    let all = |l: &[Loss]| l.iter().map(loss).collect::<Vec<_>>();
+    let json = json!({ "files": names, "loss": all(&losses), "marks": all(&marks), "notes": notes });
     let mut text: String = names.iter().map(|n| format!("wrote {n}\n")).collect();
     for (i, l) in losses.iter().enumerate().filter(|(_, l)| l.max_px > 0.0) {
         text += &format!("camera {}: fitted, {:.2e} px rms, {:.2e} px at most\n", i + 1, l.rms_px, l.max_px);
@@ -64,8 +65,11 @@ pub(super) fn run(command: &Convert) -> Result<Done> {
     Ok(Done { text, json, flags })
 }
 
-fn told<T>(done: &Conversion<T>) -> (Vec<String>, Vec<Loss>, Vec<String>) {
-    (done.notes.clone(), done.losses.clone(), done.flags())
+/// Notes, losses, residuals of marks, flags.
+type Told = (Vec<String>, Vec<Loss>, Vec<Loss>, Vec<String>);
+
+fn told<T>(done: &Conversion<T>) -> Told {
+    (done.notes.clone(), done.losses.clone(), done.marks.clone(), done.flags())
 }
 
 /// The calibration with its sheet frame where it is to stand.
@@ -87,7 +91,7 @@ fn in_frame(command: &Convert, record: Record) -> Result<Record> {
 /// The calibration itself.
 fn own(record: &Record) -> Result<Conversion<Vec<(String, Vec<u8>)>>> {
     let result = vec![("calibration.json".to_string(), record.to_json()?.into_bytes())];
-    Ok(Conversion { result, losses: vec![Loss::NONE; record.cameras.len()], notes: vec![] })
+    Ok(Conversion { result, losses: vec![Loss::NONE; record.cameras.len()], marks: vec![], notes: vec![] })
 }
 
 /// None for this program's own.

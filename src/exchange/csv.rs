@@ -131,5 +131,5 @@ pub(super) fn export(record: &Record) -> Conversion<Vec<(String, Vec<u8>)>> {
     result.push(("views.csv".into(), views(record).into_bytes()));
     result.push(("covariance.csv".into(), covariance(record).into_bytes()));
     let losses = vec![super::Loss::NONE; record.cameras.len()];
-    Conversion { result, losses, notes: Vec::new() }
+    Conversion::of(result, losses, Vec::new())
 }

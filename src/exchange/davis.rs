@@ -52,7 +52,7 @@ fn pinholes(xml: &Xml<'_>, options: &ImportOptions) -> Result<Found> {
     }
     let notes =
         vec!["z = 0 of the file's world (the plate, or the sheet after DaVis's self-calibration) is the sheet".into()];
-    Ok(Found { cameras, has_sheet: true, notes, program: "davis" })
+    Ok(Found { cameras, has_sheet: true, of_marks: false, notes, program: "davis" })
 }
 
 fn pinhole<'a>(xml: &Xml<'a>, mapper: Node<'_, 'a>, name: String, options: &ImportOptions) -> Result<WorldCamera> {
@@ -142,5 +142,9 @@ fn marks(xml: &Xml<'_>, options: &ImportOptions) -> Result<Found> {
             points: None,
         });
     }
-    Ok(Found { cameras, has_sheet: true, notes, program: "davis marks" })
+    notes.push(
+        "z = 0 of the marks (the plate, where it was calibrated) is taken for the laser sheet; look with spivcal check whether the light is there"
+            .into(),
+    );
+    Ok(Found { cameras, has_sheet: true, of_marks: true, notes, program: "davis marks" })
 }

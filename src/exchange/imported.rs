@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Matrix6, Vector3};
 
 /// The record of the cameras found; the first becomes the rig frame, the plane z = 0 the sheet.
 pub(super) fn record(found: Found, files: &[NamedText]) -> Result<Conversion<Record>> {
-    let Found { cameras, has_sheet, mut notes, program } = found;
+    let Found { cameras, has_sheet, of_marks, mut notes, program } = found;
     refuse_alike(&cameras, files)?;
     let first = cameras.first().ok_or_else(|| Invalid::Contradiction("the file holds no camera".into()))?;
     let mut rig_from_world: Motion<Rig, Sheet> =
@@ -65,7 +65,11 @@ pub(super) fn record(found: Found, files: &[NamedText]) -> Result<Conversion<Rec
         ));
     }
     notes.push("the file holds no standard deviations: all of them are unknown (null)".into());
-    Ok(Conversion { result, losses, notes })
+    Ok(if of_marks {
+        Conversion { result, losses: vec![Loss::NONE; losses.len()], marks: losses, notes }
+    } else {
+        Conversion::of(result, losses, notes)
+    })
 }
 
 /// Options fill in what a format does not say; what a file says itself they must not contradict.

@@ -94,5 +94,5 @@ pub(super) fn export(rig: &Cameras) -> Result<Conversion<Vec<(String, Vec<u8>)>>
         ));
         losses.push(loss);
     }
-    Ok(Conversion { result: vec![("cameras.mat".into(), bytes)], losses, notes })
+    Ok(Conversion::of(vec![("cameras.mat".into(), bytes)], losses, notes))
 }

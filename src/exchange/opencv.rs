@@ -80,7 +80,7 @@ pub(super) fn export(rig: &Cameras, syntax: Syntax) -> Result<Conversion<Vec<(St
             .into(),
     );
     let losses = all.iter().map(|h| h.loss).collect();
-    Ok(Conversion { result: vec![(name.into(), storage::write(&nodes, syntax).into_bytes())], losses, notes })
+    Ok(Conversion::of(vec![(name.into(), storage::write(&nodes, syntax).into_bytes())], losses, notes))
 }
 
 /// One or two files, read as one.
@@ -225,5 +225,5 @@ pub(super) fn import(files: &[NamedText], options: &ImportOptions) -> Result<Fou
         let pixel_pitch_mm = options.pixel_pitch_mm;
         cameras.push(WorldCamera { name, image_size_px, pixel_pitch_mm, camera, cam_from_world, loss, points: None });
     }
-    Ok(Found { cameras, has_sheet, notes, program: "opencv" })
+    Ok(Found { cameras, has_sheet, of_marks: false, notes, program: "opencv" })
 }

@@ -122,7 +122,7 @@ pub(super) fn export(rig: &Cameras) -> Result<Conversion<Vec<(String, Vec<u8>)>>
             c.name, c.image_size_px[0], c.image_size_px[1]
         ));
     }
-    Ok(Conversion { result, losses, notes })
+    Ok(Conversion::of(result, losses, notes))
 }
 
 fn numbers(file: &NamedText, expected: usize, what: &str) -> Result<Vec<f64>> {
@@ -203,6 +203,9 @@ pub(super) fn import(given: &[NamedText], options: &ImportOptions) -> Result<Fou
     let notes = vec![
         "read without glass: if ptv.par has refractive indices other than 1, these cameras see something else"
             .to_string(),
+        "z = 0 of the file's world (that of the target) is taken for the laser sheet, which OpenPTV does not state; look with spivcal check \
+         whether the light is there"
+            .to_string(),
     ];
-    Ok(Found { cameras, has_sheet: true, notes, program: "openptv" })
+    Ok(Found { cameras, has_sheet: true, of_marks: false, notes, program: "openptv" })
 }

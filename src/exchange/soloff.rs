@@ -68,5 +68,5 @@ pub(super) fn export(rig: &Cameras, degrees: SoloffDegrees) -> Result<Conversion
         "the polynomials hold for x {:.2} to {:.2}, y {:.2} to {:.2}, z {:.2} to {:.2} mm only",
         x.0, x.1, y.0, y.1, z.0, z.1
     ));
-    Ok(Conversion { result, losses, notes })
+    Ok(Conversion::of(result, losses, notes))
 }

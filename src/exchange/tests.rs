@@ -33,7 +33,9 @@ fn world_camera(name: &str, intrinsics: Intrinsics, angle_deg: f64) -> WorldCame
 
 fn record_of(left: Intrinsics, right: Intrinsics) -> Record {
     let cameras = vec![world_camera("left", left, -45.0), world_camera("right, far", right, 45.0)];
-    imported::record(Found { cameras, has_sheet: true, notes: vec![], program: "test" }, &[]).unwrap().result
+    imported::record(Found { cameras, has_sheet: true, of_marks: false, notes: vec![], program: "test" }, &[])
+        .unwrap()
+        .result
 }
 
 fn texts(files: &[(String, Vec<u8>)]) -> Vec<NamedText> {
@@ -197,12 +199,20 @@ fn davis_polynomials_are_refused_with_the_way_out() {
     assert!(message.contains("Calibration.xml:2") && message.contains("MarkPositionTable"), "{message}");
 }
 
+/// As [`marks_with`], where they are seen.
 fn marks_of(c: &WorldCamera, depths: &[f64]) -> String {
+    marks_with(c, depths, |_| Vector2::zeros())
+}
+
+/// Marks of a camera, each off by what goes with its number, px.
+fn marks_with(c: &WorldCamera, depths: &[f64], off: impl Fn(usize) -> Vector2<f64>) -> String {
+    let mut count = 0;
     let mut out = String::from("<MarkPositionTable><Camera CameraNumber=\"1\"><View>");
     for z in depths {
         for (i, j) in (-6..=6).flat_map(|i| (-5..=5).map(move |j| (i, j))) {
             let x = Vector3::new(f64::from(i) * 4.0, f64::from(j) * 4.0, *z);
-            let q = c.camera.project_xyz(&c.cam_from_world.apply(&x)).unwrap();
+            let q = c.camera.project_xyz(&c.cam_from_world.apply(&x)).unwrap() + off(count);
+            count += 1;
             out += &format!(
                 "<Mark w=\"1\"><WorldPos x=\"{}\" y=\"{}\" z=\"{}\"/><RawPos x=\"{}\" y=\"{}\"/></Mark>",
                 x.x, x.y, x.z, q.x, q.y
@@ -216,13 +226,36 @@ fn marks_of(c: &WorldCamera, depths: &[f64]) -> String {
 fn davis_marks_become_the_camera_that_saw_them() {
     let c = world_camera("c", lens(6.34, -0.15), 30.0);
     let back = davis(&marks_of(&c, &[-3.0, 0.0, 3.0])).unwrap();
-    assert!(back.losses[0].max_px < 1e-5, "{:?}", back.losses);
+    assert!(back.marks[0].max_px < 1e-5 && back.losses == [Loss::NONE], "{:?}", back.marks);
     let found = &Cameras::of(&back.result).unwrap().cameras[0];
     let x = Vector3::new(11.0, -7.0, 1.0);
     let q = |c: &WorldCamera| c.camera.project_xyz(&c.cam_from_world.apply(&x)).unwrap();
     assert!((q(&c) - q(found)).norm() < 1e-4);
     let flat = davis(&marks_of(&c, &[0.0])).unwrap_err().to_string();
     assert!(flat.contains("one plane"), "{flat}");
+}
+
+/// Measured marks scatter: that is told as what it is, and flagged where it is more than marks do.
+#[test]
+fn what_marks_scatter_is_no_loss() {
+    let c = world_camera("c", lens(6.34, -0.15), 30.0);
+    // Evenly spread directions of one length: 0.05 px of scatter is good, 0.5 px is not.
+    let scatter = |length: f64| {
+        move |k: usize| {
+            let angle = 2.4 * k as f64;
+            Vector2::new(angle.cos(), angle.sin()) * length
+        }
+    };
+    let read = |off: &dyn Fn(usize) -> Vector2<f64>| davis(&marks_with(&c, &[-3.0, 0.0, 3.0], off)).unwrap();
+    let good = read(&scatter(0.05));
+    assert!((good.marks[0].rms_px - 0.05).abs() < 0.005, "{:?}", good.marks);
+    assert_eq!(good.result.cameras[0].rms_px, good.marks[0].rms_px);
+    assert!(good.losses == [Loss::NONE] && good.flags().is_empty(), "{:?}", good.flags());
+    assert!(good.notes.iter().any(|n| n.contains("z = 0 of the marks")), "{:?}", good.notes);
+    let poor = read(&scatter(0.5)).flags();
+    assert!(poor.len() == 1 && poor[0].contains("its marks lie 0.") && poor[0].contains("label"), "{poor:?}");
+    let one = read(&|k| Vector2::new(if k == 100 { 4.0 } else { 0.0 }, 0.0));
+    assert!(one.marks[0].rms_px < MARKS_LIMIT_PX && one.flags().len() == 1, "{:?}", one.marks);
 }
 
 #[test]

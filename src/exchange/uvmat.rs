@@ -44,7 +44,7 @@ pub(super) fn import(files: &[NamedText], options: &ImportOptions) -> Result<Fou
         }
         cameras.push(camera);
     }
-    Ok(Found { cameras, has_sheet: true, notes, program: "uvmat" })
+    Ok(Found { cameras, has_sheet: true, of_marks: false, notes, program: "uvmat" })
 }
 
 /// Numbers of an element, or of several elements of that name (rows of a matrix).
