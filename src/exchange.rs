@@ -16,7 +16,7 @@
 //! | `soloff` | text | - | 19 coefficients in u and v per camera over the common field, coordinates scaled to -1 to 1, fitted (`soloff.rs`); pixel (0, 0) is the centre of the first pixel |
 //! | `csv` | tables | - | everything in the record |
 //!
-//! Where a format does not state the laser sheet (OpenPTV, marks of DaVis, UVMAT) z = 0 of its world is taken for it, and noted.
+//! Where a format does not state the laser sheet (OpenPTV, marks of DaVis, UVMAT without a slice) z = 0 of its world is taken for it, and noted.
 //! Covariances travel only in `csv`: no other format has a place for them, and a calibration read from one has none.
 
 mod behind;
@@ -179,8 +179,8 @@ pub fn export_soloff(record: &Record, degrees: SoloffDegrees) -> Result<Conversi
 
 /// Reads a calibration of another package.
 ///
-/// The record has cameras and the sheet (the plane z = 0 of the format's world; none where a format holds none), but no views and no
-/// standard deviations.
+/// The record has cameras and the sheet (the slice of UVMAT, else the plane z = 0 of the format's world; none where a format holds none), but
+/// no views and no standard deviations.
 ///
 /// # Errors
 /// [`Invalid::Syntax`] or [`Invalid::File`] where the text is not of the format, or what it says cannot be a calibration;

@@ -1,3 +1,4 @@
+mod slices;
 mod strangers;
 mod windows;
 
@@ -275,6 +276,7 @@ fn uvmat_by_hand() {
     let q = c.camera.project_xyz(&c.cam_from_world.apply(&Vector3::new(30.0, flipped * 10.0, 0.0))).unwrap();
     assert!((q - Vector2::new(left - 0.5, 767.5 - bottom)).norm() < 1e-9, "{q}");
     assert_eq!(c.name, "left");
+    assert!(back.notes.iter().any(|n| n.contains("SliceCoord") && n.contains("z = 0")), "{:?}", back.notes);
 }
 
 /// One file of right-handed axes and one of left-handed ones are not of one world.
