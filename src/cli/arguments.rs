@@ -370,7 +370,7 @@ pub(super) enum ToFormat {
     Matlab,
     /// Coefficients of Soloff's polynomials (text, one file per camera)
     Soloff,
-    /// Tables of everything
+    /// Tables: cameras, sheet, views, covariance
     Csv,
 }
 

@@ -1,13 +1,27 @@
-//! Tables of everything: one number per row with its name, unit and standard deviation, and the covariance.
+//! Tables: one number per row with its name, unit and standard deviation, and the covariance.
+//!
+//! Cameras and their windows, the sheet, poses of the views and their residuals. Sigmas of a pose's numbers follow from the covariance of its
+//! left step (w, v), empty where the record does not determine it:
+//! ```text
+//! dR = [w] R,   dt = w x t + v
+//! ```
+//! Not in the tables: target, scale, baseline, fit and its diagnosis, uncertainty of the mapping, provenance. They are in calibration.json.
 
 use super::Conversion;
-use crate::record::{Pose, Radial, Record};
+use crate::record::{Covariance, Pose, Radial, Record};
 use crate::report::csv_field as field;
+use crate::rigid::{STEP_NAMES, skew};
+use nalgebra::{Matrix3, Matrix3x6, Matrix6, Vector3};
 use std::fmt::Write;
 
 /// A number; empty where it does not exist.
 fn number(x: f64) -> String {
     if x.is_finite() { x.to_string() } else { String::new() }
+}
+
+/// Standard deviation of a variance, which rounding may leave a little below 0.
+fn root(variance: f64) -> f64 {
+    if variance < 0.0 { 0.0 } else { variance.sqrt() }
 }
 
 struct Table(String);
@@ -20,21 +34,39 @@ impl Table {
         // Writing to a String cannot fail.
         let _ = writeln!(self.0, "{},{quantity},{},{},{unit}", field(owner), number(value), number(sigma));
     }
-    fn pose(&mut self, owner: &str, name: &str, pose: &Pose) {
-        for (i, row) in pose.rotation.iter().enumerate() {
-            for (j, x) in row.iter().enumerate() {
-                self.row(owner, &format!("{name}.r{}{}", i + 1, j + 1), *x, f64::NAN, "1");
-            }
+    /// Numbers of a pose; `known` is the covariance of its left step, 1 and mm.
+    fn pose(&mut self, owner: &str, name: &str, pose: &Pose, known: &Matrix6<f64>) {
+        let sigmas = |by_step: Matrix3x6<f64>| (by_step * known * by_step.transpose()).diagonal().map(root);
+        let turned = |x: &Vector3<f64>| {
+            let mut by_step = Matrix3x6::zeros();
+            by_step.fixed_view_mut::<3, 3>(0, 0).copy_from(&-skew(x));
+            by_step
+        };
+        let rotation = Matrix3::from_fn(|i, j| pose.rotation[i][j]);
+        let columns = [0, 1, 2].map(|j| sigmas(turned(&rotation.column(j).into_owned())));
+        for (i, j) in (0..3).flat_map(|i| (0..3).map(move |j| (i, j))) {
+            self.row(owner, &format!("{name}.r{}{}", i + 1, j + 1), rotation[(i, j)], columns[j][i], "1");
         }
-        for (axis, x) in ["tx", "ty", "tz"].iter().zip(pose.translation_mm) {
-            self.row(owner, &format!("{name}.{axis}"), x, f64::NAN, "mm");
+        let mut moved = turned(&Vector3::from(pose.translation_mm));
+        moved.fixed_view_mut::<3, 3>(0, 3).copy_from(&Matrix3::identity());
+        for ((axis, x), sigma) in ["tx", "ty", "tz"].iter().zip(pose.translation_mm).zip(sigmas(moved).iter()) {
+            self.row(owner, &format!("{name}.{axis}"), x, *sigma, "mm");
         }
+    }
+}
+
+/// Covariance of the left step of a pose; `NaN` where the record does not state it, 0 where the pose is the frame's own.
+fn of_step(c: &Covariance, prefix: &str, fixed: bool) -> Matrix6<f64> {
+    let rows: Option<Vec<usize>> = STEP_NAMES.iter().map(|step| c.index(&format!("{prefix}.{step}"))).collect();
+    match rows {
+        Some(rows) => Matrix6::from_fn(|i, j| c.known(rows[i], rows[j])),
+        None => Matrix6::repeat(if fixed { 0.0 } else { f64::NAN }),
     }
 }
 
 fn cameras(record: &Record) -> String {
     let mut t = Table::new();
-    for c in &record.cameras {
+    for (index, c) in record.cameras.iter().enumerate() {
         let (o, s) = (c.name.as_str(), &c.sigma);
         t.row(o, "image_width", c.image_size_px[0] as f64, f64::NAN, "px");
         t.row(o, "image_height", c.image_size_px[1] as f64, f64::NAN, "px");
@@ -55,7 +87,9 @@ fn cameras(record: &Record) -> String {
         t.row(o, "effective.cx", c.effective.cx_px, s.effective.cx_px, "px");
         t.row(o, "effective.cy", c.effective.cy_px, s.effective.cy_px, "px");
         t.row(o, "rms", c.rms_px, f64::NAN, "px");
-        t.pose(o, "cam_from_rig", &c.cam_from_rig);
+        // The first camera is the rig's frame, wherever anything is known.
+        let fixed = index == 0 && !record.covariance.names.is_empty();
+        t.pose(o, "cam_from_rig", &c.cam_from_rig, &of_step(&record.covariance, &format!("{o}.cam_from_rig"), fixed));
         if let Some(w) = &c.window {
             for (i, name) in ["x", "y", "z"].iter().enumerate() {
                 t.row(o, &format!("window.normal_{name}"), w.normal_in_cam[i], f64::NAN, "1");
@@ -85,14 +119,22 @@ fn sheet(record: &Record) -> Option<String> {
     for (i, name) in ["a", "b", "c"].iter().enumerate() {
         t.row("sheet", name, s.abc_per_mm[i], s.sigma.abc_per_mm[i], "1/mm");
     }
+    let known = of_step(&record.covariance, "sheet.rig_from_sheet", false);
+    // The normal is the third axis of that pose, or its opposite: a turn w moves it by w x n.
+    let by_turn = skew(&Vector3::from(s.normal_in_rig));
+    let normal = (by_turn * known.fixed_view::<3, 3>(0, 0) * by_turn.transpose()).diagonal();
     for (i, name) in ["normal_x", "normal_y", "normal_z"].iter().enumerate() {
-        t.row("sheet", name, s.normal_in_rig[i], f64::NAN, "1");
+        t.row("sheet", name, s.normal_in_rig[i], root(normal[i]), "1");
+    }
+    // And what is known of it as turns about the sheet's own axes, by which it is off.
+    for (name, sigma) in ["turn_x", "turn_y"].iter().zip(s.sigma.normal_rad) {
+        t.row("sheet", name, 0.0, sigma, "rad");
     }
     for (i, x) in s.angles_deg.iter().enumerate() {
         t.row("sheet", &format!("theta{}", i + 1), *x, s.sigma.angles_deg[i], "deg");
     }
     t.row("sheet", "angle_to_baseline", s.angle_to_baseline_deg, s.sigma.angle_to_baseline_deg, "deg");
-    t.pose("sheet", "rig_from_sheet", &s.rig_from_sheet);
+    t.pose("sheet", "rig_from_sheet", &s.rig_from_sheet, &known);
     Some(t.0)
 }
 
@@ -105,7 +147,12 @@ fn views(record: &Record) -> String {
             t.row(&owner, &field(&format!("rms.{camera}")), *rms, f64::NAN, "px");
         }
         if let Some(pose) = &v.rig_from_target {
-            t.pose(&owner, "rig_from_target", pose);
+            t.pose(
+                &owner,
+                "rig_from_target",
+                pose,
+                &of_step(&record.covariance, &format!("{owner}.rig_from_target"), false),
+            );
         }
     }
     t.0

@@ -1,5 +1,6 @@
 mod slices;
 mod strangers;
+mod tables;
 mod windows;
 
 use super::refit::{moved, over_image};
