@@ -14,7 +14,7 @@
 //! | `uvmat` | - | XML (`GeometryCalib`) | image y up from the lower edge, pixel centres at half numbers, one radial coefficient |
 //! | `matlab` | `.mat` (level 5) | - | pixel (1, 1) is the centre of the first pixel; plain matrices for `cameraIntrinsics` and `rigidtform3d`: no tilt, so the nearest camera with tangential terms is fitted. PIVlab's own calibration file holds MATLAB objects, which only MATLAB can write |
 //! | `soloff` | text | - | 19 coefficients in u and v per camera over the common field, coordinates scaled to -1 to 1, fitted (`soloff.rs`); pixel (0, 0) is the centre of the first pixel |
-//! | `csv` | tables | - | cameras, windows, sheet and poses of the views, with standard deviations where the record has them, and the covariance; `csv.rs` says what is left out |
+//! | `csv` | tables | - | cameras, windows, sheet and poses of the views, with standard deviations where the record has them, and the covariance; not target, scale, baseline, fit and uncertainty of the mapping, which calibration.json holds |
 //!
 //! Where a format does not state the laser sheet (OpenPTV, marks of DaVis, UVMAT without a slice) z = 0 of its world is taken for it, and noted.
 //! Covariances travel only in `csv`: no other format has a place for them, and a calibration read from one has none.
