@@ -6,10 +6,12 @@
 //! y'' = y' g + p1 (r2 + 2 y'^2) + 2 p2 x' y' + s3 r2 + s4 r2^2
 //! s (x''', y''', 1) = [R33 0 -R13; 0 R33 -R23; 0 0 1] R(tx, ty) (x'', y'', 1),   u = fx x''' + cx,  v = fy y''' + cy
 //! ```
-//! Source: OpenCV's documentation of `calib3d`. Exact where p, s and k4 to k6 are zero.
+//! Source: OpenCV's documentation of `calib3d`. Exact where p, s and k4 to k6 are zero. Lenses that k1 k2 k3 do not follow in either direction
+//! lose what is told, and more than a little is flagged ([`LOSS_LIMIT_PX`]).
 
+use super::LOSS_LIMIT_PX;
 use super::refit::{Center, Loss, Seen, asks_for_k3, earns_k3, ideal_of_pixel, moved, radial_steps, rays, refit};
-use crate::camera::{Camera, Intrinsics, OpenCvTilted};
+use crate::camera::{Camera, Intrinsics, OpenCvTilted, Radial};
 use crate::error::{Insufficient, Result};
 use crate::frames::{Cam, Sheet};
 use crate::rigid::Motion;
@@ -70,17 +72,6 @@ impl OpenCvCamera {
         [2, 3, 5, 6, 7, 8, 9, 10, 11].iter().all(|&i| d[i] == 0.0)
     }
 
-    /// k1, k2, k3 of the polynomial that is nearest to the radial distortion at these squared ideal radii, in px.
-    fn polynomial(&self, squared: &[f64]) -> [f64; 3] {
-        let largest = squared.iter().copied().fold(1e-12, f64::max);
-        // Scaled to 1 at the edge, and weighted with the radius that it moves.
-        let rows =
-            DMatrix::from_fn(squared.len(), 3, |i, n| squared[i].sqrt() * (squared[i] / largest).powi(n as i32 + 1));
-        let off = DVector::from_fn(squared.len(), |i, _| squared[i].sqrt() * (self.gain(squared[i]) - 1.0));
-        let k = rows.svd(true, true).solve(&off, 1e-12).unwrap_or_else(|_| DVector::zeros(3));
-        [k[0] / largest, k[1] / largest.powi(2), k[2] / largest.powi(3)]
-    }
-
     /// This camera, or the nearest one, in the library's own frame, with what is lost.
     ///
     /// `pose` maps the world to OpenCV's camera frame. The nearest one has the projection centre of this one and is fitted to the rays of
@@ -106,15 +97,50 @@ impl OpenCvCamera {
         // The numerator alone is no lens: the start has the polynomial nearest to the whole, or none where that one folds.
         let rational = self.d[5..8] != [0.0; 3];
         let squared: Vec<f64> = squared_radii(pose, &seen).collect();
-        let k = if rational { self.polynomial(&squared) } else { part.k };
+        let gains: Vec<f64> = squared.iter().map(|r2| self.gain(*r2)).collect();
+        let k = if rational { polynomial(&squared, &gains) } else { part.k };
         let sees = |c: &Camera| seen.iter().all(|s| c.project_xyz(&own.apply(&s.xyz_mm)).is_ok());
         let near = Camera::from_opencv(&OpenCvTilted { k, ..part }).ok().map(|(camera, _)| camera).filter(sees);
         let start = match near {
             Some(camera) => camera,
             None => Camera::from_opencv(&OpenCvTilted { k: [0.0; 3], ..part })?.0,
         };
-        fit_scheimpflug(&start, &own, &seen, Center::Held)
+        of_either_polynomial(&start, &own, &seen)
     }
+}
+
+/// k1, k2, k3 of the polynomial that is nearest to given gains of the radius at squared radii, in px.
+fn polynomial(squared: &[f64], gains: &[f64]) -> [f64; 3] {
+    let largest = squared.iter().copied().fold(1e-12, f64::max);
+    // Scaled to 1 at the edge, and weighted with the radius that it moves.
+    let rows = DMatrix::from_fn(squared.len(), 3, |i, n| squared[i].sqrt() * (squared[i] / largest).powi(n as i32 + 1));
+    let off = DVector::from_fn(squared.len(), |i, _| squared[i].sqrt() * (gains[i] - 1.0));
+    let k = rows.svd(true, true).solve(&off, 1e-12).unwrap_or_else(|_| DVector::zeros(3));
+    [k[0] / largest, k[1] / largest.powi(2), k[2] / largest.powi(3)]
+}
+
+/// [`fit_scheimpflug`] with the centre held; where the polynomial from ideal to distorted leaves more than is carried over silently, the one
+/// from distorted to ideal is tried, and kept where it halves the loss: strong barrels are nearer to it.
+///
+/// # Errors
+/// As [`fit_scheimpflug`].
+pub(super) fn of_either_polynomial(
+    start: &Camera,
+    pose: &Motion<Cam, Sheet>,
+    seen: &[Seen],
+) -> Result<(Camera, Motion<Cam, Sheet>, Loss)> {
+    let first = fit_scheimpflug(start, pose, seen, Center::Held)?;
+    if first.2.max_px <= LOSS_LIMIT_PX {
+        return Ok(first);
+    }
+    let i = first.0.intrinsics();
+    let gain = |r2: f64| 1.0 + r2 * (i.k[0] + r2 * (i.k[1] + r2 * i.k[2]));
+    let gains: Vec<f64> = squared_radii(&first.1, seen).map(gain).collect();
+    let distorted: Vec<f64> = squared_radii(&first.1, seen).zip(&gains).map(|(r2, g)| r2 * g * g).collect();
+    let back: Vec<f64> = gains.iter().map(|g| 1.0 / g).collect();
+    let turned = Intrinsics { radial: Radial::DistortedToIdeal, k: polynomial(&distorted, &back), ..*i };
+    let other = Camera::new(turned).and_then(|c| fit_scheimpflug(&c, &first.1, seen, Center::Held)).ok();
+    Ok(other.filter(|o| o.2.max_px < 0.5 * first.2.max_px).unwrap_or(first))
 }
 
 /// Squared ideal radii of points in a camera's frame.
@@ -183,6 +209,7 @@ fn along_lens_axis(
     let of = |p: &[f64]| {
         let mut out = Intrinsics::pinhole(p[6] * i.f_px, p[7], p[8]);
         (out.aspect, out.alpha_rad, out.beta_rad, out.k) = (p[9], p[10], p[11], [p[12], p[13], p[14]]);
+        out.radial = i.radial;
         Camera::new(out).ok()
     };
     let first = [
@@ -231,7 +258,7 @@ fn along_pinhole(
         let f_px = (f_e * f_e + du * du + dv * dv).sqrt();
         let mut out = Intrinsics::pinhole(f_px, p[10], p[11]);
         (out.aspect, out.alpha_rad, out.beta_rad) = (aspect, dv.atan2(f_e), (du / f_px).asin());
-        out.k = [p[12], p[13], p[14]];
+        (out.k, out.radial) = ([p[12], p[13], p[14]], i.radial);
         Camera::new(out).ok()
     };
     let placed = |camera: &Camera, p: &[f64]| pinhole_from(camera).inverse() * moved(&pinhole_pose, p);

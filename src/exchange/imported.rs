@@ -1,6 +1,7 @@
 //! Cameras read from another package as a record of this one.
 
 use super::{Conversion, Found, ImportOptions, Loss, NamedText, WorldCamera};
+use crate::camera::Radial;
 use crate::error::{Error, Invalid, Result};
 use crate::frames::{Cam, Rig, Sheet};
 use crate::record::{
@@ -62,6 +63,12 @@ pub(super) fn record(found: Found, files: &[NamedText]) -> Result<Conversion<Rec
         return Err(refusal(
             files,
             format!("this is no possible calibration ({what}); correct the file, or write it anew"),
+        ));
+    }
+    for c in cameras.iter().filter(|c| c.camera.intrinsics().radial == Radial::DistortedToIdeal) {
+        notes.push(format!(
+            "{}: the polynomial from distorted to ideal points follows its lens best (radial of calibration.json)",
+            c.name
         ));
     }
     notes.push("the file holds no standard deviations: all of them are unknown (null)".into());

@@ -11,8 +11,8 @@
 //! with one refractive index (air to air): the glass vector then has no effect. A camera with a tilt and distortion has
 //! its distortion about the lens axis, OpenPTV about the image centre: the nearest is fitted and the loss told.
 
-use super::distorted::{fit_scheimpflug, squared_radii};
-use super::refit::{Center, Loss, ideal_of_pixel, moved, radial_steps, rays, refit_with_k3};
+use super::distorted::{of_either_polynomial, squared_radii};
+use super::refit::{Loss, ideal_of_pixel, moved, radial_steps, rays, refit_with_k3};
 use super::{Cameras, Conversion, Found, ImportOptions, NamedText, WorldCamera};
 use crate::camera::{Camera, Intrinsics};
 use crate::error::{Invalid, Result};
@@ -176,7 +176,7 @@ fn camera(ori: &NamedText, addpar: Option<&NamedText>, sensor: Sensor) -> Result
         let bent = Intrinsics { k: [0, 1, 2].map(|n| it.ap[n] * it.cc_mm.powi(2 * n as i32 + 2)), ..start };
         let sees = |c: &Camera| seen.iter().all(|s| c.project_xyz(&pose.apply(&s.xyz_mm)).is_ok());
         let near = Camera::new(bent).ok().filter(sees);
-        fit_scheimpflug(&near.map_or_else(|| Camera::new(start), Ok)?, &pose, &seen, Center::Held)?
+        of_either_polynomial(&near.map_or_else(|| Camera::new(start), Ok)?, &pose, &seen)?
     };
     let pixel_pitch_mm = Some(sensor.pitch_mm);
     Ok(WorldCamera { name, image_size_px: sensor.size_px, pixel_pitch_mm, camera, cam_from_world, loss, points: None })
