@@ -6,10 +6,10 @@
 mod rig_scene;
 
 use nalgebra::{Matrix3, Vector3};
-use rig_scene::{Noise, Scene, adjusted, diagnosed, drawn, given_sigmas};
+use rig_scene::{Noise, Scene, adjusted, diagnosed, drawn, given_sigmas, tilted_camera};
 use spivcal::bundle::{AdjustOptions, PlanePosition, TargetShape, ViewPlace};
 use spivcal::bundle::{Adjustment, Extension, Fact, PriorOf, adjust, extension_tests, named_covariance, prior_checks};
-use spivcal::camera::Camera;
+use spivcal::camera::{Camera, Intrinsics};
 use spivcal::rigid::{Motion, rotation_exp};
 use spivcal::sheet::StereoSheet;
 use spivcal::stats::chi_square_above;
@@ -349,6 +349,49 @@ fn what_a_user_feels_is_what_repeated_calibrations_show() {
         println!("{name}: mean square over variance {mean:.3} ({z:.2} sigmas)");
         assert!(z.abs() < 3.3, "{name}: {mean}");
     }
+}
+
+/// Lenses with a little k2, which cameras, motion and the middle of the sheet hide within their sigmas, but not what is measured away from it: wherever u, v or
+/// w is off by more than its sigma allows, and k2 is asked for, it is a flag.
+#[test]
+fn what_is_felt_away_from_the_middle_is_a_flag() {
+    let (mut felt, mut by_keys) = (0, 0);
+    for k2 in [100.0, 200.0, 400.0, 800.0] {
+        for seed in 0..4 {
+            let lens = |x, y| {
+                let own = *tilted_camera(x, y).intrinsics();
+                Camera::new(Intrinsics { k: [own.k[0], k2, 0.0], ..own }).unwrap()
+            };
+            let exact = Scene::with_cameras(21, vec![lens(-0.1107, 0.01), lens(0.1107, -0.02)], false, true, false);
+            let mut with_k2 = exact.clone();
+            with_k2.model.cameras.iter_mut().for_each(|c| c.free[7] = true);
+            let reference = StereoSheet::of(&named_covariance(&adjusted(&with_k2)).unwrap()).unwrap();
+            let mut scene = drawn(&exact, 60 + seed);
+            scene.truth.cameras.iter_mut().for_each(|c| c.k[1] = 0.0);
+            let a = adjusted(&scene);
+            let own = StereoSheet::of(&named_covariance(&a).unwrap()).unwrap();
+            let f = diagnosed(&a);
+            let m = f.mapping.as_ref().unwrap();
+            let z = |p: [f64; 2]| {
+                let e = own.response(&reference, p).unwrap().measured_from_true - Matrix3::identity();
+                (0..3).map(|k| (e[(k, k)] / m.middle.displacement[k][k]).abs()).fold(0.0, f64::max)
+            };
+            // Half way to the rim: beyond lie no discs.
+            let worst = m.map.x_mm.iter().zip(&m.map.y_mm).map(|(x, y)| z([0.5 * x, 0.5 * y])).fold(0.0, f64::max);
+            let asked: Vec<_> =
+                f.diagnosis.model_tests.iter().filter(|t| t.needed && t.question.contains("k2")).collect();
+            let told = f.flags.iter().any(|w| w.contains("distortion k2"));
+            println!("k2 {k2}, seed {seed}: off by {worst:.1} sigmas at worst, told {told}: {asked:?}");
+            if !asked.is_empty() && worst > 10.0 {
+                assert!(told, "{:#?}", f.flags);
+                felt += 1;
+                by_keys +=
+                    usize::from(asked.iter().all(|t| f.diagnosis.key_quantities.iter().any(|k| k.name == t.bias_of)));
+            }
+        }
+    }
+    println!("{felt} of 16 felt, {by_keys} of them by a key quantity most of all");
+    assert!(felt >= 4 && by_keys < felt, "{felt} {by_keys}");
 }
 
 /// Squared misplacement of the middle in the worse camera beside the common shift and turn of all points, over its variance.

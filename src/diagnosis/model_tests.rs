@@ -4,7 +4,9 @@ use super::keys::{Keys, intrinsic_unit};
 use super::moved;
 use super::probes::Probes;
 use super::{Asked, FALSE_ALARMS, FELT_SIGMAS, Subject, Watch, digits, measured};
-use crate::bundle::{Extension, ExtensionTest, Model, Moved, extension_tests, intrinsic_words, moved_test, named_rows};
+use crate::bundle::{
+    CameraModel, Extension, ExtensionTest, Model, Moved, extension_tests, intrinsic_words, moved_test, named_rows,
+};
 use crate::record::ModelTest;
 use crate::stats::chi_square_above;
 use nalgebra::{DMatrix, DVector};
@@ -62,15 +64,16 @@ pub(super) struct ModelTests {
 }
 
 impl ModelTests {
-    /// The model with the lens terms that a user must look at, and their number.
+    /// The model with the lens terms that a user must look at, of both cameras, whose lenses are alike as a rule; and their number.
     pub(super) fn granted(&self, mut model: Model) -> (Model, usize) {
-        let mut granted = 0;
+        let before = model.cameras.clone();
         for (of, _) in self.of.iter().zip(&self.asked).filter(|(_, asked)| asked.flagged) {
-            if let Extension::Intrinsic { camera, parameter } = *of {
-                model.cameras[camera].free[parameter] = true;
-                granted += 1;
+            if let Extension::Intrinsic { parameter, .. } = *of {
+                model.cameras.iter_mut().for_each(|c| c.free[parameter] = true);
             }
         }
+        let free = |cameras: &[CameraModel]| cameras.iter().flat_map(|c| c.free).filter(|free| *free).count();
+        let granted = free(&model.cameras) - free(&before);
         (model, granted)
     }
 
