@@ -13,7 +13,7 @@ use super::open::{adjusted_as_usual, left_open, usual_where_open};
 use super::pitches::shifted;
 use super::print::labels_by_print;
 use super::sides::{Side, Way, cheapest_side, side, ways};
-use super::starts::{best_start, joint_start};
+use super::starts::{best_start, elsewhere, joint_start};
 use super::windows::set_windows;
 use super::{Mono, Pose, RigProblem, RigSolution, Told, rms_of, side_by_side};
 use crate::bundle::{
@@ -149,7 +149,11 @@ fn adjusted(start: (RigProblem, State), undecided: Vec<String>, context: &Contex
     labels_by_print(&mut problem, &mut start);
     let adjustment = adjusted_as_usual(&problem, &start, context).unwrap_or_else(|| {
         let start = best_start(&problem, start.clone(), options, told);
-        adjust(&problem.model, start, options, &mut |i| told(i))
+        let found = adjust(&problem.model, start, options, &mut |i| told(i));
+        match elsewhere(&problem, &found, options, told) {
+            Some(start) => adjust(&problem.model, start, options, &mut |i| told(i)),
+            None => found,
+        }
     });
     Together { problem, adjustment, start, undecided }
 }

@@ -15,10 +15,14 @@
 //! Their adjustments may end in different minima. All are run on a part of the edge points, unless the first explains them
 //! to their noise; where two come out nearly equal and apart, all edge points decide. The order and the arithmetic are fixed, so
 //! the choice is the same in every run.
+//!
+//! About an axis point that is far off, distortion settles near zero, where nothing calls it back. What tells such a minimum is that whole discs scatter by
+//! more than noise: then the camera that they do in starts from nine axis points about where its own is assumed, 1.5 standard deviations apart, and all edge
+//! points are asked whether a lower minimum lies there ([`elsewhere`]).
 
 use super::mono::lightened;
 use super::{RigProblem, Told, side_by_side};
-use crate::bundle::{AdjustOptions, Adjustment, Model, SolveOptions, State, Termination, adjust};
+use crate::bundle::{AdjustOptions, Adjustment, Fact, Model, SolveOptions, State, Termination, adjust};
 use crate::camera::{Camera, Intrinsics};
 
 /// A start whose chi-square exceeds its degrees of freedom by more than this many standard deviations has rivals.
@@ -113,6 +117,75 @@ fn starts(problem: &RigProblem, given: State) -> Vec<State> {
         if !out.iter().any(|o: &State| o.cameras == s.cameras) {
             out.push(s);
         }
+    }
+    out
+}
+
+/// How far axis points are displaced, in standard deviations of what is known of them, in parts of the sensor at most.
+const DISPLACED_SIGMAS: f64 = 1.5;
+const DISPLACED_PART: f64 = 0.15;
+/// Scatter of whole discs over what noise explains from which on it is asked for.
+const SCATTERED: f64 = 1.2;
+/// Observations beyond which it is not: they tell axis points well.
+const MOST_OBSERVATIONS: usize = 30_000;
+/// A cost that is lower by less, half a likelihood ratio of 100, is no other minimum.
+const LOWER: f64 = 4.6;
+
+/// States with the axis point of a camera elsewhere about where it is assumed, its pinhole kept.
+fn displaced(problem: &RigProblem, from: &State, c: usize) -> Vec<State> {
+    let (model, now) = (&problem.model.cameras[c], from.cameras[c]);
+    let distorted = model.free[6..9].contains(&true);
+    let Some(camera) = Camera::new(now).ok().filter(|_| model.uses_pinhole_frame() && distorted) else { return vec![] };
+    let known = |k: usize| {
+        problem.model.facts.iter().find_map(|fact| match fact {
+            Fact::Intrinsic { camera, parameter, value, sigma } if (*camera, *parameter) == (c, k) => {
+                Some((*value, *sigma))
+            }
+            _ => None,
+        })
+    };
+    let [columns, rows] = [2, 3].map(|k| {
+        let size = problem.starts[c].size_px[k - 2];
+        let (middle, sigma) = known(k).unwrap_or(((size - 1.0) / 2.0, f64::INFINITY));
+        let by = (DISPLACED_SIGMAS * sigma).min(DISPLACED_PART * size);
+        if model.free[k] { vec![middle - by, middle, middle + by] } else { vec![[now.cx_px, now.cy_px][k - 2]] }
+    });
+    let at = |(x, y): (f64, f64)| {
+        let mut p = camera.effective_pinhole().with_axis_point(x, y, now.aspect).to_array();
+        p[6..].copy_from_slice(&now.to_array()[6..]);
+        let mut state = from.clone();
+        state.cameras[c] = Intrinsics::from_array(&p, now.radial);
+        state
+    };
+    columns.iter().flat_map(|x| rows.iter().map(move |y| (*x, *y))).map(at).collect()
+}
+
+/// A state from where a lower minimum is reached than the one that was found, if there is one; of adjustments with the given sigmas.
+pub(super) fn elsewhere(
+    problem: &RigProblem,
+    found: &Adjustment,
+    options: &AdjustOptions,
+    told: Told<'_>,
+) -> Option<State> {
+    let model = &problem.model;
+    let scatters = |c: &usize| found.model.images.iter().any(|i| i.camera == *c && i.sigma_scale > SCATTERED);
+    let cameras: Vec<usize> = (0..model.cameras.len()).filter(scatters).collect();
+    if cameras.is_empty() || model.counts().observations > MOST_OBSERVATIONS {
+        return None;
+    }
+    let quick = AdjustOptions { solve: SolveOptions { decrement: 0.3, iterations: 60 }, rounds: 0, ..*options };
+    let try_from = |start: State| adjust(model, start, &quick, &mut |i| told(i));
+    let (mut best, mut out) = (try_from(found.state.clone()), None);
+    for c in cameras {
+        let all = displaced(problem, &best.state, c);
+        let tried = side_by_side(&all, |start| try_from(held(model, start.clone(), told)));
+        if tried.iter().any(|t| t.termination == Termination::Cancelled) {
+            return None;
+        }
+        let lower = tried.into_iter().filter(|t| t.cost < best.cost - LOWER);
+        let Some(least) = lower.min_by(|a, b| a.cost.total_cmp(&b.cost)) else { continue };
+        out = Some(least.state.clone());
+        best = least;
     }
     out
 }
