@@ -35,11 +35,10 @@ fn plane_and_center(record: &Record, frame: &Motion<Rig, Sheet>) -> Matrix6<f64>
     names.extend(second.iter().flat_map(|s| STEP_NAMES[3..].iter().map(|n| format!("{}.cam_from_rig.{n}", s.name))));
     let rows: Option<Vec<usize>> = names.iter().map(|n| c.index(n)).collect();
     let Some(rows) = rows.filter(|r| r.len() == 9) else { return unknown };
-    let center = second.map(|s| s.cam_from_rig.motion::<Cam, Rig>().rotation).unwrap_or_default();
+    let center = second.map(|s| s.cam_from_rig.motion::<Cam, Rig>().center_by_shift()).unwrap_or_default();
     let by = DMatrix::from_fn(6, 9, |i, j| match (i < 3, j < 6) {
         (true, true) => plane_by_step[(i, j)],
-        // C = -R^T t: a left step moves it by -R^T v.
-        (false, false) => -center[(j - 6, i - 3)],
+        (false, false) => center[(i - 3, j - 6)],
         _ => 0.0,
     });
     let known = DMatrix::from_fn(9, 9, |i, j| c.matrix[rows[i]][rows[j]]);
