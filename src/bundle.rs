@@ -84,7 +84,7 @@ mod rig_scene;
 
 pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, adjust_owned, problem, shared_covariance};
 pub use conflict::{PriorCheck, prior_checks};
-pub use extension::{Extension, ExtensionTest, extension_tests};
+pub use extension::{Extension, ExtensionTest, ExtensionTests, extension_tests};
 pub use facts::{Fact, PriorOf};
 pub use focus::Focus;
 pub use influence::{ViewsLeftOut, named_rows, natural_of, predicted_with_all_views, readjusted_without};

@@ -63,14 +63,53 @@ pub struct ExtensionTest {
     pub shift: DVector<f64>,
 }
 
-/// All tests that the adjustment allows; those about which the images say nothing are left out. `None` where nothing can be said.
-pub fn extension_tests(adjustment: &Adjustment) -> Option<Vec<ExtensionTest>> {
+/// All tests of an adjustment.
+pub struct ExtensionTests {
+    /// Those that it allows; the ones about which the images say nothing are left out.
+    pub list: Vec<ExtensionTest>,
+    tests: ScoreTests,
+    /// What each of them frees.
+    freed: Vec<Freed>,
+}
+
+/// Further unknowns, and the columns that span what is freed of them.
+struct Freed {
+    tested: Vec<usize>,
+    basis: DMatrix<f64>,
+}
+
+impl ExtensionTests {
+    /// Chi-square and degrees of freedom of one of the list beside others of it: what all of them explain less what the others do. `None` where
+    /// nothing is left of it.
+    pub fn beside(&self, one: usize, others: &[usize]) -> Option<(f64, usize)> {
+        let alone = self.together(others)?;
+        let all = self.together(&[others, &[one]].concat())?;
+        let degrees = all.degrees.saturating_sub(alone.degrees);
+        (degrees > 0).then(|| ((all.statistic - alone.statistic).max(0.0), degrees))
+    }
+
+    fn together(&self, some: &[usize]) -> Option<Score> {
+        let freed: Vec<&Freed> = some.iter().map(|k| &self.freed[*k]).collect();
+        let tested: Vec<usize> = freed.iter().flat_map(|f| &f.tested).copied().collect();
+        let columns = freed.iter().map(|f| f.basis.ncols()).sum();
+        let mut basis = DMatrix::zeros(tested.len(), columns);
+        let (mut row, mut column) = (0, 0);
+        for f in freed {
+            basis.view_mut((row, column), f.basis.shape()).copy_from(&f.basis);
+            (row, column) = (row + f.basis.nrows(), column + f.basis.ncols());
+        }
+        self.tests.test(&tested, &basis)
+    }
+}
+
+/// All tests; `None` where nothing can be said.
+pub fn extension_tests(adjustment: &Adjustment) -> Option<ExtensionTests> {
     let base = Places::of(&adjustment.model);
     let (model, state) = extended(adjustment);
     let places = Places::of(&model);
     let equations = problem(&model).linearise(&state)?;
     let tests = ScoreTests::of(&equations, shared(&base, &places))?;
-    let mut out = vec![];
+    let (mut list, mut freed) = (vec![], vec![]);
     for (camera, old) in base.charts.iter().enumerate() {
         for parameter in 0..old.len() {
             let (None, Some(at)) = (old[parameter], places.charts[camera][parameter]) else { continue };
@@ -80,14 +119,20 @@ pub fn extension_tests(adjustment: &Adjustment) -> Option<Vec<ExtensionTest>> {
                 Some(k2) => beside(&tests, k2, at),
                 None => tests.test(&[at], &DMatrix::identity(1, 1)),
             };
-            out.extend(tested.map(|score| of_intrinsic(Extension::Intrinsic { camera, parameter }, score)));
+            let Some(score) = tested else { continue };
+            list.push(of_intrinsic(Extension::Intrinsic { camera, parameter }, score));
+            freed.push(Freed { tested: vec![at], basis: DMatrix::identity(1, 1) });
         }
     }
     if let (None, Some(first)) = (base.offsets, places.offsets) {
-        out.extend(bent(&tests, &model, &state, first));
-        out.extend(displaced(&tests, &model, &state, first));
+        for (test, own) in
+            [bent(&tests, &model, &state, first), displaced(&tests, &model, &state, first)].into_iter().flatten()
+        {
+            list.push(test);
+            freed.push(own);
+        }
     }
-    Some(out)
+    Some(ExtensionTests { list, tests, freed })
 }
 
 /// The last of what is tested, alone or beside others.
@@ -155,7 +200,7 @@ fn shared(base: &Places, places: &Places) -> Vec<usize> {
     out
 }
 
-fn bent(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> Option<ExtensionTest> {
+fn bent(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> Option<(ExtensionTest, Freed)> {
     let at = spread(model, state);
     let n = at.len();
     let basis = DMatrix::from_fn(n, 3, |j, k| {
@@ -172,17 +217,18 @@ fn bent(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> Optio
     let (high, low) = (dz.argmax().0, dz.argmin().0);
     let across = beside.row(high) - beside.row(low);
     let variance = (&across * &score.covariance * across.transpose())[(0, 0)];
-    Some(ExtensionTest {
+    let test = ExtensionTest {
         extension: Extension::BentTarget,
         statistic: score.statistic,
         degrees: score.degrees,
         size: dz[high] - dz[low],
         sigma: variance.max(0.0).sqrt(),
         shift: score.shift,
-    })
+    };
+    Some((test, Freed { tested, basis }))
 }
 
-fn displaced(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> Option<ExtensionTest> {
+fn displaced(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> Option<(ExtensionTest, Freed)> {
     let discs = model.target.disc_count();
     let tested: Vec<usize> = (0..discs).flat_map(|j| [first + 4 * j, first + 4 * j + 1]).collect();
     // What a stretch or a bend of the whole field of dots explains, cameras and poses explain as well: it is not said to
@@ -194,14 +240,15 @@ fn displaced(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> 
     });
     let score = tests.test(&tested, &basis)?;
     let square = score.estimate.norm_squared() - score.covariance.trace();
-    Some(ExtensionTest {
+    let test = ExtensionTest {
         extension: Extension::DisplacedDiscs,
         statistic: score.statistic,
         degrees: score.degrees,
         size: (square.max(0.0) / discs as f64).sqrt(),
         sigma: f64::NAN,
         shift: score.shift,
-    })
+    };
+    Some((test, Freed { tested, basis }))
 }
 
 /// Nominal places of the discs about their middle, over the largest coordinate.

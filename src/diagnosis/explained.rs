@@ -139,12 +139,10 @@ pub(super) fn explained(
         return Ok(views.contradictions(false));
     };
     let cause = Cause { words: named(wrong), without };
-    let mut taken = 0;
-    // That a wrong view stands apart says the same twice.
-    let is_wrong = |view: &usize| wrong.views.iter().any(|c| c.view == *view);
-    if let (Some(_), Some(row)) = (tests.apart.filter(is_wrong), tests.asked.last_mut()) {
+    // That a wrong view stands apart says the same twice, whatever comes of it.
+    let twice = tests.apart.is_some_and(|view| wrong.views.iter().any(|c| c.view == view));
+    if let (true, Some(row)) = (twice, tests.asked.last_mut()) {
         row.goes_after(&format!("not without {}", cause.words));
-        taken += 1;
     }
     let subject = cause.subject(s, &covariance);
     let priors_again = priors(&subject);
@@ -161,11 +159,11 @@ pub(super) fn explained(
     }
     let fewer = flags(&of_priors.asked).len() + flags(&tests.asked).len() <= wrong.views.len();
     if fewer && granted.is_none_or(|g| g.agree && g.explains + TOLD_APART > wrong.excess) {
-        return Ok(views.contradictions(taken > 0));
+        return Ok(views.contradictions(twice));
     }
-    taken += cause.takes(&mut of_priors.asked, &priors_again.asked);
-    taken += cause.takes(&mut tests.asked, &again.asked);
-    Ok(views.contradictions(taken > 0))
+    let of_priors = cause.takes(&mut of_priors.asked, &priors_again.asked);
+    let of_tests = cause.takes(&mut tests.asked, &again.asked);
+    Ok(views.contradictions(twice || of_priors + of_tests > 0))
 }
 
 /// An adjustment without the priors and with the lens terms that are to be looked at.

@@ -5,7 +5,8 @@ use super::moved;
 use super::probes::Probes;
 use super::{Asked, FALSE_ALARMS, FELT_SIGMAS, Subject, Watch, digits, measured};
 use crate::bundle::{
-    CameraModel, Extension, ExtensionTest, Model, Moved, extension_tests, intrinsic_words, moved_test, named_rows,
+    CameraModel, Extension, ExtensionTest, ExtensionTests, Model, Moved, extension_tests, intrinsic_words, moved_test,
+    named_rows,
 };
 use crate::record::ModelTest;
 use crate::stats::chi_square_above;
@@ -86,7 +87,8 @@ impl ModelTests {
 
 /// All tests.
 pub(super) fn model_tests(s: &Subject<'_>, (keys, probes): (&Keys, Option<&Probes>), watch: &Watch<'_>) -> ModelTests {
-    let Some(tests) = extension_tests(s.adjustment) else { return ModelTests::default() };
+    let Some(all) = extension_tests(s.adjustment) else { return ModelTests::default() };
+    let tests = &all.list;
     let felt = Felt::of(s, keys, probes);
     let moved = moved_test(s.adjustment, &mut |i| watch.goes_on(i));
     let count = (tests.len() + usize::from(moved.is_some())) as f64;
@@ -120,11 +122,42 @@ pub(super) fn model_tests(s: &Subject<'_>, (keys, probes): (&Keys, Option<&Probe
         }
         one
     });
-    ModelTests {
-        asked: each.chain(of_move).collect(),
-        of: tests.iter().map(|t| t.extension).collect(),
-        moved: first,
-        apart,
+    let mut asked: Vec<Asked<ModelTest>> = each.collect();
+    what_others_explain(s, &all, &mut asked, needed);
+    asked.extend(of_move);
+    ModelTests { asked, of: tests.iter().map(|t| t.extension).collect(), moved: first, apart }
+}
+
+/// What one lacking term does to the images others explain a part of: flags stay on the test that explains most, and on those that explain more beside it.
+fn what_others_explain(
+    s: &Subject<'_>,
+    all: &ExtensionTests,
+    asked: &mut [Asked<ModelTest>],
+    needed: impl Fn(f64) -> bool,
+) {
+    let excess = |k: &usize| all.list[*k].statistic - all.list[*k].degrees as f64;
+    let mut flagged: Vec<usize> = (0..asked.len()).filter(|k| asked[*k].flagged).collect();
+    flagged.sort_by(|a, b| excess(b).total_cmp(&excess(a)));
+    let mut kept: Vec<usize> = vec![];
+    for k in flagged {
+        let beside = if kept.is_empty() { None } else { Some(all.beside(k, &kept)) };
+        match beside {
+            Some(rest) if !rest.is_some_and(|(chi2, degrees)| needed(chi_square_above(chi2, degrees as f64))) => {
+                asked[k].goes_after(&format!("not beside {}", what(s, all.list[kept[0]].extension)));
+            }
+            _ => kept.push(k),
+        }
+    }
+}
+
+/// What is lacking, in words.
+fn what(s: &Subject<'_>, e: Extension) -> String {
+    match e {
+        Extension::Intrinsic { camera, parameter } => {
+            format!("{} of camera {}", intrinsic_words(parameter), s.adjustment.model.cameras[camera].name)
+        }
+        Extension::BentTarget => "the bend of the plate".into(),
+        Extension::DisplacedDiscs => "the displaced dots".into(),
     }
 }
 
@@ -208,8 +241,8 @@ fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f
     let (factor, unit) = shown(t.extension);
     let found = measured(t.size * factor, t.sigma * factor, unit);
     let (yes, no) = match t.extension {
-        Extension::Intrinsic { camera, parameter } => {
-            let what = format!("{} of camera {}", intrinsic_words(parameter), s.adjustment.model.cameras[camera].name);
+        Extension::Intrinsic { parameter, .. } => {
+            let what = what(s, t.extension);
             let change = if matches!(parameter, 1 | 9) { "a change by" } else { "" };
             (
                 format!("the images ask for {what}: {} {found}", if change.is_empty() { "about" } else { change }),

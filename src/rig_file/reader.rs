@@ -45,7 +45,7 @@ pub(super) const FINITE: Limits = Limits::new(f64::NEG_INFINITY, f64::INFINITY, 
 /// A positive finite number.
 pub(super) const POSITIVE: Limits = Limits::new(0.0, f64::INFINITY, "a finite number above 0");
 /// A positive length in mm.
-pub(super) const LENGTH_MM: Limits = Limits::new(1e-6, 1e6, "a length in mm, above 1e-6 and below 1 km");
+pub(super) const LENGTH_MM: Limits = Limits::new(1e-6, 1e6, "a length in mm, above 0 (1e-6 at least) and below 1 km");
 /// A place, mm.
 pub(super) const PLACE_MM: Limits = Limits::new(-1e6, 1e6, "a finite number of mm between -1 km and 1 km");
 /// A standard deviation.
