@@ -483,6 +483,18 @@ fn a_calibration_that_is_none() {
     let found = spivcal(&["simulate", job.path("s.toml").to_str().unwrap(), "-o", job.out().to_str().unwrap()]);
     refused(&found, 2, &["s.toml:"]);
     assert!(!job.out().exists());
+    // A scene that can be rendered, but not calibrated: two facts would set its scale.
+    let printed = spivcal::simulate::preset_text("printed").unwrap();
+    let told = printed.replace("scale = \"target\"", "scale = \"baseline\"\nradii_known = true");
+    assert_ne!(told, printed);
+    std::fs::write(job.path("s.toml"), told).unwrap();
+    let found = spivcal(&["simulate", job.path("s.toml").to_str().unwrap(), "-o", job.out().to_str().unwrap()]);
+    refused(
+        &found,
+        2,
+        &["s.toml: ", "a rig.toml would come that is refused", "sets the scale already", "change [rig]"],
+    );
+    assert!(!job.out().exists());
 }
 
 /// A file and an image that do not fit into the memory that the process may have: told as such, and not as a broken file.

@@ -148,7 +148,11 @@ fn only_lenses_are_asked_for(all: &[Findings]) {
     let (of_lenses, others): (Vec<_>, Vec<_>) = asked.partition(|t| (0.3..=3.0).contains(&(1.0 + t.size)));
     println!("pupil ratios asked for: {} of lenses, {} of none", of_lenses.len(), others.len());
     assert!(of_lenses.len() > 5 && others.len() > 5);
-    assert!(of_lenses.iter().all(|t| t.words.contains("estimate it: pupil_ratio = ")));
+    // What something else explains is not advised.
+    let (beside, advised): (Vec<_>, Vec<_>) = of_lenses.into_iter().partition(|t| t.words.contains("; not beside "));
+    println!("of lenses: {} advised, {} not beside something else", advised.len(), beside.len());
+    assert!(advised.len() > 5 && advised.iter().all(|t| t.words.contains("estimate it: pupil_ratio = ")));
+    assert!(beside.iter().all(|t| !t.words.contains("estimate it")));
     assert!(others.iter().all(|t| t.words.contains("which no lens has") && !t.words.contains("estimate it")));
 }
 

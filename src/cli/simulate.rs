@@ -59,7 +59,7 @@ fn can_be_calibrated(scene: &Scene, file: Option<&Path>) -> Result<()> {
             let message = format!(
                 "of the scene a rig.toml would come that is refused ({message}); change [rig], [target] or names and views of the scene accordingly"
             );
-            Err(Invalid::Syntax { file, line: 0, message }.into())
+            Err(Invalid::File { path: file, message }.into())
         }
         other => other.map(|_| ()),
     }

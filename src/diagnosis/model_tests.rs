@@ -262,8 +262,8 @@ fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f
         return [no, String::new()];
     }
     if no_lens_has(s, t) {
-        let then = ", which no lens has: something else bends the images so (a decentred lens, a window)";
-        return [yes, then.into()];
+        let then = ": something else bends the images so (a decentred lens, a window)";
+        return [format!("{yes}, which no lens has"), then.into()];
     }
     if !felt {
         let then =

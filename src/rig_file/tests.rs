@@ -256,7 +256,13 @@ fn exact_values_and_positions_are_told_how_they_are_written() {
 #[test]
 fn lengths_and_places_of_no_rig_are_refused() {
     for wrong in ["1e-160", "0", "1e7"] {
-        refused(GRID, "spacing_mm = 3.5", &format!("spacing_mm = {wrong}"), 5, &["above 0 (1e-6 at least) and below 1 km"]);
+        refused(
+            GRID,
+            "spacing_mm = 3.5",
+            &format!("spacing_mm = {wrong}"),
+            5,
+            &["above 0 (1e-6 at least) and below 1 km"],
+        );
     }
     refused(BUBBLES, "plane_z_mm = 0.0", "plane_z_mm = 1e300", 12, &["between -1 km and 1 km"]);
 }
