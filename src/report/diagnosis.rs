@@ -95,7 +95,8 @@ pub(super) fn model_tests(record: &Record) -> Table {
             format!("{} {unit}", measured(t.size, 0.0))
         };
         let answer = if t.needed { "yes" } else { "no" };
-        let effect = format!("{} sigma", plain(t.bias_sigmas, 2));
+        // What a term would do that nobody asks for is what its noise would do.
+        let effect = if t.needed { format!("{} sigma", plain(t.bias_sigmas, 2)) } else { "–".into() };
         (t.question.clone(), vec![answer.into(), size, plain(t.p_value, 2), effect])
     };
     let heads = ["answer", "estimate if added", "chance of this by noise", "largest change of a result"];
