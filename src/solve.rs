@@ -84,8 +84,30 @@ pub struct NormalEquations {
     pub b_g: DVector<f64>,
     /// The views.
     pub blocks: Vec<Block>,
+    /// What is known beforehand of global unknowns alone; `h_gg` holds it as well.
+    pub known: Known,
     /// Cost at the point of linearisation.
     pub cost: f64,
+}
+
+/// What is known beforehand.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Known {
+    /// Whitened rows: unknowns and the derivatives by them.
+    pub rows: Vec<Vec<(usize, f64)>>,
+    /// By how much one standard deviation of a direction that nothing else determines may move each of the first unknowns, and the others by any amount: what is known
+    /// to less is not known.
+    pub reach: Vec<f64>,
+}
+
+impl Known {
+    /// Of some unknowns, in the order of `at`; rows of others as well are left away.
+    fn of(&self, at: &[usize]) -> Self {
+        let place = |i: usize| at.iter().position(|b| *b == i);
+        let row = |r: &Vec<(usize, f64)>| r.iter().map(|(i, d)| Some((place(*i)?, *d))).collect::<Option<_>>();
+        let reach = at.iter().map(|i| self.reach.get(*i).copied().unwrap_or(f64::INFINITY));
+        Self { rows: self.rows.iter().filter_map(row).collect(), reach: reach.collect() }
+    }
 }
 
 impl NormalEquations {
@@ -98,6 +120,7 @@ impl NormalEquations {
             h_gg: DMatrix::zeros(n, n),
             b_g: DVector::zeros(n),
             blocks: layout.blocks.iter().map(block).collect(),
+            known: Known::default(),
             cost: 0.0,
         }
     }

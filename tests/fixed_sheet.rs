@@ -223,3 +223,30 @@ fn cures_reach_what_was_promised() {
         assert!(got < promised, "{name}: {got}");
     }
 }
+
+/// What a drawing says of both focal lengths is all that tells them in a fixed sheet: it counts however precise the images are, though its share of their
+/// information is less than rounding then.
+#[test]
+fn a_drawing_counts_however_precise_the_images_are() {
+    let mut parts = scaled();
+    assert_eq!(nullity(&parts), 2);
+    for (camera, c) in parts.cameras.clone().iter().enumerate() {
+        let value = c.intrinsics().f_px;
+        parts.facts.push(Fact::Intrinsic { camera, parameter: 0, value, sigma: 0.01 * value });
+    }
+    let mut first = None;
+    for precision in [1.0, 0.1, 0.01, 1e-3] {
+        let mut scene = parts.scene();
+        let edges = scene.model.images.iter_mut().flat_map(|i| &mut i.discs).map(|d| &mut d.edge);
+        edges.for_each(|edge| edge.sigma_px.iter_mut().for_each(|s| *s *= precision));
+        let out = adjust(&scene.model, scene.truth.clone(), &given_sigmas(), &mut |_| true);
+        let c = named_covariance(&out).unwrap();
+        let sigmas = LEFT_RIGHT.map(|name| c.sigma(&format!("{name}.f_px")).unwrap());
+        println!("images {precision} times as noisy: nullity {}, f known to {sigmas:?} px", c.nullity);
+        assert_eq!(c.nullity, 0, "{:?}", c.undetermined);
+        let wanted = *first.get_or_insert(sigmas);
+        for (own, wanted) in sigmas.iter().zip(wanted) {
+            assert!((own / wanted - 1.0).abs() < 0.02 && *own > 40.0, "{sigmas:?} {wanted:?}");
+        }
+    }
+}

@@ -142,11 +142,11 @@ impl<'a> Bundle<'a> {
         match &self.by {
             Some(by) => {
                 by.drop_unseen(&mut e, &scales, unseen);
-                facts::linearise_by_disc(self.model, (&self.places, by), state, &mut e)?;
+                facts::linearise_by_disc(self.model, (&self.places, by, &scales.global), state, &mut e)?;
             }
             None => {
                 drop_unseen(&mut e, &scales);
-                facts::linearise(self.model, &self.places, state, &mut e)?;
+                facts::linearise(self.model, (&self.places, &scales.global), state, &mut e)?;
             }
         }
         Some(e)

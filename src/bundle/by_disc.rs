@@ -184,7 +184,8 @@ impl ByDisc {
             }
             Block { h_vv: e.h_gg.view((at, at), (d, d)).into_owned(), h_vg, b_v: e.b_g.rows(at, d).into_owned() }
         };
-        NormalEquations { h_gg, b_g, blocks: self.poses.windows(2).map(view).collect(), cost: e.cost }
+        let blocks = self.poses.windows(2).map(view).collect();
+        NormalEquations { h_gg, b_g, blocks, known: e.known.clone(), cost: e.cost }
     }
 }
 

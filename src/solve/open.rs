@@ -90,6 +90,8 @@ impl OpenCombinations {
     /// The equations without what they say of the open combinations of the same `rows`.
     pub fn taken_from(&self, equations: &NormalEquations, rows: &DMatrix<f64>) -> NormalEquations {
         let mut out = equations.clone();
+        // What is known beforehand says nothing of them either.
+        out.known.rows.clear();
         for k in 0..self.open() {
             let along = rows.tr_mul(&self.combinations.column(k));
             out.h_gg.ger(-self.information[k], &along, &along, 1.0);
@@ -101,7 +103,7 @@ impl OpenCombinations {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Block, posterior};
+    use super::super::{Block, Known, posterior};
     use super::*;
 
     /// Unknowns: four global ones, then one block of two. The first two are hardly seen apart from the rest.
@@ -127,7 +129,7 @@ mod tests {
             b_v: b.rows(4, 2).into_owned(),
         };
         let (h_gg, b_g) = (h.view((0, 0), (4, 4)).into_owned(), b.rows(0, 4).into_owned());
-        NormalEquations { h_gg, b_g, blocks: vec![block], cost: 0.0 }
+        NormalEquations { h_gg, b_g, blocks: vec![block], known: Known::default(), cost: 0.0 }
     }
 
     /// The same as observations projected on what no movement along the open combination explains.

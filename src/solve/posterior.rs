@@ -3,12 +3,12 @@
 //! With `A_v = H_vv^-1 H_vg`: `C_gg = S^+`, `C_vg = -A_v C_gg`, `C_vw = A_v C_gg A_w^T + [v = w] H_vv^-1`.
 //! `S^+` is the inverse over the directions that are determined. Rank is judged on `D^-1/2 S D^-1/2` with
 //! `D = diag(H_gg)`: its eigenvalues are the shares of information that survive the elimination of everything else,
-//! free of units. Rounding leaves about 1e-15 in an exactly flat direction. Directions in which a block is flat by itself are found and held
+//! free of units. Rounding leaves about 1e-15 in an exactly flat direction; what is known beforehand is asked by itself. Directions in which a block is flat by itself are found and held
 //! before ([`super::flat`]): they are undetermined, too, and have no part in the covariance.
 
 use super::NormalEquations;
-use super::factor::{Cholesky, symmetric_eigen};
-use super::flat::{DETERMINED, FLAT, is_unseen, over_determined};
+use super::factor::Cholesky;
+use super::flat::{DETERMINED, Directions, FLAT, is_unseen, over_determined};
 use super::reduced::{EliminatedBlock, Ridge, eliminate};
 use nalgebra::{DMatrix, DVector};
 
@@ -117,13 +117,12 @@ pub fn posterior(equations: &NormalEquations) -> Posterior {
                 if seen(i) && seen(j) { s[(i.max(j), i.min(j))] * scale[i] * scale[j] } else { 0.0 }
             },
         );
-    let eigen = symmetric_eigen(&scaled)
-        .unwrap_or_else(|| super::SymmetricEigen { values: DVector::zeros(n), vectors: DMatrix::identity(n, n) });
-    let nullity = eigen.values.iter().filter(|v| **v < FLAT).count();
+    let Directions { values, vectors, nullity } = Directions::of(&scaled, &scale, &equations.known, FLAT)
+        .unwrap_or_else(|| Directions { values: DVector::zeros(n), vectors: DMatrix::identity(n, n), nullity: n });
     let mut global = DMatrix::zeros(n, n);
     for i in nullity..n {
-        let v = eigen.vectors.column(i).component_mul(&scale);
-        global.ger(1.0 / eigen.values[i], &v, &v, 1.0);
+        let v = vectors.column(i).component_mul(&scale);
+        global.ger(1.0 / values[i], &v, &v, 1.0);
     }
     let of = |(block, flat): (EliminatedBlock, &DMatrix<f64>)| {
         let coupling = block.coupling();
@@ -133,9 +132,9 @@ pub fn posterior(equations: &NormalEquations) -> Posterior {
     };
     let blocks: Vec<BlockPosterior> = held.iter().flat_map(|h| h.blocks.blocks().zip(&h.flat).map(of)).collect();
     let flat = held.map_or(vec![], |h| h.flat);
-    let shared = DMatrix::from_fn(n, nullity, |i, k| eigen.vectors[(i, k)] * scale[i]);
+    let shared = DMatrix::from_fn(n, nullity, |i, k| vectors[(i, k)] * scale[i]);
     let null_movements = null_movements(&shared, &blocks, &flat);
-    Posterior { global, blocks, nullity: null_movements.ncols(), null_movements, information_shares: eigen.values }
+    Posterior { global, blocks, nullity: null_movements.ncols(), null_movements, information_shares: values }
 }
 
 /// Those of the global unknowns, which the blocks follow, then those of each block.
@@ -156,7 +155,7 @@ fn null_movements(shared: &DMatrix<f64>, blocks: &[BlockPosterior], flat: &[DMat
 
 #[cfg(test)]
 mod tests {
-    use super::super::Layout;
+    use super::super::{Layout, predict};
     use super::*;
 
     /// Equations of the rows given: unknowns of each row with their derivatives, global ones first.
@@ -218,6 +217,34 @@ mod tests {
             }
         }
         assert_eq!(full[(6, 6)], 0.0, "nothing sees it");
+    }
+
+    /// Two unknowns of which images tell the sum to 1e-7 and a prior the first to 1: the prior has 1e-14 of the information, which is no less than what it says.
+    #[test]
+    fn what_is_known_beforehand_counts_however_small_its_share() {
+        let layout = Layout { global: 2, blocks: vec![] };
+        let (mut e, _) = equations(&layout, &[vec![(0, 1e7), (1, 1e7)], vec![(0, 1.0)]]);
+        assert_eq!(posterior(&e).nullity, 1, "by its share alone");
+        e.known.rows = vec![vec![(0, 1.0)]];
+        let post = posterior(&e);
+        assert_eq!(post.nullity, 0);
+        // x and y - x of two unit numbers: the sum has a variance of 1e-14.
+        let c = &post.global;
+        assert!(
+            (c[(0, 0)] - 1.0).abs() < 1e-6 && (c[(1, 1)] - 1.0).abs() < 1e-6 && (c[(0, 1)] + 1.0).abs() < 1e-6,
+            "{c}"
+        );
+        let told = predict(&e, &DMatrix::from_row_slice(2, 2, &[1.0, 0.0, 1.0, 1.0])).unwrap();
+        assert_eq!(told.determined, [true, true]);
+        assert!((told.covariance[(0, 0)] - 1.0).abs() < 1e-6 && told.covariance[(1, 1)] < 1e-13, "{}", told.covariance);
+        // Known to 1 each, the second must not be known to less than 0.9, or than 1.1.
+        for (reach, nullity) in [(0.9, 1), (1.1, 0)] {
+            e.known.reach = vec![f64::INFINITY, reach];
+            assert_eq!(posterior(&e).nullity, nullity, "{reach}");
+        }
+        // Of a direction that it does not touch it says nothing.
+        e.known.rows = vec![vec![(0, 1.0), (1, 1.0)]];
+        assert_eq!(posterior(&e).nullity, 1);
     }
 
     /// A view whose own directions are weak by 1e-5 of their information is determined, and the short way says the same.

@@ -18,9 +18,9 @@
 //! Source: Rao, "Large sample tests of statistical hypotheses concerning several parameters" (1948). Inverses are taken over the
 //! determined directions. To first order only: a departure that bends the problem needs a solve of its own.
 
-use super::NormalEquations;
-use super::factor::{Cholesky, symmetric_eigen};
-use super::flat::{FLAT, over_determined};
+use super::factor::Cholesky;
+use super::flat::{Directions, FLAT, over_determined};
+use super::{Known, NormalEquations};
 use nalgebra::{DMatrix, DVector};
 
 /// Global unknowns beyond which a Cholesky factor replaces the eigenvectors, which cost twenty times more.
@@ -57,7 +57,7 @@ pub fn predict(equations: &NormalEquations, rows: &DMatrix<f64>) -> Option<Predi
         let determined = (0..rows.nrows()).map(|k| held(k) < 1e-3 || covariance[(k, k)] == 0.0).collect();
         return Some(Prediction { shift: x.tr_mul(&rhs), covariance, determined });
     }
-    let inverse = Inverse::of(&s, &scales(equations, &(0..n).collect::<Vec<_>>()), FLAT)?;
+    let inverse = Inverse::of(&s, &scales(equations, &(0..n).collect::<Vec<_>>()), &equations.known, FLAT)?;
     // What nothing sees has a unit diagonal instead of a null direction.
     let unseen: Vec<usize> = (0..n).filter(|&i| equations.h_gg[(i, i)] <= 0.0).collect();
     let scale = scales(equations, &(0..n).collect::<Vec<_>>());
@@ -101,16 +101,16 @@ struct Inverse {
 }
 
 impl Inverse {
-    fn of(s: &DMatrix<f64>, scale: &DVector<f64>, limit: f64) -> Option<Self> {
+    fn of(s: &DMatrix<f64>, scale: &DVector<f64>, known: &Known, limit: f64) -> Option<Self> {
         let n = s.nrows();
-        let eigen = symmetric_eigen(&DMatrix::from_fn(n, n, |i, j| s[(i, j)] * scale[i] * scale[j]))?;
-        let nullity = eigen.values.iter().filter(|v| **v < limit).count();
+        let scaled = DMatrix::from_fn(n, n, |i, j| s[(i, j)] * scale[i] * scale[j]);
+        let Directions { values, vectors, nullity } = Directions::of(&scaled, scale, known, limit)?;
         let mut matrix = DMatrix::zeros(n, n);
         for i in nullity..n {
-            let v = eigen.vectors.column(i).component_mul(scale);
-            matrix.ger(1.0 / eigen.values[i], &v, &v, 1.0);
+            let v = vectors.column(i).component_mul(scale);
+            matrix.ger(1.0 / values[i], &v, &v, 1.0);
         }
-        let null = DMatrix::from_fn(n, nullity, |i, k| eigen.vectors[(i, k)] * scale[i]);
+        let null = DMatrix::from_fn(n, nullity, |i, k| vectors[(i, k)] * scale[i]);
         Some(Self { matrix, null, rank: n - nullity })
     }
 }
@@ -145,7 +145,7 @@ impl ScoreTests {
     pub fn of(equations: &NormalEquations, base: Vec<usize>) -> Option<Self> {
         let (information, rhs) = reduced(equations)?;
         let s = DMatrix::from_fn(base.len(), base.len(), |i, j| information[(base[i], base[j])]);
-        let inverse = Inverse::of(&s, &scales(equations, &base), FLAT)?;
+        let inverse = Inverse::of(&s, &scales(equations, &base), &equations.known.of(&base), FLAT)?;
         Some(Self { information, rhs, base, base_inverse: inverse.matrix })
     }
 
@@ -173,7 +173,7 @@ impl ScoreTests {
         let own = &alone - &cross * &carried;
         let g = basis.tr_mul(&r_t) - carried.tr_mul(&r_x);
         let scale = alone.diagonal().map(|d| if d > 0.0 { d.sqrt().recip() } else { 1.0 });
-        let inverse = Inverse::of(&own, &scale, TESTABLE)?;
+        let inverse = Inverse::of(&own, &scale, &Known::default(), TESTABLE)?;
         let estimate = &inverse.matrix * &g;
         (inverse.rank > 0).then(|| Score {
             statistic: g.dot(&estimate).max(0.0),
@@ -201,6 +201,7 @@ mod tests {
             h_gg: DMatrix::zeros(used, used),
             b_g: DVector::zeros(used),
             blocks: vec![Block { h_vv: DMatrix::zeros(1, 1), h_vg: DMatrix::zeros(1, used), b_v: DVector::zeros(1) }],
+            known: Known::default(),
             cost: 0.0,
         };
         for (k, y) in y.iter().enumerate() {
