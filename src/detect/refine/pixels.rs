@@ -213,7 +213,7 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let seen = !edge_alone && (nodes || looks_smoky(&state, &s.exact, large));
     let explained = large || s.exact.misfit() < UNEXPLAINED;
     // Light that only fields explain is not to pass for something hidden; nor that which a slope explains, but for a few pixels.
-    let ask = !edge_alone && !large && start.smoke && (!seen || explained);
+    let ask = !edge_alone && !large && start.smoke && start.bright && (!seen || explained);
     let answer = match (state.full_of_smoke && !edge_alone, ask) {
         (true, _) => Answer::Likely,
         (false, true) => s.exact.ask_for_smoke(&state),
@@ -331,7 +331,8 @@ fn uncover(
 }
 
 /// The fit with smoke, or without the pixels that are `hidden` where these leave noise alone and smoke as much louder noise as it must not: on a
-/// small disc waves explain a glare spot that half the disc has to be bent for. `Some(None)` and `None` as of [`fit_smoke`].
+/// small disc waves explain a glare spot that half the disc has to be bent for. `Some(None)` and `None` as of [`fit_smoke`]. Smoke shines: of a dark disc, which a shadow,
+/// dirt or a bright line may cross, only what is hidden is asked.
 #[allow(clippy::option_option)]
 fn smoke_or_hidden(
     view: &GrayView,
@@ -341,9 +342,15 @@ fn smoke_or_hidden(
     (keep, floor): (&[bool], f64),
     s: &mut Scratch,
 ) -> Option<Option<(State, Vec<bool>)>> {
-    let Some((smoky, kept)) = fit_smoke(view, before, plain, start, (keep, floor), s)? else { return Some(None) };
-    let louder = |x: &Uncovered| smoky.variance[0] > louder_by(&smoky, &s.exact) * x.state.variance[0];
-    let Some(mut found) = hidden.filter(|x| x.quiet && louder(x)) else { return Some(Some((smoky, kept))) };
+    let mut found = if start.bright {
+        let Some((smoky, kept)) = fit_smoke(view, before, plain, start, (keep, floor), s)? else { return Some(None) };
+        let louder = |x: &Uncovered| smoky.variance[0] > louder_by(&smoky, &s.exact) * x.state.variance[0];
+        let Some(found) = hidden.filter(|x| x.quiet && louder(x)) else { return Some(Some((smoky, kept))) };
+        found
+    } else {
+        let Some(found) = hidden.filter(|x| x.quiet) else { return Some(None) };
+        found
+    };
     s.exact.hide(found.hidden);
     let kept = s.exact.settle(view, &mut found.state, &mut s.fine, &found.kept, start, floor)?;
     Some(Some((found.state, kept)))
