@@ -82,7 +82,9 @@ mod undetermined;
 #[path = "../tests/rig_scene/mod.rs"]
 mod rig_scene;
 
-pub use adjust::{AdjustOptions, Adjustment, Outlier, adjust, adjust_owned, problem, shared_covariance};
+pub use adjust::{
+    AdjustOptions, Adjustment, Outlier, adjust, adjust_owned, problem, readjusted_with, shared_covariance, sigma_scales,
+};
 pub use conflict::{PriorCheck, prior_checks};
 pub use extension::{Extension, ExtensionTest, ExtensionTests, extension_tests};
 pub use facts::{Fact, PriorOf};
@@ -95,7 +97,7 @@ pub use model::{
 pub use moved::{Moved, MovedFit, MovedTest, moved_before, moved_test};
 pub use open::{Released, open_rows, released};
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
-pub use reach::{Numbers, Observe, Reach};
+pub use reach::{FURTHEST, Numbers, Observe, Reach};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};
 pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
 pub use state::{State, ViewState};

@@ -15,6 +15,7 @@
 //! it touches a number that a user relies on.
 
 mod culprit;
+mod enlarged;
 mod explained;
 mod field;
 mod keys;
@@ -82,6 +83,8 @@ pub struct Findings {
     pub mapping: Option<MappingUncertainty>,
     /// What a user must look at before relying on the result.
     pub flags: Vec<String>,
+    /// Whether a flag says for which views standard deviations were enlarged.
+    pub enlarged_for_views: bool,
 }
 
 /// A row of the record, and whether a user must look at it.
@@ -144,20 +147,22 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
     let others = || -> Result<_> {
         let tests = model_tests::model_tests(s, (&keys, probes.as_ref()), &watch);
         watch.check()?;
-        let intervals = reach::intervals(a, &keys, &sigmas, &watch)?;
+        let felt = || Probes::with_the_middle(s.covariance, sheet.as_ref()?);
+        let reached = reach::intervals(s, (&keys, &felt), &sigmas, &watch)?;
         let mut of_mapping = vec![];
         let mapping =
             sheet.as_ref().and_then(|sheet| mapping::mapping_uncertainty(s.covariance, sheet, &mut of_mapping));
-        Ok((tests, mapping, of_mapping, intervals))
+        Ok((tests, mapping, of_mapping, reached))
     };
     // Each part has flags of its own, so that they stand in one order whoever is done first.
     let (views, others) = threads::both(views, others);
-    let (mut views, (mut tests, mapping, of_mapping, intervals)) = (views?, others?);
+    let (mut views, (mut tests, mapping, of_mapping, (intervals, by_likelihood))) = (views?, others?);
     let of_wrong = explained::explained(s, &names, (&mut priors, &mut tests, &mut views), &watch)?;
     out.diagnosis.key_quantities = quantities(&keys, &sigmas, &views.spreads, &intervals);
-    out.mapping = mapping.map(|m| MappingUncertainty { by_views: views.felt, ..m });
+    out.mapping = mapping.map(|m| MappingUncertainty { by_views: views.felt, by_likelihood, ..m });
     let [first, of_tests] = tests.flags();
     out.diagnosis.outliers = outliers::outliers(s, !(first.is_empty() && of_tests.is_empty()));
+    out.enlarged_for_views = !of_wrong.is_empty() && views.wrong.as_ref().is_some_and(|w| w.hidden.is_some());
     out.flags = [first, of_wrong, flags(&priors.asked), of_tests, views.flags, of_mapping].concat();
     out.diagnosis.priors = priors.asked.into_iter().map(|p| p.row).collect();
     out.diagnosis.model_tests = tests.asked.into_iter().map(|t| t.row).collect();

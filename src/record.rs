@@ -30,15 +30,15 @@ mod target;
 
 pub(crate) use diagnosis::SHEET_QUANTITIES;
 pub use diagnosis::{
-    Diagnosis, EXACT, Interval, KeyQuantity, MappingByViews, MappingMap, MappingSigma, MappingUncertainty, ModelTest,
-    OutlierReason, Prior, ViewInfluence,
+    Diagnosis, EXACT, Interval, KeyQuantity, MappingByLikelihood, MappingByViews, MappingMap, MappingSigma,
+    MappingTold, MappingUncertainty, ModelTest, OutlierReason, Prior, ViewInfluence,
 };
 pub use geometry::PlacedCamera;
 pub use provenance::{ImageFile, Provenance};
 pub use residuals::{FeatureKind, Residual, ResidualTable};
 pub use schema::{
     ANGLES_CONVENTION, Camera, Covariance, Effective, FORMAT, Fit, Homography, Known, NearNull, Parameter, Pose,
-    Radial, Record, Rig, SHEET_ALONE, Scale, Sheet, VERSION, View, Window,
+    Radial, Record, Rig, SHEET_ALONE, Scale, Sheet, VERSION, View, WHOLE_DISCS, Window,
 };
 pub use sheet_check::{
     CamerasRefined, CheckRound, DisparityMap, LightProfile, Misalignment, RefinedNumber, SheetCheck,

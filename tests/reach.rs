@@ -5,10 +5,11 @@
 
 mod rig_scene;
 
-use nalgebra::DVector;
+use nalgebra::{DVector, Matrix3};
 use rig_scene::{Grid, Scene, adjusted, diagnosed, drawn, given_sigmas, tilted_camera};
 use spivcal::bundle::{Adjustment, Fact, Natural, Numbers, Reach, adjust, named_covariance};
 use spivcal::camera::Camera;
+use spivcal::sheet::StereoSheet;
 use spivcal::stats::NORMAL_95;
 
 /// Cameras of the paper's geometry, with tilted sensors or without, through lenses that distort so much.
@@ -29,7 +30,12 @@ const PLATE: Grid = Grid { columns: 5, rows: 5, pitch_mm: 5.0, radius_mm: 1.5, p
 /// Two discs, held otherwise in each of six views, seen by cameras that are not tilted, which nobody knows: where the sensors' normals meet them hangs on the axis
 /// points, and these on lenses that distort by little.
 fn bent_scene() -> Scene {
-    let mut parts = Scene::parts(3, cameras(false, 0.08), false, false, false);
+    bent(false)
+}
+
+/// With a view in the sheet or without one.
+fn bent(sheet: bool) -> Scene {
+    let mut parts = Scene::parts(3, cameras(false, 0.08), false, sheet, false);
     for fact in &mut parts.facts {
         if let Fact::Intrinsic { sigma, .. } = fact {
             *sigma = 100.0;
@@ -90,6 +96,45 @@ fn where_nothing_bends_intervals_are_those_of_the_standard_deviations() {
         let [low, high] = reach.interval(k, &|_| true).map(|x| (x.unwrap() - values[k]) / sigmas[k]);
         assert!((low + 1.96).abs() < 0.08 && (high - 1.96).abs() < 0.08, "{k}: {low} {high}");
     }
+}
+
+/// What is felt in the sheet, with noise drawn anew: where equations bend it is further off than standard deviations say, and no further than the likelihood says.
+#[test]
+fn what_is_felt_is_told_where_equations_bend() {
+    let truth = bent(true);
+    let reference = StereoSheet::of(&named_covariance(&adjusted(&truth)).unwrap()).unwrap();
+    let (rounds, mut told) = (30, 0);
+    // Squares of u, v and w in the middle, and at worst over the sheet, over what is stated and over what is told.
+    let mut sums = [[[0.0; 2]; 3]; 2];
+    for seed in 0..rounds {
+        let a = adjusted(&drawn(&truth, seed));
+        let own = StereoSheet::of(&named_covariance(&a).unwrap()).unwrap();
+        let m = diagnosed(&a).mapping.unwrap();
+        told += usize::from(m.by_likelihood.is_some());
+        let off = |p: [f64; 2]| own.response(&reference, p).unwrap().measured_from_true - Matrix3::identity();
+        let everywhere: Vec<_> = m.map.x_mm.iter().zip(&m.map.y_mm).map(|(x, y)| off([*x, *y])).collect();
+        let (middle, worst) = (off(m.middle.point_mm), m.at_worst());
+        for i in 0..3 {
+            let stated = m.middle.displacement[i][i];
+            let most = everywhere.iter().map(|e| e[(i, i)].abs()).fold(0.0, f64::max);
+            let added = m.by_likelihood.as_ref().map_or(0.0, |bent| bent.displacement[i][i]);
+            for (sum, e, sigma, larger) in [
+                (0, middle[(i, i)], stated, stated.hypot(added)),
+                (1, most, m.largest.displacement[i][i], worst.displacement[i][i]),
+            ] {
+                sums[sum][i][0] += (e / sigma).powi(2) / f64::from(rounds as u32);
+                sums[sum][i][1] += (e / larger).powi(2) / f64::from(rounds as u32);
+            }
+        }
+    }
+    println!(
+        "{told} of {rounds} told; mean squares over stated, over told, of u, v, w: in the middle {:?}, at worst {:?}",
+        sums[0], sums[1]
+    );
+    assert!(2 * told > rounds as usize);
+    let [stated, told] = [0, 1].map(|k| sums[0].map(|of| of[k]));
+    assert!(stated[0] > 2.2 && told.iter().all(|square| *square < 2.0), "{stated:?} {told:?}");
+    assert!(sums[1].iter().all(|[stated, told]| told <= stated && *told < 3.0), "{:?}", sums[1]);
 }
 
 /// Effective principal points of both cameras, by their places among the key quantities.

@@ -7,7 +7,7 @@ mod scene;
 use serde_json::Value;
 use spivcal::error::{Error, Invalid};
 use spivcal::exchange::{ExportFormat, export};
-use spivcal::record::{Known, Record, TargetPoint, Window, WindowSigma};
+use spivcal::record::{Known, MappingByLikelihood, Record, TargetPoint, Window, WindowSigma};
 use spivcal::target::DotId;
 
 fn reread(record: &Record) -> Record {
@@ -442,6 +442,25 @@ fn what_the_views_say_of_measurements_is_kept_and_enlarges_displacements() {
     ] {
         assert!((got / wanted - 1.0).abs() < 1e-12, "{got} {wanted}");
     }
+    // Where equations bend, squares are added; unknown ones are not.
+    let mut bent = read.clone();
+    bent.by_likelihood = Some(MappingByLikelihood {
+        disparity_px: 0.05,
+        in_plane_mm: 0.009,
+        in_plane_scale: 0.0,
+        out_of_plane_gain: f64::NAN,
+        displacement: vec![vec![0.003, f64::NAN, 0.0], vec![0.0; 3], vec![0.0, 0.0, 0.012]],
+    });
+    record.mapping_uncertainty = Some(bent);
+    let bent = reread(&record).mapping_uncertainty.unwrap();
+    let stated = 1.0 + 4.0 + 16.0_f64;
+    let wanted = ((3.1_f64.powi(2) + 6.4_f64.powi(2) + 13.2_f64.powi(2) + 9.0) / stated).sqrt();
+    assert!((bent.enlarged()[0] / wanted - 1.0).abs() < 1e-12 && bent.enlarged()[1] == v, "{:?}", bent.enlarged());
+    let worst = bent.at_worst();
+    assert!((worst.in_plane_mm - 0.015).abs() < 1e-12 && (worst.in_plane_px - 0.11 * 1.25).abs() < 1e-12);
+    assert!((worst.disparity_px - 0.13_f64.hypot(0.05)).abs() < 1e-12 && worst.in_plane_scale == 0.0014);
+    assert!(worst.out_of_plane_gain.is_nan() && worst.displacement[2][2] == 0.0016_f64.hypot(0.012));
+    assert_eq!(read.at_worst(), read.largest);
     // Of v as it is of v nothing is told, but of what w leaks into it.
     let mut told = told.clone();
     assert!(!told.untold());

@@ -8,7 +8,9 @@ mod scene;
 use roxmltree::{Document, ParsingOptions};
 use scene::pictures;
 use spivcal::image::GrayImage;
-use spivcal::record::{Diagnosis, KeyQuantity, Known, OutlierReason, Prior, Record, ResidualTable, ViewInfluence};
+use spivcal::record::{
+    Diagnosis, KeyQuantity, Known, MappingByLikelihood, OutlierReason, Prior, Record, ResidualTable, ViewInfluence,
+};
 use spivcal::report::{self, Level, OverlayInput, OverlayShapes};
 
 fn parse(html: &str) -> Document<'_> {
@@ -352,6 +354,37 @@ fn what_the_views_tell_of_measurements_is_told() {
     }
     record.mapping_uncertainty.as_mut().unwrap().by_views = None;
     assert!(!report::text(&record).contains("as the views tell it"));
+}
+
+/// What the likelihood adds where equations bend stands in a column of its own, and in the verdict.
+#[test]
+fn what_the_likelihood_tells_of_measurements_is_told() {
+    let mut record = scene::record();
+    let mut mapping = scene::mapping(false);
+    mapping.by_views = None;
+    mapping.by_likelihood = Some(MappingByLikelihood {
+        disparity_px: 0.312,
+        in_plane_mm: 0.016,
+        in_plane_scale: 0.0,
+        out_of_plane_gain: f64::NAN,
+        displacement: vec![vec![0.0024, 0.0, 0.0], vec![0.0; 3], vec![0.0, 0.0, 0.0012]],
+    });
+    record.mapping_uncertainty = Some(mapping);
+    let html = words(&parse(&report::write_html(&record, &[], &ResidualTable::default()).unwrap()));
+    let text = report::text(&record).split_whitespace().collect::<Vec<_>>().join(" ");
+    for said in [&html, &text] {
+        assert!(said.contains("at worst, as the likelihood tells it"), "{said}");
+        assert!(said.contains("disparity of the two cameras 0.13 px 0.13 px 0.34 px"), "{said}");
+        assert!(said.contains("place in the sheet 0.11 px (12 µm) 0.11 px (12 µm) 0.18 px (20 µm)"), "{said}");
+        assert!(said.contains("error of u per u 0.1 % 0.1 % 0.26 %"), "{said}");
+        assert!(said.contains("out-of-plane gain over in-plane scale 0.15 % 0.15 % not determined"), "{said}");
+        assert!(
+            said.contains("equations bend with these: their likelihood tells 1.1, 1 and 1.2 times as much"),
+            "{said}"
+        );
+        assert!(said.contains("0.26 % of u") && said.contains("to 0.34 px (one sigma each)"), "{said}");
+    }
+    assert!(!html.contains("NaN"), "{html}");
 }
 
 #[test]

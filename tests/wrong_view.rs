@@ -5,8 +5,8 @@
 
 mod rig_scene;
 
-use rig_scene::{Problem, Scene, adjusted, diagnosed, diagnosed_while, tilted_camera};
-use spivcal::bundle::{Fact, Focus, Iteration};
+use rig_scene::{Grid, Noise, Problem, Scene, adjusted, diagnosed, diagnosed_while, tilted_camera};
+use spivcal::bundle::{AdjustOptions, Adjustment, Fact, Focus, Iteration, adjust};
 use spivcal::camera::{Camera, Intrinsics};
 use spivcal::diagnosis::Findings;
 use spivcal::error::{Error, Unusable};
@@ -80,6 +80,87 @@ fn two_wrong_views_do_not_hide_each_other() {
         println!("views {pair:?}: wrong {sure:?}, undecided {open:?}");
         f.diagnosis.views.iter().for_each(|v| println!("  {}", v.words));
         assert_eq!(sure, pair, "undecided {open:?}");
+    }
+}
+
+/// With sigmas enlarged as far as whole discs lie off, as in a calibration from images.
+fn enlarged(scene: &Scene) -> (Adjustment, f64) {
+    let a = adjust(&scene.model, scene.truth.clone(), &AdjustOptions::default(), &mut |_| true);
+    let scale = a.model.images.iter().map(|i| i.sigma_scale).fold(1.0, f64::max);
+    (a, scale)
+}
+
+const PLATE: Grid = Grid { columns: 5, rows: 5, pitch_mm: 5.0, radius_mm: 1.5, print_error_mm: 0.0, turn: 1.0 };
+
+/// A wrong view for which all sigmas were enlarged agrees with the others within these; it is named all the same, with what follows from it.
+#[test]
+fn a_wrong_view_is_named_behind_the_sigmas_that_were_enlarged_for_it() {
+    let cameras = || vec![tilted_camera(-0.1107, 0.01), tilted_camera(0.1107, -0.02)];
+    let scenes = [
+        (Scene::build(21, false, true, false), "pair"),
+        (Scene::with_grid(5, cameras(), PLATE, false), "plate"),
+        (Problem::of("D10").unwrap().parts.scene(), "D10"),
+    ];
+    for (truth, name) in scenes {
+        let (mut undecided, mut felt) = (0, 0);
+        let views = truth.model.views.len();
+        for view in (0..views).step_by(if views > 10 { 7 } else { 1 }) {
+            for (camera, by_px) in [(1, [0.0, 3.0]), (0, [2.0, -1.0])].into_iter().skip(view % 2) {
+                let wrong = spoiled(&truth.with_noise(400 + view as u64), view, camera, by_px);
+                let (a, scale) = enlarged(&wrong);
+                let f = diagnosed(&a);
+                let (sure, open) = named(&f);
+                println!(
+                    "{name}, view {view}, camera {camera}: sigmas {scale:.1}, wrong {sure:?}, undecided {open:?}\n  {:#?}",
+                    f.flags
+                );
+                if scale < 1.5 {
+                    continue;
+                }
+                assert!(
+                    sure == [view] || (sure.is_empty() && open.contains(&view)),
+                    "{name}: {view}: {sure:?} {open:?}"
+                );
+                let flag = f.flags.iter().position(|w| w.contains(&format!("view {view} contradicts")));
+                assert_eq!(flag, Some(0), "{name}: {:#?}", f.flags);
+                (undecided, felt) = (undecided + usize::from(sure.is_empty()), felt + 1);
+            }
+        }
+        println!("{name}: {undecided} of {felt} undecided");
+        assert!(felt >= 4 && 6 * undecided <= felt, "{name}: {undecided} of {felt} undecided");
+    }
+}
+
+/// Where every view is off a little, or discs scatter one by one, no view is blamed for the sigmas that were enlarged for all.
+#[test]
+fn where_all_scatter_no_view_is_blamed() {
+    let cameras = vec![tilted_camera(-0.1107, 0.01), tilted_camera(0.1107, -0.02)];
+    let pair = Scene::build(21, false, true, false);
+    let plate = Scene::with_grid(5, cameras, PLATE, false);
+    for (truth, name, sigma_px) in [(&pair, "pair", 0.5), (&plate, "plate", 0.5)] {
+        for by_disc in [false, true] {
+            let (mut blamed, runs, mut largest) = (0, 8, 0.0_f64);
+            for seed in 0..runs {
+                let mut noise = Noise::stream(seed, 17);
+                let mut scene = truth.with_noise(900 + seed);
+                for image in &mut scene.model.images {
+                    let mut by = [noise.normal(), noise.normal()];
+                    for edge in image.discs.iter_mut().map(|d| &mut d.edge) {
+                        if by_disc {
+                            by = [noise.normal(), noise.normal()];
+                        }
+                        edge.u_px.iter_mut().for_each(|u| *u += sigma_px * by[0]);
+                        edge.v_px.iter_mut().for_each(|v| *v += sigma_px * by[1]);
+                    }
+                }
+                let (a, scale) = enlarged(&scene);
+                largest = largest.max(scale);
+                blamed +=
+                    usize::from(diagnosed(&a).flags.iter().any(|w| w.contains("enlarged for it, are as much smaller")));
+            }
+            println!("{name}, by disc: {by_disc}: a view is blamed in {blamed} of {runs}, sigmas up to {largest:.1}");
+            assert!(largest > 1.5 && blamed == 0, "{name}, by disc: {by_disc}: {blamed} of {runs}");
+        }
     }
 }
 

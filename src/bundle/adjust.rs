@@ -368,13 +368,33 @@ fn rescale(
     let Some(posterior) = equations.map(solve::posterior) else { return false };
     let scales: Vec<f64> =
         (0..model.cameras.len()).map(|c| scale_of_camera(model, all, (state, &posterior), c)).collect();
-    let mut changed = false;
-    for image in &mut model.images {
-        let scale = scales[image.camera];
-        changed |= (scale / image.sigma_scale - 1.0).abs() > 0.03;
-        image.sigma_scale = scale;
-    }
+    let changed = model.images.iter().any(|i| (scales[i.camera] / i.sigma_scale - 1.0).abs() > 0.03);
+    set_scales(model, &scales);
     changed
+}
+
+fn set_scales(model: &mut Model, scales: &[f64]) {
+    model.images.iter_mut().for_each(|i| i.sigma_scale = scales[i.camera]);
+}
+
+/// Factor of the given sigmas of each camera that the residuals of an adjustment show, whatever it was made with; `None` without equations.
+pub fn sigma_scales(a: &Adjustment) -> Option<Vec<f64>> {
+    let posterior = solve::posterior(a.equations.as_ref()?);
+    let all = residuals::of_each_image(&a.model, &a.state);
+    Some((0..a.model.cameras.len()).map(|c| scale_of_camera(&a.model, &all, (&a.state, &posterior), c)).collect())
+}
+
+/// The adjustment with other factors of the given sigmas, one for each camera, from where another one of the same rig ended; nothing is set aside.
+pub fn readjusted_with(
+    a: &Adjustment,
+    scales: &[f64],
+    start: &State,
+    options: &AdjustOptions,
+    observe: &mut dyn FnMut(&Iteration) -> bool,
+) -> Adjustment {
+    let mut model = a.model.clone();
+    set_scales(&mut model, scales);
+    adjust_owned(model, start.clone(), &AdjustOptions { rounds: 0, ..*options }, observe)
 }
 
 /// Root of the larger significant variance factor of a camera, relative to the given sigmas.

@@ -50,9 +50,10 @@ const LIMITS: Options = Options { decrement: 0.1, iterations: 30 };
 const HELD: f64 = 1e-3;
 /// Step of a numerical derivative, in steps up to which the problem is about linear.
 const PART: f64 = 1e-4;
-/// Places, in sigmas, at which a profile is told, and how far it is followed.
+/// Distance, in sigmas, of places at which a profile is told.
 const APART: f64 = 1.25;
-const FURTHEST: f64 = 30.0;
+/// How far it is followed, in sigmas.
+pub const FURTHEST: f64 = 30.0;
 /// Cost above the estimate's beyond which nothing is left that a percentile would feel.
 const ENOUGH: f64 = 5.0;
 /// Cost that must have been reached where a profile can be followed no further: what is beyond is then taken as going on straight.

@@ -65,7 +65,7 @@ pub(super) fn run(command: &Check, threads: Option<NonZeroUsize>, progress: &Bar
         check_sheet_masked(&record, &pairs, masks, &options)
     })?;
     if let Some(corrected) = &mut found.record
-        && let Some((mapping, told)) = pool.install(|| mapping_of_record(corrected, record.views_of_another_sheet()))
+        && let Some((mapping, told)) = pool.install(|| mapping_of_record(corrected, record.told_of_another_sheet()))
     {
         corrected.mapping_uncertainty = Some(mapping);
         corrected.fit.keep_check_flags(&told);

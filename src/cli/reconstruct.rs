@@ -278,7 +278,7 @@ fn summary(
         if found.calibration_enlarged != [1.0; 3] {
             let [u, v, w] = found.calibration_enlarged;
             text.push_str(&format!(
-                "the views of the calibration differ by more than their noise: these are {u:.1}, {v:.1} and {w:.1} times what its noise alone would tell (its report says more)\n"
+                "the calibration's report says why these are {u:.1}, {v:.1} and {w:.1} times what its noise alone would tell (views that differ, or equations that bend)\n"
             ));
         }
     }

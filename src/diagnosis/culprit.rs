@@ -37,11 +37,11 @@ const TESTABLE: f64 = 1e-4;
 /// Twice the log of a likelihood ratio of 100: two views whose T differ by less cannot be told apart.
 pub(super) const TOLD_APART: f64 = 9.2;
 /// Chance of naming one view too many in a round of the search: it follows an alarm, and every round asks anew.
-const BY_CHANCE: f64 = 0.001;
+pub(super) const BY_CHANCE: f64 = 0.001;
 /// Views that are put to the proof in each round.
 const TRIED: usize = 3;
 /// Where more than this part of the views would have to go, it is not single views that are wrong.
-const MOST: f64 = 0.34;
+pub(super) const MOST: f64 = 0.34;
 
 /// How much one view disagrees with the others.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,6 +78,8 @@ pub(super) struct Wrong {
     pub(super) excess: f64,
     /// The adjustment without them; none where it does not get near its minimum.
     pub(super) without: Option<Adjustment>,
+    /// Where sigmas had been enlarged for them: the adjustment with those that are left without them, and by how much these are smaller.
+    pub(super) hidden: Option<(Adjustment, f64)>,
 }
 
 /// T of a view (or of several, called by one) from what its absence does to functions whose covariance with all views is `full`; `None` where nothing can be tested.
@@ -114,7 +116,8 @@ fn functions(s: &Subject<'_>, names: &[&str]) -> Vec<Vec<(String, f64)>> {
     all.map(|n| vec![(n.clone(), 1.0)]).collect()
 }
 
-fn seen(a: &Adjustment) -> Vec<usize> {
+/// Views of which there is an image.
+pub(super) fn seen(a: &Adjustment) -> Vec<usize> {
     (0..a.model.views.len()).filter(|v| a.model.images.iter().any(|i| i.view == *v)).collect()
 }
 
@@ -241,5 +244,5 @@ pub(super) fn culprits(s: &Subject<'_>, names: &[&str], watch: &Watch<'_>) -> Re
         disagreement(all[0], &full, &p)
     };
     let excess = together().map_or(0.0, |d| d.excess());
-    Ok(Some(Wrong { excess, without: search.without(&all)?, views }))
+    Ok(Some(Wrong { excess, without: search.without(&all)?, hidden: None, views }))
 }

@@ -14,7 +14,8 @@
 //! | does not | views agree | the same as above, whichever explains less by a likelihood ratio of 100; where both explain as much, findings that are more than the views |
 //!
 //! (what they explain: T of the views together, see [`super::culprit`]; twice the gain in log-likelihood of B; both less their degrees of freedom.)
-//! Beside a move, whose part [`super::model_tests`] has, priors are asked again without what the second camera saw afterwards.
+//! Beside a move, whose part [`super::model_tests`] has, priors are asked again without what the second camera saw afterwards. Where single views hide behind sigmas that were
+//! enlarged for them ([`super::enlarged`]) it is asked again without these whether there was a move.
 
 use super::culprit::{TOLD_APART, Wrong, contradict};
 use super::field::SeenSheet;
@@ -122,7 +123,7 @@ pub(super) fn explained(
     watch: &Watch<'_>,
 ) -> Result<Vec<String>> {
     let any = flags(&of_priors.asked).len() + flags(&tests.asked).len() > 0;
-    if let Some(when) = tests.moved {
+    if let Some(when) = tests.moved.filter(|when| !views.wrong.as_ref().is_some_and(|w| blames_no_move(w, *when, s))) {
         // Views that stand on either side of a move contradict each other, whichever they are.
         views.flags.clear();
         if let Some(without) = before_move(s, when, watch)? {
@@ -134,6 +135,8 @@ pub(super) fn explained(
         return Ok(vec![]);
     }
     let Some(wrong) = &views.wrong else { return Ok(vec![]) };
+    // Beside sigmas that were enlarged for it nothing can be weighed.
+    let s = &wrong.hidden.as_ref().map_or(*s, |(strict, _)| Subject { adjustment: strict, ..*s });
     let without = wrong.without.as_ref().filter(|_| any);
     let Some((without, covariance)) = without.and_then(|a| Some((a, named_covariance(a)?))) else {
         return Ok(views.contradictions(false));
@@ -164,6 +167,17 @@ pub(super) fn explained(
     let of_priors = cause.takes(&mut of_priors.asked, &priors_again.asked);
     let of_tests = cause.takes(&mut tests.asked, &again.asked);
     Ok(views.contradictions(twice || of_priors + of_tests > 0))
+}
+
+/// Whether views that hide behind enlarged sigmas are wrong by themselves, not those on one side of a move: whether there was one is asked without them.
+fn blames_no_move(wrong: &Wrong, when: Moved, s: &Subject<'_>) -> bool {
+    let n = s.adjustment.model.views.len();
+    let is_out = |v: usize| wrong.views.iter().any(|c| c.view == v);
+    let divided = match when {
+        Moved::Before(k) => (0..n).all(|v| is_out(v) == (v >= k)) || (0..n).all(|v| is_out(v) == (v < k)),
+        Moved::Steadily => false,
+    };
+    wrong.hidden.is_some() && !divided
 }
 
 /// An adjustment without the priors and with the lens terms that are to be looked at.

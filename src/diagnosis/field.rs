@@ -39,6 +39,11 @@ impl SeenSheet {
 }
 
 impl Field {
+    pub(super) fn middle(&self) -> [f64; 2] {
+        let n = self.points.len() as f64;
+        [0, 1].map(|a| self.points.iter().map(|p| p[a]).sum::<f64>() / n)
+    }
+
     /// In the frame of `stereo`; none where both cameras have nothing in common.
     pub(super) fn of(stereo: &StereoSheet, sizes_px: &[[f64; 2]]) -> Option<Self> {
         let size = |c: usize| sizes_px.get(c).copied();

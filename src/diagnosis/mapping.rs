@@ -9,7 +9,7 @@
 
 use super::field::{Field, SeenSheet};
 use crate::bundle::NamedCovariance;
-use crate::record::{MappingByViews, MappingMap, MappingSigma, MappingUncertainty, Record};
+use crate::record::{MappingMap, MappingSigma, MappingTold, MappingUncertainty, Record};
 use crate::sheet::{PointUncertainty, StereoSheet, covariance_of_record};
 use crate::threads::gathered;
 use nalgebra::{DMatrix, DVector};
@@ -21,12 +21,9 @@ const ONE_LINE: f64 = 10.0;
 /// Relative out-of-plane gain that is worth a warning: 2 % of w.
 const GAIN_LIMIT: f64 = 0.02;
 
-/// What a record says of it anew, after its sheet, its frame or its cameras were changed, with what must be told; `by_views` is what its views say of it.
+/// What a record says of it anew, after its sheet, its frame or its cameras were changed, with what must be told; `beside` is what else is told of it.
 /// `None` where its covariance does not name the sheet, or does not determine cameras and sheet.
-pub fn mapping_of_record(
-    record: &Record,
-    by_views: Option<MappingByViews>,
-) -> Option<(MappingUncertainty, Vec<String>)> {
+pub fn mapping_of_record(record: &Record, beside: MappingTold) -> Option<(MappingUncertainty, Vec<String>)> {
     let [first, second] = record.cameras.as_slice() else { return None };
     let names = [first.name.as_str(), second.name.as_str()];
     let covariance = covariance_of_record(record)?;
@@ -35,7 +32,8 @@ pub fn mapping_of_record(
     let frame = record.sheet.as_ref()?.rig_from_sheet.motion();
     let sheet = SeenSheet::of(&covariance, &sizes_px, &names, Some(&frame))?;
     let found = mapping_uncertainty(&covariance, &sheet, &mut flags)?;
-    Some((MappingUncertainty { by_views, ..found }, flags))
+    let MappingTold { by_views, by_likelihood } = beside;
+    Some((MappingUncertainty { by_views, by_likelihood, ..found }, flags))
 }
 
 pub(super) fn mapping_uncertainty(
@@ -45,8 +43,7 @@ pub(super) fn mapping_uncertainty(
 ) -> Option<MappingUncertainty> {
     let stereo = uncertainty.stereo();
     let mut points = field.points.clone();
-    let n = points.len() as f64;
-    points.push([points.iter().map(|p| p[0]).sum::<f64>() / n, points.iter().map(|p| p[1]).sum::<f64>() / n]);
+    points.push(field.middle());
     let at: Option<Vec<PointUncertainty>> = gathered(true, &points, |p| uncertainty.at(*p));
     let at = at?;
     let placed = places(covariance, (&points, &at), uncertainty.names_at())?;
@@ -75,7 +72,14 @@ pub(super) fn mapping_uncertainty(
              other side of the sheet's normal, best 30 to 45 degrees on either side"
         ));
     }
-    Some(MappingUncertainty { middle: middle.clone(), largest, map: map(field, &over), undetermined, by_views: None })
+    Some(MappingUncertainty {
+        middle: middle.clone(),
+        largest,
+        map: map(field, &over),
+        undetermined,
+        by_views: None,
+        by_likelihood: None,
+    })
 }
 
 /// Standard deviation (root of the sum over both axes, the larger of both cameras) of the place of every point, mm, beside a common shift

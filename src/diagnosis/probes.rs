@@ -11,7 +11,7 @@ use super::field::SeenSheet;
 use super::mapping::{PLACES, beside_shift_and_turn};
 use super::spread::{Number, common_factor};
 use crate::bundle::{NamedCovariance, Natural};
-use crate::record::MappingByViews;
+use crate::record::{MappingByLikelihood, MappingByViews};
 use crate::sheet::{RESPONSES, StereoSheet, gain_row, in_plane_scale_row, unit};
 use nalgebra::{DMatrix, DVector, SVector};
 
@@ -22,6 +22,8 @@ const SCALE: usize = 2;
 const GAIN: usize = 3;
 const DISPLACEMENT: usize = 4;
 const KINDS: usize = DISPLACEMENT + 9;
+/// Functions of one point by itself, which stand before those of all points together.
+const OF_POINT: usize = 13;
 
 /// Functions of the calibration at points of the sheet.
 pub(super) struct Probes {
@@ -37,10 +39,18 @@ pub(super) struct Probes {
 }
 
 impl Probes {
-    /// `None` where a point is not seen.
+    /// At a few points all over the field; `None` where one is not seen.
     pub(super) fn of(covariance: &NamedCovariance, sheet: &SeenSheet) -> Option<Self> {
+        Self::at(covariance, sheet, spread_out(&sheet.field.points))
+    }
+
+    /// The same, and in the middle of the field, where errors that grow to all sides vanish to first order.
+    pub(super) fn with_the_middle(covariance: &NamedCovariance, sheet: &SeenSheet) -> Option<Self> {
+        Self::at(covariance, sheet, [spread_out(&sheet.field.points), vec![sheet.field.middle()]].concat())
+    }
+
+    fn at(covariance: &NamedCovariance, sheet: &SeenSheet, points: Vec<[f64; 2]>) -> Option<Self> {
         let (uncertainty, names_at) = (&sheet.uncertainty, sheet.uncertainty.names_at());
-        let points = spread_out(&sheet.field.points);
         let mut by_name = DMatrix::zeros(RESPONSES * points.len(), names_at.len());
         for (i, p) in points.iter().enumerate() {
             by_name.rows_mut(RESPONSES * i, RESPONSES).copy_from(uncertainty.at(*p)?.derivative());
@@ -86,6 +96,29 @@ impl Probes {
             all.rows_mut(RESPONSES * i, RESPONSES).copy_from(&other.change(&self.stereo, *p)?);
         }
         Some(&self.felt * all)
+    }
+
+    /// Number of functions.
+    pub(super) fn count(&self) -> usize {
+        self.kinds.len()
+    }
+
+    /// The functions of each kind, those of the last point by themselves.
+    pub(super) fn of_kinds(&self) -> Vec<[Vec<usize>; 2]> {
+        let last = (OF_POINT * (self.points.len() - 1)..OF_POINT * self.points.len()).collect::<Vec<_>>();
+        let of = |kind: usize| (0..self.count()).filter(|k| self.kinds[*k] == kind).partition(|k| !last.contains(k));
+        (0..KINDS).map(|kind| of(kind).into()).collect()
+    }
+
+    /// One number of each kind under its name.
+    pub(super) fn by_kind(numbers: &[f64]) -> MappingByLikelihood {
+        MappingByLikelihood {
+            disparity_px: numbers[DISPARITY],
+            in_plane_mm: numbers[PLACE],
+            in_plane_scale: numbers[SCALE],
+            out_of_plane_gain: numbers[GAIN],
+            displacement: numbers[DISPLACEMENT..].chunks(3).map(<[f64]>::to_vec).collect(),
+        }
     }
 
     /// How many times larger the views tell what is felt, by the numbers that the functions are; none where they neither tell nor differ.

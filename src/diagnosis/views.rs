@@ -4,7 +4,8 @@
 //! are linear they agree. Where they bend (an axis point is known by its prior alone as long as distortion seems to be nothing, and by the images once there
 //! is some) either may be many standard deviations of linear equations and say nothing of the view: whether it contradicts is judged by what both say.
 
-use super::culprit::{Culprit, Wrong, culprits};
+use super::culprit::{Wrong, culprits};
+use super::enlarged::hidden;
 use super::keys::Keys;
 use super::probes::Probes;
 use super::spread::{self, Change, Number, Spread};
@@ -111,7 +112,8 @@ impl Views {
 
     /// What a user must be told of wrong views: those that are felt, all where they are `blamed` for something else.
     pub(super) fn contradictions(&self, blamed: bool) -> Vec<String> {
-        let told = self.influences.iter().filter(|v| v.contradicts && (blamed || change(v) > FELT_SIGMAS));
+        let all = blamed || self.wrong.as_ref().is_some_and(|w| w.hidden.is_some());
+        let told = self.influences.iter().filter(|v| v.contradicts && (all || change(v) > FELT_SIGMAS));
         told.map(|v| v.words.clone()).collect()
     }
 }
@@ -135,8 +137,11 @@ pub(super) fn views(
     let each = seen.iter().zip(&left);
     let mut out: Vec<ViewInfluence> =
         each.filter_map(|(v, left)| Some(influence(&functions, *v, left.as_ref()?, tests))).collect();
-    let wrong = if out.iter().any(|v| v.contradicts) { culprits(s, names, watch)? } else { None };
-    name_the_wrong(&mut out, wrong.as_ref().map_or(&[], |w| &w.views));
+    let mut wrong = hidden(s, names, watch)?;
+    if wrong.is_none() && out.iter().any(|v| v.contradicts) {
+        wrong = culprits(s, names, watch)?;
+    }
+    name_the_wrong(&mut out, wrong.as_ref());
     let Scatter { of_probes, spreads, finding } = Scatter::of(&functions, &left);
     let felt = probes.and_then(|p| p.by_views(&of_probes, finding.is_some()));
     let mut views = Views { influences: out, spreads, felt, wrong, flags: vec![] };
@@ -197,7 +202,12 @@ fn own_change(variance: f64, k: usize, left: &Left) -> Option<Change> {
 }
 
 /// Where few views explain all contradictions, only they contradict. Otherwise all do that seem to.
-fn name_the_wrong(views: &mut [ViewInfluence], wrong: &[Culprit]) {
+fn name_the_wrong(views: &mut [ViewInfluence], found: Option<&Wrong>) {
+    let wrong = found.map_or(&[][..], |w| &w.views);
+    let contradiction = |v: &ViewInfluence| match found.and_then(|w| w.hidden.as_ref()) {
+        Some((_, fell)) => hidden_contradiction(v, wrong.len(), *fell),
+        None => contradiction(v),
+    };
     let list = |w: &[usize]| listed(&w.iter().map(usize::to_string).collect::<Vec<_>>());
     let all = list(&wrong.iter().map(|c| c.view).collect::<Vec<_>>());
     let [without, there] = match wrong {
@@ -238,6 +248,20 @@ fn change(v: &ViewInfluence) -> f64 {
     if v.shift_sigmas.is_finite() { v.shift_sigmas } else { v.predicted_shift_sigmas.abs() }
 }
 
+/// Of a view for which, beside others, standard deviations were enlarged.
+fn hidden_contradiction(v: &ViewInfluence, wrong: usize, fell: f64) -> String {
+    let without = if wrong == 1 { "it" } else { "those that do" };
+    format!(
+        "view {} contradicts the others: without {without} the discs of the rest lie up to {} times nearer to where they should, and standard deviations, \
+         which are enlarged for it, are as much smaller; {LOOK}",
+        v.view,
+        digits(fell, 2)
+    )
+}
+
+/// What to do about a view that contradicts.
+const LOOK: &str = "look at its images, and leave it out if the target moved, was bent, or is not the same";
+
 fn contradiction(v: &ViewInfluence) -> String {
     let z = digits(v.z.abs(), 2);
     let most_significant = match v.z_of.as_str() {
@@ -246,8 +270,7 @@ fn contradiction(v: &ViewInfluence) -> String {
         other => format!(", the {other} by {z} of those of its change"),
     };
     format!(
-        "view {} contradicts the others: without it the {} changes by {} of its standard deviations{most_significant}; \
-         look at its images, and leave it out if the target moved, was bent, or is not the same",
+        "view {} contradicts the others: without it the {} changes by {} of its standard deviations{most_significant}; {LOOK}",
         v.view,
         v.shift_of,
         digits(change(v), 2)

@@ -16,7 +16,7 @@ use crate::dewarp::Placement;
 use crate::diagnosis::mapping_of_record;
 use crate::error::{Invalid, Result};
 use crate::frames::{Cam, Rig, Sheet, Target};
-use crate::record::{MappingUncertainty, Record};
+use crate::record::Record;
 use crate::rigid::{Motion, STEP_NAMES};
 use crate::sheet::{SheetEstimate, pose_rows, standing_on, with_frame};
 use nalgebra::{DMatrix, Matrix6, SMatrix, SVector, Vector3};
@@ -79,9 +79,9 @@ pub fn placed(record: &Record, placement: &Placement) -> Result<Record> {
     let mut out = record.clone();
     out.sheet = Some(sheet);
     // What was told at points of the former frame and along its axes is told anew.
-    let by_views = |m: &MappingUncertainty| m.by_views.as_ref().map(|v| if turned { v.turned() } else { v.clone() });
-    out.mapping_uncertainty =
-        record.mapping_uncertainty.as_ref().and_then(|m| Some(mapping_of_record(&out, by_views(m))?.0));
+    let told = record.told_of_mapping();
+    let told = if turned { told.turned() } else { told };
+    out.mapping_uncertainty = record.mapping_uncertainty.as_ref().and_then(|_| Some(mapping_of_record(&out, told)?.0));
     Ok(out)
 }
 

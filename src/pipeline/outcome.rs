@@ -10,7 +10,8 @@ use crate::diagnosis::Findings;
 use crate::error::{Error, Result};
 use crate::record::{
     self, CameraSigma, Covariance, Effective, Fit, Known, Parameter, PlacedCamera, Pose, PoseSigma, Provenance, Record,
-    Rig, RigSigma, SameLight, Scale, Sheet, Target, TargetPoint, TargetSigma, View, ViewTarget, WindowSigma,
+    Rig, RigSigma, SameLight, Scale, Sheet, Target, TargetPoint, TargetSigma, View, ViewTarget, WHOLE_DISCS,
+    WindowSigma,
 };
 use crate::rig_file::{Adjust, Length, Loss, Observations, Scale as ScaleFact, ViewDescription};
 use crate::rigid::AxesAngle;
@@ -336,11 +337,11 @@ fn fit(s: &Solved, fits: &[ImageFit], findings: &Findings) -> Fit {
         near_null: findings.near_null.clone(),
         diagnosis: Some(findings.diagnosis.clone()),
     };
-    if fit.scattered() {
+    if fit.scattered() && !findings.enlarged_for_views {
         fit.flags.insert(
             0,
             format!(
-                "whole discs lie up to {:.0} times further off than noise explains, {:.3} px (rms): a camera or the target moved between or within views, the target \
+                "{WHOLE_DISCS} up to {:.0} times further off than noise explains, {:.3} px (rms): a camera or the target moved between or within views, the target \
                  is not as stated (adjust = \"points\" where its dots lie elsewhere), or an image is of something else",
                 fit.sigma_scale, fit.rms_px
             ),

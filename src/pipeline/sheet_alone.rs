@@ -340,7 +340,7 @@ fn output(
     features: &[Vec<PairFeatures>],
 ) -> SheetOutput {
     let mut record = calibration.clone();
-    let by_views = record.views_of_another_sheet();
+    let beside = record.told_of_another_sheet();
     forget_old_sheet(&mut record);
     let first = record.views.iter().map(|v| v.index + 1).max().unwrap_or(0);
     let place = |view: usize| views.iter().position(|v| v.view == view).map(|k| first + k);
@@ -363,7 +363,7 @@ fn output(
     if let Some(covariance) = homography.with_sheet(held, &record.covariance) {
         record.covariance = with_frame_on_axis(covariance, &homography.estimate.rig_from_sheet);
     }
-    if let Some((mapping, told)) = mapping_of_record(&record, by_views) {
+    if let Some((mapping, told)) = mapping_of_record(&record, beside) {
         record.mapping_uncertainty = Some(mapping);
         flags.extend(told);
     }

@@ -217,6 +217,9 @@ fn check_mapping(m: &MappingUncertainty) -> Check {
     for (key, point) in [("middle", &m.middle), ("largest", &m.largest)] {
         check_square(&point.displacement, 3, &format!("mapping_uncertainty.{key}.displacement"))?;
     }
+    if let Some(bent) = &m.by_likelihood {
+        check_square(&bent.displacement, 3, "mapping_uncertainty.by_likelihood.displacement")?;
+    }
     if let Some(by_views) = &m.by_views {
         check_square(&by_views.displacement, 3, "mapping_uncertainty.by_views.displacement")?;
     }

@@ -222,6 +222,67 @@ pub struct MappingUncertainty {
     /// What the views say of these standard deviations; none where they say nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub by_views: Option<MappingByViews>,
+    /// What equations that bend add to them; none where they are straight.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub by_likelihood: Option<MappingByLikelihood>,
+}
+
+/// By how much a number may be off beyond its standard deviation, where equations bend: with h the larger distance to an end of the interval that holds it 95 times
+/// in 100 by the likelihood of the images, in the middle of the sheet or at that of four points about it where it is largest,
+/// ```text
+/// e^2 = max(0, (h / 1.96)^2 - sigma^2)          to be added to sigma^2 everywhere in the sheet
+/// ```
+/// 0 where equations are straight; an end beyond thirty standard deviations counts as those.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MappingByLikelihood {
+    /// Of [`MappingSigma::disparity_px`].
+    #[serde(with = "maybe")]
+    pub disparity_px: f64,
+    /// Of [`MappingSigma::in_plane_mm`].
+    #[serde(with = "maybe")]
+    pub in_plane_mm: f64,
+    /// Of [`MappingSigma::in_plane_scale`].
+    #[serde(with = "maybe")]
+    pub in_plane_scale: f64,
+    /// Of [`MappingSigma::out_of_plane_gain`].
+    #[serde(with = "maybe")]
+    pub out_of_plane_gain: f64,
+    /// Of [`MappingSigma::displacement`].
+    #[serde(with = "maybe_rows")]
+    pub displacement: Vec<Vec<f64>>,
+}
+
+impl MappingByLikelihood {
+    /// Standard deviations with what is added to them.
+    fn added_to(&self, s: &MappingSigma) -> MappingSigma {
+        let rows = s.displacement.iter().zip(&self.displacement);
+        let in_plane_mm = s.in_plane_mm.hypot(self.in_plane_mm);
+        MappingSigma {
+            point_mm: s.point_mm,
+            in_plane_px: s.in_plane_px * (in_plane_mm / s.in_plane_mm),
+            in_plane_mm,
+            disparity_px: s.disparity_px.hypot(self.disparity_px),
+            in_plane_scale: s.in_plane_scale.hypot(self.in_plane_scale),
+            out_of_plane_gain: s.out_of_plane_gain.hypot(self.out_of_plane_gain),
+            displacement: rows.map(|(s, e)| s.iter().zip(e).map(|(s, e)| s.hypot(*e)).collect()).collect(),
+        }
+    }
+
+    /// In a frame that is turned within the sheet: of what is along x and along y the larger holds for both.
+    pub(crate) fn turned(&self) -> Self {
+        Self { displacement: turned(&self.displacement), ..self.clone() }
+    }
+}
+
+/// Entries of u, v, w by u, v, w in a frame that is turned within the sheet.
+fn turned(displacement: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let largest = |places: &[[usize; 2]]| {
+        let all = places.iter().map(|[i, j]| displacement[*i][*j]);
+        all.fold(f64::NAN, f64::max)
+    };
+    let within = largest(&[[0, 0], [0, 1], [1, 0], [1, 1]]);
+    let [into, from] = [largest(&[[0, 2], [1, 2]]), largest(&[[2, 0], [2, 1]])];
+    vec![vec![within, within, into], vec![within, within, into], vec![from, from, displacement[2][2]]]
 }
 
 /// How many times larger than stated the views tell standard deviations, by what changes without each of them: one factor for the whole of the
@@ -247,29 +308,66 @@ pub struct MappingByViews {
     pub displacement: Vec<Vec<f64>>,
 }
 
+/// What views and likelihood say of measurements beside their standard deviations.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct MappingTold {
+    /// [`MappingUncertainty::by_views`].
+    pub by_views: Option<MappingByViews>,
+    /// [`MappingUncertainty::by_likelihood`].
+    pub by_likelihood: Option<MappingByLikelihood>,
+}
+
+impl MappingTold {
+    /// In a frame that is turned within the sheet.
+    pub(crate) fn turned(self) -> Self {
+        Self {
+            by_views: self.by_views.map(|v| v.turned()),
+            by_likelihood: self.by_likelihood.map(|bent| bent.turned()),
+        }
+    }
+}
+
 impl Record {
-    /// What the views say of measurements, for a sheet that is found otherwise.
-    pub(crate) fn views_of_another_sheet(&self) -> Option<MappingByViews> {
-        Some(self.mapping_uncertainty.as_ref()?.by_views.as_ref()?.of_another_sheet())
+    /// What is told of measurements beside their standard deviations.
+    pub(crate) fn told_of_mapping(&self) -> MappingTold {
+        let told = |m: &MappingUncertainty| MappingTold {
+            by_views: m.by_views.clone(),
+            by_likelihood: m.by_likelihood.clone(),
+        };
+        self.mapping_uncertainty.as_ref().map_or_else(MappingTold::default, told)
+    }
+
+    /// The same for a sheet that is found otherwise.
+    pub(crate) fn told_of_another_sheet(&self) -> MappingTold {
+        let MappingTold { by_views, by_likelihood } = self.told_of_mapping();
+        let by_views = by_views.map(|v| v.of_another_sheet());
+        MappingTold { by_views, by_likelihood: by_likelihood.map(|bent| bent.turned()) }
     }
 }
 
 impl MappingUncertainty {
+    /// The largest of each over what both cameras see, with what equations that bend add.
+    pub fn at_worst(&self) -> MappingSigma {
+        self.by_likelihood.as_ref().map_or_else(|| self.largest.clone(), |bent| bent.added_to(&self.largest))
+    }
+
     /// How many times larger than stated the standard deviations of u, v and w are: more than 1 only where the views differ by more than
-    /// their noise and tell larger ones. With s_ij the standard deviations in the middle of the sheet and f_ij the factors of component i per component j,
+    /// their noise and tell larger ones, or where equations bend. With s_ij the standard deviations in the middle of the sheet, f_ij the factors of component i per
+    /// component j and e_ij what equations that bend add,
     /// ```text
-    /// enlarged_i^2 = sum_j max(1, f_ij)^2 s_ij^2 / sum_j s_ij^2        f_ij = 1 where the views do not tell
+    /// enlarged_i^2 = sum_j (max(1, f_ij)^2 s_ij^2 + e_ij^2) / sum_j s_ij^2        f_ij = 1 where the views do not tell
     /// ```
     /// as of a displacement whose components are alike in size.
     pub fn enlarged(&self) -> [f64; 3] {
-        let Some(told) = self.by_views.as_ref().filter(|told| told.beyond_noise) else { return [1.0; 3] };
+        let views = self.by_views.as_ref().filter(|told| told.beyond_noise);
         [0, 1, 2].map(|i| {
             let (mut stated, mut larger) = (0.0, 0.0);
-            for (sigma, factor) in self.middle.displacement[i].iter().zip(&told.displacement[i]) {
+            for (j, sigma) in self.middle.displacement[i].iter().enumerate() {
                 // Unknown ones stay as stated.
-                let variance = sigma * sigma;
-                stated += variance;
-                larger += variance * factor.max(1.0).powi(2);
+                let factor = views.map_or(1.0, |told| told.displacement[i][j].max(1.0));
+                let added = self.by_likelihood.as_ref().map_or(0.0, |bent| bent.displacement[i][j].max(0.0));
+                stated += sigma * sigma;
+                larger += (factor * sigma).powi(2) + added * added;
             }
             let factor = f64::sqrt(larger / stated);
             if factor.is_finite() { factor } else { 1.0 }
@@ -286,15 +384,7 @@ impl MappingByViews {
 
     /// In a frame that is turned within the sheet: of what is along x and along y the larger factor holds for both.
     pub(crate) fn turned(&self) -> Self {
-        let largest = |places: &[[usize; 2]]| {
-            let all = places.iter().map(|[i, j]| self.displacement[*i][*j]);
-            all.fold(f64::NAN, f64::max)
-        };
-        let within = largest(&[[0, 0], [0, 1], [1, 0], [1, 1]]);
-        let [into, from] = [largest(&[[0, 2], [1, 2]]), largest(&[[2, 0], [2, 1]])];
-        let displacement =
-            vec![vec![within, within, into], vec![within, within, into], vec![from, from, self.displacement[2][2]]];
-        Self { displacement, ..self.clone() }
+        Self { displacement: turned(&self.displacement), ..self.clone() }
     }
 
     /// With a sheet that was found otherwise, the cameras being the same: of the disparity in it the views do not tell.

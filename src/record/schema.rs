@@ -579,6 +579,8 @@ impl Covariance {
 /// Sigmas enlarged more often than this, with residuals beyond those of the second line, are no printer's error.
 const SCATTERED: f64 = 30.0;
 const SCATTERED_PX: f64 = 0.05;
+/// How the flag of such a calibration begins, where nothing else tells why.
+pub const WHOLE_DISCS: &str = "whole discs lie";
 
 impl Fit {
     /// Whether discs lie where neither noise nor a common printer's error explains them, though sigmas allow for it.

@@ -22,15 +22,16 @@ fn pixels(x: f64) -> String {
     if x.is_finite() { format!("{} px", plain(x, 2)) } else { "not determined".into() }
 }
 
-/// What a user feels, in the middle and at worst, and how many times larger the views tell it.
+/// What a user feels, in the middle and at worst, how many times larger the views tell it, and what it is where equations bend.
 pub(super) fn mapping(record: &Record) -> Table {
     let Some(m) = &record.mapping_uncertainty else { return Table::default() };
-    let by_views = m.by_views.as_ref();
+    let (by_views, at_worst) = (m.by_views.as_ref(), m.at_worst());
     let told = |factor: &dyn Fn(&MappingByViews) -> f64| {
         by_views.map(factor).map(|f| if f.is_finite() { format!("× {}", plain(f, 2)) } else { "–".into() })
     };
     let row = |name: &str, show: &dyn Fn(&MappingSigma) -> String, factor: &dyn Fn(&MappingByViews) -> f64| {
-        let cells = [show(&m.middle), show(&m.largest)].into_iter().chain(told(factor));
+        let bent = m.by_likelihood.as_ref().map(|_| show(&at_worst));
+        let cells = [show(&m.middle), show(&m.largest)].into_iter().chain(told(factor)).chain(bent);
         (String::from(name), cells.collect::<Vec<String>>())
     };
     let entry = |name: &str, i: usize, j: usize| {
@@ -51,8 +52,10 @@ pub(super) fn mapping(record: &Record) -> Table {
         entry("leak of v into w", 2, 1),
         entry("leak of v into u", 0, 1),
     ];
-    let heads = ["in the middle", "at worst", "as the views tell it"];
-    table(&heads[..2 + usize::from(by_views.is_some())], rows)
+    let views = by_views.map(|_| "as the views tell it");
+    let bent = m.by_likelihood.as_ref().map(|_| "at worst, as the likelihood tells it");
+    let heads: Vec<&str> = ["in the middle", "at worst"].into_iter().chain(views).chain(bent).collect();
+    table(&heads, rows)
 }
 
 /// Every prior against the images.

@@ -159,7 +159,10 @@ fn mapping_section(out: &mut String, r: &Record) {
          deviation each, the noise of your particle images comes on top. u, v, w are the components along sheet x, y and out of the sheet. A leak is the part of \
          one component that appears in another.");
     if m.by_views.is_some() {
-        out.push_str(" The last column: how many times larger the changes without single views tell it, over the whole of the sheet (–: one of them fixes it alone, or too few tell).");
+        out.push_str(" As the views tell it: how many times larger the changes without single views tell it, over the whole of the sheet (–: one of them fixes it alone, or too few tell).");
+    }
+    if m.by_likelihood.is_some() {
+        out.push_str(" As the likelihood tells it: where equations bend (with an axis point that the images hardly tell), numbers are within 1.96 times that 95 times in 100.");
     }
     out.push_str("</p>\n");
     write_table(out, &diagnosis::mapping(r));

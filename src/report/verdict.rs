@@ -3,7 +3,7 @@
 use super::number::{count, plain, with_unit};
 use super::tables;
 use crate::frames::{Cam, Rig};
-use crate::record::{Known, Record, SHEET_ALONE, View};
+use crate::record::{Known, MappingSigma, MappingUncertainty, Record, SHEET_ALONE, View, WHOLE_DISCS};
 
 /// Residuals this many times the noise they were given say that the model or the noise is wrong.
 const MISFIT: f64 = 1.5;
@@ -19,7 +19,10 @@ const FEW_VIEWS: usize = 4;
 /// Why nothing was adjusted where a scene was simulated.
 const TRUTH: &str = "truth";
 /// More pixels about the discs of an image than this part, equal to the largest, are told.
-const SATURATED: f64 = 0.02;
+pub const SATURATED: f64 = 0.02;
+/// What that does, and what to do.
+pub const CUT_OFF: &str = "if light was cut off there, edges are where they are not, and sigmas do not tell; reduce the exposure until the brightest parts keep their \
+                           texture";
 
 /// How far a calibration is to be trusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -225,13 +228,18 @@ fn determined(r: &Record) -> Vec<String> {
 }
 
 /// What the calibration alone adds to a measured displacement.
-fn felt(m: &crate::record::MappingUncertainty) -> Option<String> {
-    let (l, percent) = (&m.largest, |x: f64| format!("{} %", plain(100.0 * x, 2)));
-    let by = &l.displacement;
+fn felt(m: &MappingUncertainty) -> Option<String> {
+    let percent = |x: f64| format!("{} %", plain(100.0 * x, 2));
     // A camera above the other makes of v what one beside it makes of u.
-    let all = [by[0][0], by[1][1], by[2][2], by[0][2].max(by[1][2]), by[2][0].max(by[2][1]), l.disparity_px];
+    let of = |l: &MappingSigma| {
+        let by = &l.displacement;
+        [by[0][0], by[1][1], by[2][2], by[0][2].max(by[1][2]), by[2][0].max(by[2][1]), l.disparity_px]
+    };
+    let is_known = |all: &[f64; 6]| all.iter().all(|x| x.is_finite());
+    let stated = of(&m.largest);
+    let all = Some(of(&m.at_worst())).filter(is_known).unwrap_or(stated);
     let [u, v, w, of_w, into_w, disparity_px] = all;
-    by.iter().flatten().chain(&all).all(|x| x.is_finite()).then(|| {
+    m.largest.displacement.iter().flatten().chain(&stated).all(|x| x.is_finite()).then(|| {
         format!(
             "To a measured displacement the calibration adds, at worst over the sheet, {} of u, {} of v, {} of w, {} of w that leaks into u or v, and {} of u or v \
              that leaks into w; the two cameras' images lie on each other to {} px (one sigma each).{}",
@@ -241,20 +249,28 @@ fn felt(m: &crate::record::MappingUncertainty) -> Option<String> {
             percent(of_w),
             percent(into_w),
             plain(disparity_px, 2),
-            as_views_tell(m)
+            larger_than_stated(m)
         )
     })
 }
 
-/// Where the views differ by more than their noise: what they say of that.
-fn as_views_tell(m: &crate::record::MappingUncertainty) -> String {
+/// Where the views differ by more than their noise, or equations bend: what they say of that.
+fn larger_than_stated(m: &MappingUncertainty) -> String {
     let [u, v, w] = m.enlarged();
     if [u, v, w] == [1.0; 3] {
         return String::new();
     }
+    let beyond_noise = m.by_views.as_ref().is_some_and(|views| views.beyond_noise);
+    let why = match (beyond_noise, &m.by_likelihood) {
+        (true, None) => "The views, which differ by more than their noise, tell",
+        (false, _) => {
+            "The images hardly tell some numbers (an axis point of a lens without much distortion), and equations bend with these: their likelihood tells"
+        }
+        (true, Some(_)) => "The views, which differ by more than their noise, and equations that bend tell",
+    };
     format!(
-        " The views, which differ by more than their noise, tell {}, {} and {} times as much for u, v and w; the standard deviations of vectors that spivcal \
-         reconstruct states are enlarged so.",
+        " {why} {}, {} and {} times as much for u, v and w in the middle of the sheet; the standard deviations of vectors that spivcal reconstruct states are \
+         enlarged so.",
         plain(u, 2),
         plain(v, 2),
         plain(w, 2)
@@ -364,7 +380,7 @@ fn next_steps(r: &Record) -> Vec<String> {
             plain(misfit, 3)
         ));
     }
-    if r.fit.scattered() {
+    if r.fit.flags.iter().any(|f| f.starts_with(WHOLE_DISCS)) {
         out.push(format!(
             "Whole discs scatter {} times more than noise explains ({} px rms), and the sigmas were enlarged for it, but a wrong model moves results, too. \
              Look at the arrows: discs whose arrows point outwards or inwards in all views are of another size than stated; dots that lie elsewhere are \
@@ -398,8 +414,7 @@ fn saturated(r: &Record) -> Option<String> {
     let all: Vec<_> = r.provenance.images.iter().filter(|i| i.saturated > SATURATED).collect();
     let worst = all.iter().max_by(|a, b| a.saturated.total_cmp(&b.saturated))?;
     Some(format!(
-        "{} about the discs at the end of the scale ({} the most, {} %): if light was cut off there, edges are where they are not, and sigmas do not \
-         tell; reduce the exposure until the brightest parts keep their texture.",
+        "{} about the discs at the end of the scale ({} the most, {} %): {CUT_OFF}.",
         if all.len() == 1 { "1 image has pixels".into() } else { format!("{} images have pixels", all.len()) },
         worst.path,
         plain(100.0 * worst.saturated, 2)

@@ -354,5 +354,12 @@ pub fn mapping(beyond_noise: bool) -> MappingUncertainty {
         u_per_v: list.clone(),
         v_per_u: list,
     };
-    MappingUncertainty { middle: sigma.clone(), largest: sigma, map, undetermined: vec![], by_views: Some(by_views) }
+    MappingUncertainty {
+        middle: sigma.clone(),
+        largest: sigma,
+        map,
+        undetermined: vec![],
+        by_views: Some(by_views),
+        by_likelihood: None,
+    }
 }
