@@ -17,6 +17,7 @@ mod tiff_file;
 mod workers;
 
 pub use calibrate::{CalibrateOptions, CalibrationOutput, calibrate};
+pub use exposure::saturated_about;
 pub use files::{Output, can_write, of_the_system, read_text, spares};
 pub use images::SeenImage;
 pub use load::{has_further_pages, load_image};

@@ -162,6 +162,34 @@ fn glare_on_a_small_disc_does_not_pass_for_smoke() {
     }
 }
 
+/// The edge of a shadow of 10 % across one of two small dark discs: fields of smoke explained it, and drew centres by ten of their sigmas (0.06 px), mean z^2 of
+/// two numbers 100.
+#[test]
+fn a_shadow_on_a_small_dark_disc_is_not_taken_for_smoke() {
+    let mut all = vec![];
+    for seed in 0..12 {
+        let mut random = Random(300 + seed);
+        let [x, y] = [38.0 + random.uniform(), 38.0 + random.uniform()];
+        let spots = [x, 115.0].map(|u| Spot { u, v: y, a: 15.0, b: 12.0, phi: 3.0 * random.uniform() });
+        let (sin, cos) = (6.28 * random.uniform()).sin_cos();
+        let shade = |u: f64, v: f64| 0.1 / (1.0 + (-0.17 * ((u - x) * cos + (v - y) * sin - 3.6)).exp());
+        let clean = draw(153, 76, 0.8, |u, v, h| {
+            let cover: f64 = spots.iter().map(|s| s.cover(u, v, h)).sum();
+            (178.0 - 153.0 * cover) * (1.0 - shade(u, v))
+        });
+        let grey = clean.noisy_u8(2.55, &mut random);
+        let found = find_discs(&GrayView::new(Samples::U8(&grey), 153, 76, 153).unwrap(), &DetectOptions::default());
+        let discs = found.unwrap().discs;
+        assert_eq!(discs.len(), 2);
+        let disc = discs.iter().find(|d| d.ellipse.center_px.u_px < 76.0).unwrap();
+        let off = [disc.ellipse.center_px.u_px - x, disc.ellipse.center_px.v_px - y];
+        all.push((0..2).map(|k| off[k] * off[k] / disc.covariance[(k, k)]).sum::<f64>());
+    }
+    let mean = all.iter().sum::<f64>() / all.len() as f64;
+    println!("mean z^2 of two numbers {mean:.1}, {all:.1?}");
+    assert!(mean < 8.0, "sigmas are not true, {all:.1?}");
+}
+
 /// The smallest discs full of smoke, of which a few dozen pixels say what the light is like and where the edge is: each is fitted with smoke;
 /// taken for noise or for something hidden, it would be off by up to ten times the bound.
 #[test]

@@ -8,9 +8,10 @@ use super::threads;
 use crate::detect::{DetectMemory, DetectOptions, Detection, counted, counted_words, find_discs_with, missing_words};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::image::GrayImage;
-use crate::pipeline::load_image;
+use crate::pipeline::{load_image, saturated_about};
 use crate::report::{
-    DETECTION_FORMAT, contours_csv, detection_json, detection_shapes, discs_csv, features_csv, overlay_png,
+    CUT_OFF, DETECTION_FORMAT, SATURATED, contours_csv, detection_json, detection_shapes, discs_csv, features_csv,
+    overlay_png,
 };
 use crate::target::Polarity;
 use rayon::prelude::*;
@@ -25,6 +26,8 @@ struct Found {
     discs: usize,
     /// Those that may be bubbles.
     bubbles: usize,
+    /// Part of the pixels about them that are at the end of the scale.
+    saturated: f64,
     rejected: BTreeMap<&'static str, usize>,
     /// The same in words; empty where none was turned down.
     words: String,
@@ -63,6 +66,7 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
         none.clone()?;
     }
     let bubbles = found.iter().map(|f| f.bubbles).sum();
+    let cut_off: Vec<(&PathBuf, f64)> = command.images.iter().zip(found.iter().map(|f| f.saturated)).collect();
     let mut out = Output::default();
     let mut text = String::new();
     let mut images = Vec::new();
@@ -71,7 +75,7 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
         let _ = writeln!(text, "{}: {} disc(s){turned_down}", path.display(), f.discs);
         let files: Vec<&String> = f.files.iter().map(|(n, _)| n).collect();
         images.push(
-            json!({ "image": path.display().to_string(), "discs": f.discs, "rejected": f.rejected, "files": files }),
+            json!({ "image": path.display().to_string(), "discs": f.discs, "rejected": f.rejected, "saturated": f.saturated, "files": files }),
         );
         f.files.into_iter().for_each(|(name, bytes)| out.add(name, bytes));
     }
@@ -80,6 +84,7 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
     if !full_of_smoke {
         tell_of_smoke(progress, bubbles);
     }
+    tell_of_saturation(progress, &cut_off);
     none?;
     let json = json!({ "output": command.output.display().to_string(), "images": images });
     Ok(Done { text, json, flags })
@@ -132,7 +137,8 @@ fn describe(path: &Path, stem: &str, image: &GrayImage, detection: &Detection) -
     let rejections = &detection.rejections;
     let (words, missing) = (counted_words(rejections), missing_words(rejections));
     let (discs, bubbles) = (detection.discs.len(), detection.possible_bubbles());
-    Ok(Found { discs, bubbles, rejected, words, missing, other: None, files })
+    let saturated = saturated_about(&image.view(), detection.discs.iter());
+    Ok(Found { discs, bubbles, saturated, rejected, words, missing, other: None, files })
 }
 
 /// What to say of an image without discs that has some of the other polarity.
@@ -154,6 +160,18 @@ fn tell_of_smoke(to: &Bar, bubbles: usize) {
             "{bubbles} bright disc(s): if they are bubbles full of smoke, detect them with --smoke; weak or slow smoke looks like even light, and sigmas would be too small"
         ));
     }
+}
+
+/// Says where light may have been cut off.
+fn tell_of_saturation(to: &Bar, images: &[(&PathBuf, f64)]) {
+    let all = || images.iter().filter(|(_, part)| *part > SATURATED);
+    let Some((path, part)) = all().max_by(|a, b| a.1.total_cmp(&b.1)) else { return };
+    to.note(format_args!(
+        "{} image(s) with pixels about the discs at the end of the scale ({} the most, {:.0} %): {CUT_OFF}",
+        all().count(),
+        path.display(),
+        100.0 * part
+    ));
 }
 
 /// What to look at in an image without discs.

@@ -1,7 +1,7 @@
 //! Images that show too little or too much light: what is said of them.
 
 use crate::detect::pattern::label_discs;
-use crate::detect::{DetectOptions, Detection, LabelledDisc, find_discs, noise};
+use crate::detect::{DetectOptions, Disc, find_discs, noise};
 use crate::error::{Error, Insufficient};
 use crate::image::{GrayView, Samples};
 use crate::rig_file::TargetDescription;
@@ -49,13 +49,12 @@ pub(super) fn explained(e: Error, target: &TargetDescription, name: &str, view: 
     Insufficient::TooFewDiscs { image, found, needed, hint }.into()
 }
 
-/// Part of the pixels within 1.25 semi-axes of the discs whose grey value is the largest there, where that may be the end of a scale.
+/// Part of the pixels within 1.25 semi-axes of discs whose grey value is the largest there, where that may be the end of a scale.
 ///
 /// Every fourth row is looked at.
-pub(super) fn saturated_about(view: &GrayView<'_>, detection: &Detection, discs: &[LabelledDisc]) -> f64 {
+pub fn saturated_about<'a>(view: &GrayView<'_>, discs: impl Iterator<Item = &'a Disc>) -> f64 {
     let mut rows = Vec::new();
-    for d in discs {
-        let e = &detection.discs[d.disc].ellipse;
+    for e in discs.map(|d| &d.ellipse) {
         let reach = ABOUT_DISC * e.semi_major_px;
         let span = |middle: f64, size: usize| {
             let from = ((middle - reach).max(0.0) as usize).min(size);

@@ -172,7 +172,7 @@ fn see(
     }
     let Labelling { discs, warnings, alternatives, origin_is_arbitrary, .. } = labelling;
     let open = OpenImage { alternatives, any_origin: origin_is_arbitrary };
-    let saturated = saturated_about(&image.view(), &detection, &discs);
+    let saturated = saturated_about(&image.view(), discs.iter().map(|d| &detection.discs[d.disc]));
     Ok(SeenImage { view, camera, name: name.into(), image, detection, discs, warnings, open, saturated })
 }
 
