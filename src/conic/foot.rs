@@ -6,6 +6,7 @@
 use crate::conic::Ellipse;
 
 /// An ellipse with what its pixels need, computed once.
+#[derive(Debug, Default)]
 pub(crate) struct Frame {
     pub(crate) u0: f64,
     pub(crate) v0: f64,

@@ -171,6 +171,18 @@ impl Ellipse {
         2.0 * PI * sum / x
     }
 
+    /// Whether the contour is longer than so many px: mostly what it is at least and at most decides, `pi (a + b)` and `pi (2 (a^2 + b^2))^(1/2)`.
+    pub(crate) fn is_longer_than(&self, limit_px: f64) -> bool {
+        // Far more than rounding.
+        const MARGIN: f64 = 1e-9;
+        let (a, b) = (self.semi_major_px, self.semi_minor_px);
+        if PI * (a + b) * (1.0 - MARGIN) > limit_px {
+            return true;
+        }
+        let most = 2.0 * (PI * PI) * (a * a + b * b) * (1.0 + MARGIN);
+        if most < limit_px * limit_px { false } else { self.perimeter_px() > limit_px }
+    }
+
     /// Position of `p` along the major and the minor axis, px.
     fn own_axes(&self, p: Pixel) -> (f64, f64) {
         let (s, c) = self.angle_rad.sin_cos();
@@ -234,4 +246,23 @@ pub(crate) fn parameters_by_regular(q: &SVector<f64, 5>, cov: &SMatrix<f64, 5, 5
 pub(crate) fn covariance_from_regular(q: &SVector<f64, 5>, cov: &SMatrix<f64, 5, 5>) -> SMatrix<f64, 5, 5> {
     let j = parameters_by_regular(q, cov);
     j * cov * j.transpose()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of round and of flat ellipses, at limits far off, near and very near.
+    #[test]
+    fn a_contour_is_longer_than_what_is_less_than_its_length() {
+        for (a, b) in [(13.0, 11.0), (20.7, 20.7), (300.0, 2.0), (5.0, 1e-4)] {
+            let e = Ellipse { center_px: Pixel::new(3.0, 4.0), semi_major_px: a, semi_minor_px: b, angle_rad: 0.3 };
+            let length = e.perimeter_px();
+            for part in [0.0, 0.1, 0.9, 0.99, 0.9999, 1.0 - 1e-12] {
+                assert!(e.is_longer_than(part * length), "{part} of {a} x {b} px");
+                assert!(!e.is_longer_than((2.0 - part) * length), "2 - {part} of {a} x {b} px");
+            }
+            assert!(!e.is_longer_than(length) && !e.is_longer_than(f64::INFINITY));
+        }
+    }
 }

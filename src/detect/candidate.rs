@@ -229,9 +229,10 @@ pub(super) fn scaled(e: &Ellipse, scale: f64) -> Ellipse {
 /// At most `most` points of a line, evenly taken.
 fn thinned(line: &Line, most: usize) -> (Vec<f64>, Vec<f64>) {
     let n = line.u.len();
-    let take = n.min(most);
-    let at: Vec<usize> = evenly(n, take).collect();
-    let of = |x: &[f32]| at.iter().map(|i| f64::from(x[*i])).collect();
+    let at: Vec<usize> = if n > most { evenly(n, most).collect() } else { vec![] };
+    let of = |x: &[f32]| -> Vec<f64> {
+        if n > most { at.iter().map(|i| f64::from(x[*i])).collect() } else { x.iter().map(|x| f64::from(*x)).collect() }
+    };
     (of(&line.u), of(&line.v))
 }
 

@@ -108,7 +108,12 @@ impl Contour {
 
     /// Cuts the ellipse anew; sectors do not look beyond the middle between them and the `neighbours`.
     pub(crate) fn cut(&mut self, e: &Ellipse, neighbours: &[Ellipse]) {
-        lanes::run(Cut { contour: self, e });
+        self.cut_frame(&Frame::new(e), neighbours);
+    }
+
+    /// The same of the ellipse of a frame.
+    pub(crate) fn cut_frame(&mut self, frame: &Frame, neighbours: &[Ellipse]) {
+        lanes::run(Cut { contour: self, frame });
         self.outer_px.clear();
         self.outer_px.resize(self.len(), f64::INFINITY);
         if !neighbours.is_empty() {
@@ -143,11 +148,10 @@ impl Contour {
 
     /// Arc length up to equal steps of the eccentric angle, px.
     #[inline(always)]
-    fn lengths(&mut self, e: &Ellipse) {
+    fn lengths(&mut self, Frame { a, b, .. }: &Frame) {
         if self.unit.is_empty() {
             self.unit.extend((0..ARC_STEPS).map(|i| ((i as f64 + 0.5) / ARC_STEPS as f64 * TAU).sin_cos()));
         }
-        let (a, b) = (e.semi_major_px, e.semi_minor_px);
         let mut sum = 0.0;
         self.arc.resize(ARC_STEPS + 1, 0.0);
         // The quarters are alike, or mirrored.
@@ -232,15 +236,15 @@ fn units_at(
 /// Cuts an ellipse into sectors, as wide as the processor is.
 struct Cut<'a> {
     contour: &'a mut Contour,
-    e: &'a Ellipse,
+    frame: &'a Frame,
 }
 
 impl Kernel for Cut<'_> {
     type Output = ();
     #[inline(always)]
     fn run<L: lanes::Lanes>(self) {
-        let Self { contour, e } = self;
-        contour.lengths(e);
+        let Self { contour, frame } = self;
+        contour.lengths(frame);
         let count = ((contour.perimeter_px / SECTOR_PX).round() as usize).max(8);
         contour.resize(count);
         let Contour { cos, sin, u, v, normal_u, normal_v, end, turn, climb, row, arc, unit, step, .. } = contour;
@@ -274,7 +278,6 @@ impl Kernel for Cut<'_> {
             }
             end[count - 1] = 4.0;
         }
-        let frame = Frame::new(e);
         for k in 0..count {
             let foot = frame.on_contour(cos[k], sin[k]);
             (u[k], v[k], normal_u[k], normal_v[k]) = (foot.u, foot.v, foot.normal_u, foot.normal_v);

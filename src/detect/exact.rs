@@ -315,7 +315,7 @@ impl Exact {
 
     /// Sets up what all pixels share.
     fn prepare(&mut self, state: &State, frame: &Frame) {
-        self.expected = in_axes(&state.ellipse, state.slopes);
+        self.expected = in_axes(frame, state.slopes);
         let n = Self::lights(state) + FIXED + 1;
         if self.columns.len() < n * CHUNK {
             self.columns.resize(n * CHUNK, 0.0);
@@ -576,7 +576,7 @@ pub(crate) fn on_rim(e: &Ellipse, blur_px: f64) -> bool {
 
 /// Whether a disc is fitted with a field only where the light changes slowly.
 pub(crate) fn is_large(e: &Ellipse) -> bool {
-    e.perimeter_px() > MOST_CONTOUR_PX
+    e.is_longer_than(MOST_CONTOUR_PX)
 }
 
 /// Difference of the polynomials of the two sides on the contour, at an eccentric angle, with coefficients `of` the unknowns of the light.

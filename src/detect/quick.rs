@@ -96,10 +96,10 @@ pub(crate) struct Clean {
 }
 
 impl Clean {
-    /// The light as other discs tell it, in units of the semi-axes; levels and second degree are no one's but its own.
-    fn expected_light(&self) -> [f64; LIGHTS + BENDS] {
+    /// The light as other discs tell it, given the frame of the ellipse, in units of the semi-axes; levels and second degree are no one's but its own.
+    fn expected_light(&self, frame: &Frame) -> [f64; LIGHTS + BENDS] {
         let mut light = [0.0; LIGHTS + BENDS];
-        for (side, slopes) in in_axes(&self.ellipse, self.slopes).into_iter().enumerate() {
+        for (side, slopes) in in_axes(frame, self.slopes).into_iter().enumerate() {
             light[3 * side + 1..3 * side + 3].copy_from_slice(&slopes);
         }
         light
@@ -109,6 +109,9 @@ impl Clean {
 /// Buffers reused from disc to disc, and the result.
 #[derive(Debug, Default)]
 pub(crate) struct Quick {
+    /// The frame of the ellipse around which pixels were collected last, and the light that is expected there.
+    pub(crate) frame: Frame,
+    expected: [f64; LIGHTS + BENDS],
     pixels: Pixels,
     rings: Rings,
     /// Rows further off, of light that bends, and of which sides they show the same light; none before they were asked.
@@ -131,7 +134,7 @@ pub(crate) struct Quick {
 
 /// Whether a contour is too short to be asked for light that bends.
 fn is_short(e: &Ellipse) -> bool {
-    e.perimeter_px() < bent::LEAST_CONTOUR_PX
+    !e.is_longer_than(bent::LEAST_CONTOUR_PX)
 }
 
 /// Products of all columns, lower triangle.
@@ -239,25 +242,25 @@ impl Quick {
         if on_rim(e, state.blur_px) || inner < near + 0.5 || outer_px < near + 2.0 {
             return None;
         }
-        let frame = Frame::new(e);
+        self.frame = Frame::new(e);
+        self.expected = state.expected_light(&self.frame);
         let around = std::f64::consts::PI * (e.semi_major_px + e.semi_minor_px) * 2.0 * near;
         let thin = if start { (around / START_PIXELS).clamp(1.0, THINNEST) as usize } else { 1 };
         self.rings = Rings { near, inner, outer: reach.min(outer_px), thin, fetch: first };
-        let whole = lanes::run(Collect { view, frame: &frame, rings: self.rings, out: &mut self.pixels });
+        let whole = lanes::run(Collect { view, frame: &self.frame, rings: self.rings, out: &mut self.pixels });
         (whole && self.pixels.near.count > 3 * N).then_some(())
     }
 
     /// Products of all columns.
     fn sum_up(&mut self, state: &Clean) {
-        let frame = Frame::new(&state.ellipse);
         let lens = Lens { blur_px: state.blur_px, variance: state.variance, light: self.light };
-        let (near, out) = (&self.pixels.near, &mut self.columns);
+        let (near, frame, out) = (&self.pixels.near, &self.frame, &mut self.columns);
         if self.bent.is_some() {
-            lanes::run(SumUp::<true> { near, frame: &frame, lens: &lens, out });
+            lanes::run(SumUp::<true> { near, frame, lens: &lens, out });
             self.gram.0 = self.columns.gram;
             self.add_bent_runs(state);
         } else {
-            lanes::run(SumUp::<false> { near, frame: &frame, lens: &lens, out });
+            lanes::run(SumUp::<false> { near, frame, lens: &lens, out });
             self.gram.0[..PLAIN].copy_from_slice(&self.columns.gram[..PLAIN]);
             self.add_runs(state);
         }
@@ -274,14 +277,14 @@ impl Quick {
         let found = [0, 1].map(|side| self.pixels.sums[side].noise(floor, &state.allow));
         let level = found.iter().all(Result::is_ok);
         let asked = !level || self.bent.is_some() || round == 1;
-        let large = state.ellipse.perimeter_px() > bent::LEAST_CONTOUR_PX;
+        let large = !is_short(&state.ellipse);
         let (mut found, mut seen) = (found.map(|x| x.ok().flatten()), false);
         if asked && large {
-            let turn = self.turn(&state.ellipse);
+            let turn = self.turn();
             let side =
                 |side: usize| Bent::new(view, &self.pixels, side, &turn, (floor, &state.allow), state.step.abs()).ok();
             let mut sides = [side(0)?, side(1)?];
-            let long = state.ellipse.perimeter_px() > bent::LONG_CONTOUR_PX && sides.iter().any(Bent::rises);
+            let long = state.ellipse.is_longer_than(bent::LONG_CONTOUR_PX) && sides.iter().any(Bent::rises);
             seen = !level || sides.iter().any(Bent::bends);
             // The round in which it is first seen to bend is never the last.
             if round > 0 && (self.bent.is_some() || long && !seen) {
@@ -320,7 +323,7 @@ impl Quick {
         let e = &state.ellipse;
         let outer = (self.rings.outer + BEYOND * e.semi_minor_px).min(outer_px).min(border_px(view, e) - 1.0);
         self.beyond.start_beside(&self.pixels);
-        lanes::run(Beyond { view, frame: &Frame::new(e), rings: self.rings, outer, out: &mut self.beyond });
+        lanes::run(Beyond { view, frame: &self.frame, rings: self.rings, outer, out: &mut self.beyond });
         let mut same = self.same_beyond.unwrap_or([true; 2]);
         for (k, same) in same.iter_mut().enumerate().filter(|(_, same)| **same) {
             let both = sides[k].with(view, k, [&self.pixels, &self.beyond], (floor, &state.allow));
@@ -338,14 +341,14 @@ impl Quick {
         let [inside, outside] = [0, 1].map(|side| self.pixels.sums[side].mean());
         let outside = outside.or_else(|| inside.map(|x| x - state.step)).unwrap_or(0.0);
         let inside = inside.unwrap_or(outside + state.step);
-        let mut light = state.expected_light();
+        let mut light = self.expected;
         (light[0], light[3]) = (inside, outside);
         light
     }
 
     /// Adds what the rows away from the edge say about the light, less what the model says.
     fn add_runs(&mut self, state: &Clean) {
-        let turn = self.turn(&state.ellipse);
+        let turn = self.turn();
         for side in 0..2 {
             let sums = &self.pixels.sums[side];
             let w = 1.0 / state.variance[side];
@@ -388,10 +391,9 @@ impl Quick {
     }
 
     /// `(1, X, Y)` in units of the semi-axes about the centre from `(1, u, v)` about the reference pixel.
-    fn turn(&self, e: &Ellipse) -> Matrix3<f64> {
-        let (sin, cos) = e.angle_rad.sin_cos();
-        let (a, b) = (e.semi_major_px, e.semi_minor_px);
-        let (u, v) = (e.center_px.u_px - self.pixels.reference.0, e.center_px.v_px - self.pixels.reference.1);
+    fn turn(&self) -> Matrix3<f64> {
+        let Frame { u0, v0, a, b, cos, sin, .. } = &self.frame;
+        let (u, v) = (u0 - self.pixels.reference.0, v0 - self.pixels.reference.1);
         Matrix3::new(
             1.0,
             0.0,
@@ -420,7 +422,7 @@ impl Quick {
             }
             self.dense.right[i] = gram[place(column(i).max(N), column(i).min(N))];
         }
-        let (weights, expected) = (self.weights_of_light(state, free), state.expected_light());
+        let (weights, expected) = (self.weights_of_light(state, free), self.expected);
         for (i, w) in (0..bends + LIGHTS).map(|i| (i, weights[of_light(column(i))])) {
             self.dense.matrix[i * n + i] += w;
             let k = of_light(column(i));
@@ -463,7 +465,7 @@ impl Quick {
     /// Factor of the equations with all slopes free.
     fn factor(&mut self, state: &Clean) -> Option<()> {
         self.few.set(&self.gram.0);
-        let (weights, expected) = (self.weights_of_light(state, [true, true]), state.expected_light());
+        let (weights, expected) = (self.weights_of_light(state, [true, true]), self.expected);
         for (i, column) in ORDER.into_iter().enumerate().filter(|(_, column)| *column < LIGHTS) {
             self.few.add(i, weights[column], expected[column] - self.light[column]);
         }
@@ -492,7 +494,7 @@ impl Quick {
     fn solve_light(&mut self, state: &Clean) -> Option<()> {
         self.slanted_inside = false;
         self.factor(state)?;
-        let expected = state.expected_light();
+        let expected = self.expected;
         let held: [f64; SLOPES] = std::array::from_fn(|i| expected[ORDER[KEPT + i]] - self.light[ORDER[KEPT + i]]);
         if self.few.price(&held) < SLOPE {
             self.take(self.few.held(&held));
@@ -532,7 +534,7 @@ impl Quick {
             let light = |side| Vector6::from(columns_of(side).map(|k| self.light[of_light(k)]));
             return (0..2).all(|k| like_noise(bent[k].left_by_rows(&self.pixels.runs[k], &light(k)), k));
         }
-        let turn = self.turn(&state.ellipse);
+        let turn = self.turn();
         (0..2).all(|side| {
             // The light as a plane over the columns and rows of the image.
             let light = turn.transpose() * Vector3::from_column_slice(&self.light[3 * side..3 * side + 3]);

@@ -97,7 +97,7 @@ impl SharedLight {
 
     /// Gradients inside and outside that a disc may expect, grey/px along u and v.
     pub(crate) fn slopes(&self, disc: &Candidate) -> [[f64; 2]; 2] {
-        let long = disc.ellipse.perimeter_px() > BY_PLANE_PX;
+        let long = disc.ellipse.is_longer_than(BY_PLANE_PX);
         let at = |p: &Option<Polynomial>| match p {
             Some(p) if disc.bright == self.bright && (p.bends || !long) => p.gradient(disc.ellipse.center_px),
             _ => [0.0; 2],
@@ -107,9 +107,9 @@ impl SharedLight {
 }
 
 /// Gradients along u and v as coefficients of X and Y, the places in units of the semi-axes of an ellipse, grey.
-pub(crate) fn in_axes(e: &Ellipse, slopes: [[f64; 2]; 2]) -> [[f64; 2]; 2] {
-    let (sin, cos) = e.angle_rad.sin_cos();
-    slopes.map(|[gu, gv]| [e.semi_major_px * (cos * gu + sin * gv), e.semi_minor_px * (cos * gv - sin * gu)])
+pub(crate) fn in_axes(frame: &Frame, slopes: [[f64; 2]; 2]) -> [[f64; 2]; 2] {
+    let Frame { a, b, cos, sin, .. } = frame;
+    slopes.map(|[gu, gv]| [a * (cos * gu + sin * gv), b * (cos * gv - sin * gu)])
 }
 
 /// Coefficients up to each degree that so many discs tell.
@@ -302,7 +302,8 @@ fn mean_on(view: &GrayView, e: &Ellipse, most: usize) -> Option<f64> {
     if !(within(frame.u0, half_width, view.width()) && within(frame.v0, half_height, view.height())) {
         return None;
     }
-    let quarter = (e.perimeter_px() as usize).clamp(FEWEST_PLACES, most).div_ceil(4);
+    let places = if e.is_longer_than((most + 1) as f64) { most } else { e.perimeter_px() as usize };
+    let quarter = places.clamp(FEWEST_PLACES, most).div_ceil(4);
     Some(match view.samples() {
         Samples::U8(s) => mean_of(s, view, &frame, quarter),
         Samples::U16(s) => mean_of(s, view, &frame, quarter),

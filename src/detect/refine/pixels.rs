@@ -54,8 +54,8 @@ pub(super) fn clean_disc(
     if start.full_of_smoke || start.smoke && !is_large(&start.ellipse) {
         return None;
     }
-    let frame = Frame::new(&start.ellipse);
-    let outer_px = start.neighbours.iter().map(|e| frame.least_gap_px(e)).fold(f64::INFINITY, f64::min) * NEIGHBOUR;
+    let gap_px = |e: &Ellipse| Frame::new(&start.ellipse).least_gap_px(e);
+    let outer_px = start.neighbours.iter().map(gap_px).fold(f64::INFINITY, f64::min) * NEIGHBOUR;
     if start.inner_px < 0.89 * start.ellipse.semi_minor_px {
         return None;
     }
@@ -79,7 +79,7 @@ pub(super) fn clean_disc(
     if start.smoke && s.quick.slanted_inside && !is_large(&state.ellipse) {
         return None;
     }
-    s.fine.cut(&state.ellipse, &[]);
+    s.fine.cut_frame(&s.quick.frame, &[]);
     s.quick.share_out(&s.fine);
     if !s.quick.clean(&state) || !agree(&s.quick.shares, &mut s.sorted) {
         return None;

@@ -60,11 +60,11 @@ fn sums_over_rows_are_those_over_pixels() {
         let view = GrayView::new(samples, SIZE, SIZE, SIZE).expect("an image");
         let mut quick = Quick::default();
         let rings = Rings { near: 3.0, inner: 9.0, outer: 8.0, thin: 1, fetch: false };
+        quick.frame = Frame::new(&LARGE);
         assert!(lanes::run(Collect { view: &view, frame: &frame, rings, out: &mut quick.pixels }));
         let pixels = &quick.pixels;
         for side in 0..2 {
-            let bent =
-                Bent::new(&view, pixels, side, &quick.turn(&LARGE), (1e9, &Allowance::NONE), 1.0).expect("a surface");
+            let bent = Bent::new(&view, pixels, side, &quick.turn(), (1e9, &Allowance::NONE), 1.0).expect("a surface");
             let (mut matrix, mut right) = (SMatrix::<f64, 6, 6>::zeros(), SVector::<f64, 6>::zeros());
             let light = SVector::<f64, 6>::from([3.0, 50.0, -20.0, 30.0, 40.0, -25.0]);
             let mut left = 0.0;
