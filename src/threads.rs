@@ -3,6 +3,9 @@
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError, TryLockError};
 
+/// Pieces for each thread into which work is divided at least: a thread that comes to the end waits for no more than one.
+const PIECES: usize = 64;
+
 /// Whether the caller runs in a pool of more than one thread.
 pub(crate) fn several() -> bool {
     rayon::current_thread_index().is_some() && rayon::current_num_threads() > 1
@@ -19,7 +22,17 @@ pub(crate) fn gathered<T: Sync, R: Send, C: FromParallelIterator<R> + FromIterat
     of: &[T],
     work: impl Fn(&T) -> R + Sync + Send,
 ) -> C {
-    if worth && several() { of.par_iter().map(work).collect() } else { of.iter().map(work).collect() }
+    if worth && several() {
+        let most = (of.len() / (PIECES * rayon::current_num_threads())).max(1);
+        of.par_iter().with_max_len(most).map(work).collect()
+    } else {
+        of.iter().map(work).collect()
+    }
+}
+
+/// Work on each of a list where it lies.
+pub(crate) fn each<T: Send>(of: &mut [T], work: impl Fn(&mut T) + Sync + Send) {
+    if several() { of.par_iter_mut().for_each(work) } else { of.iter_mut().for_each(work) }
 }
 
 /// Two pieces of work that know nothing of each other.
@@ -82,6 +95,21 @@ impl<S: Default> OwnMemory<S> {
 mod tests {
     use super::*;
     use rayon::ThreadPoolBuilder;
+
+    /// Of lists that pieces divide and that they do not.
+    #[test]
+    fn all_of_a_list_is_worked_on() {
+        for (threads, count) in [(1, 100), (2, 0), (2, 1), (2, 127), (2, 1000), (3, 1001)] {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| {
+                let mut numbers: Vec<usize> = (0..count).collect();
+                let doubled = side_by_side(&numbers, |n| 2 * n);
+                each(&mut numbers, |n| *n *= 2);
+                assert_eq!(numbers, doubled);
+                assert!(numbers.iter().enumerate().all(|(k, n)| *n == 2 * k));
+            });
+        }
+    }
 
     /// Results in order, and no more memories than threads.
     #[test]

@@ -65,18 +65,31 @@ fn around(c: &Candidate, candidates: &[Candidate], by_row: &ByRow) -> Surroundin
     around
 }
 
-/// Which candidates are faint against a disc that they lie in, as wisps of its smoke are.
+/// Which candidates are faint against a disc that they lie in, as wisps of its smoke are; none where more than [`MOST_SMOKY`] are not, which nobody asks for
+/// smoke.
 pub(super) fn wisps(candidates: &[&Candidate]) -> Vec<bool> {
-    // Smoke is only asked for where discs are few: the largest are enough to look in.
-    let mut largest = candidates.to_vec();
-    largest.sort_by(|a, b| b.ellipse.semi_minor_px.total_cmp(&a.ellipse.semi_minor_px));
-    largest.truncate(MOST_SMOKY);
+    // The largest are enough to look in.
+    let mut largest: Vec<(f64, usize)> =
+        candidates.iter().enumerate().map(|(k, c)| (c.ellipse.semi_minor_px, k)).collect();
+    if largest.len() > MOST_SMOKY {
+        largest.select_nth_unstable_by(MOST_SMOKY, |a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        largest.truncate(MOST_SMOKY);
+    }
     let in_disc = |c: &Candidate, disc: &Candidate| {
         c.contrast < WISP * disc.contrast
             && c.ellipse.semi_major_px < disc.ellipse.semi_minor_px
             && disc.ellipse.implicit(c.ellipse.center_px) < 0.0
     };
-    candidates.iter().map(|c| largest.iter().any(|disc| in_disc(c, disc))).collect()
+    let (mut out, mut others) = (Vec::with_capacity(candidates.len()), 0);
+    for c in candidates {
+        let wisp = largest.iter().any(|(_, k)| in_disc(c, candidates[*k]));
+        others += usize::from(!wisp);
+        if others > MOST_SMOKY {
+            return vec![false; candidates.len()];
+        }
+        out.push(wisp);
+    }
+    out
 }
 
 #[cfg(test)]
@@ -100,5 +113,15 @@ mod tests {
             of(200.0, 8.0, 40.0),
         ];
         assert_eq!(wisps(&all.iter().collect::<Vec<_>>()), [false, false, false, true, false]);
+        // Before many wisps the largest are still looked in; among many discs nobody asks.
+        let more = |wisps: usize, discs: usize| -> Vec<Candidate> {
+            let wisps = (0..wisps).map(|k| of(60.0 + k as f64, 8.0, 40.0));
+            wisps.chain(all).chain((0..discs).map(|k| of(1000.0 + 9.0 * k as f64, 4.0, 90.0))).collect()
+        };
+        for (few, count) in [(true, MOST_SMOKY - 4), (false, MOST_SMOKY - 3)] {
+            let all = more(30, count);
+            let found = wisps(&all.iter().collect::<Vec<_>>());
+            assert_eq!(found.iter().filter(|x| **x).count(), if few { 31 } else { 0 });
+        }
     }
 }

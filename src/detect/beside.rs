@@ -66,10 +66,10 @@ impl Lit {
     fn is_felt(&self, at: &Ellipse, sigma: f64) -> bool {
         let (p, q) = (at.center_px, self.ellipse.center_px);
         let (du, dv) = (p.u_px - q.u_px, p.v_px - q.v_px);
-        let reach = at.semi_major_px + self.ellipse.semi_major_px + FAR * self.blur_px;
+        let (reach, away2) = (at.semi_major_px + self.ellipse.semi_major_px + FAR * self.blur_px, du * du + dv * dv);
         // One disc found twice is no neighbour of itself.
         let twins = || self.ellipse.implicit(p) < 0.0 || at.implicit(q) < 0.0;
-        if du * du + dv * dv > reach * reach || twins() {
+        if away2 > reach * reach || away2 < 0.25 * at.semi_minor_px * at.semi_minor_px || twins() {
             return false;
         }
         let gap = self.gap_px(at);

@@ -11,8 +11,8 @@
 //!
 //! | symbol | identifier | unit | frame | meaning |
 //! |---|---|---|---|---|
-//! | r | first of `sizes` | px | image | mean radius of a candidate's ellipse, before it is fitted |
-//! | w | second of `sizes` | grey px | image | how much of a contour there is |
+//! | r | `radius` | px | image | mean radius of a candidate's ellipse, before it is fitted |
+//! | w | `weight` | grey px | image | how much of a contour there is |
 //! | T | `typical_px` | px | image | radius in whose size class the contours lie |
 
 use super::refine::Start;
@@ -47,6 +47,12 @@ fn radius_px(sizes: impl Iterator<Item = (f64, f64)>, part: f64) -> Option<f64> 
     })
 }
 
+/// Whether none of some radii can be that of dust: none is typical but one of them, and the least is no dust among the largest.
+pub(super) fn is_free_of_dust(radii_px: impl Iterator<Item = f64>) -> bool {
+    let [least, most] = radii_px.fold([f64::INFINITY, 0.0], |[least, most], r| [r.min(least), r.max(most)]);
+    !is_dust(least, most)
+}
+
 /// Radius and weight of a disc.
 pub(super) fn size(disc: &Disc) -> (f64, f64) {
     (disc.ellipse.mean_radius_px(), disc.contrast * disc.ellipse.perimeter_px())
@@ -62,9 +68,7 @@ pub(super) fn refined_but_dust(
     starts: &[Start],
     refine: impl Fn(&Start) -> Result<Disc, RejectionReason> + Sync + Send,
 ) -> (Vec<Result<Disc, RejectionReason>>, Vec<bool>) {
-    let sizes: Vec<(f64, f64)> =
-        starts.iter().map(|s| (s.ellipse.mean_radius_px(), s.contrast * s.ellipse.perimeter_px())).collect();
-    let late = put_off(starts, &sizes);
+    let late = put_off(starts);
     if late.is_empty() {
         return (threads::side_by_side(starts, refine), vec![false; starts.len()]);
     }
@@ -87,8 +91,9 @@ pub(super) fn refined_but_dust(
         let discs = own.filter_map(|i| out[i].as_ref()?.as_ref().ok().map(size));
         SURELY * typical_radius_px(discs).unwrap_or(0.0)
     });
-    let (dust, mut rest): (Vec<usize>, Vec<usize>) =
-        late.into_iter().partition(|i| is_dust(sizes[*i].0, surely[usize::from(starts[*i].bright)]));
+    let (dust, mut rest): (Vec<usize>, Vec<usize>) = late
+        .into_iter()
+        .partition(|i| is_dust(starts[*i].ellipse.mean_radius_px(), surely[usize::from(starts[*i].bright)]));
     // Where nobody asks for smoke they have been fitted as all others.
     rest.retain(|i| starts[*i].smoke);
     fit(&rest, true, &mut out);
@@ -103,13 +108,18 @@ pub(super) fn refined_but_dust(
 }
 
 /// What may be dust, and shines into no larger one.
-fn put_off(starts: &[Start], sizes: &[(f64, f64)]) -> Vec<usize> {
+fn put_off(starts: &[Start]) -> Vec<usize> {
     let mut out = vec![];
+    let radius = |i: usize| starts[i].ellipse.mean_radius_px();
+    let weight = |i: usize| starts[i].contrast * starts[i].ellipse.perimeter_px();
     for bright in [false, true] {
         let own: Vec<usize> = (0..starts.len()).filter(|i| starts[*i].bright == bright).collect();
-        let typical_px = radius_px(own.iter().map(|i| sizes[*i]), LARGE).unwrap_or(0.0);
+        if is_free_of_dust(own.iter().map(|i| radius(*i))) {
+            continue;
+        }
+        let typical_px = radius_px(own.iter().map(|i| (radius(*i), weight(*i))), LARGE).unwrap_or(0.0);
         let (small, large): (Vec<usize>, Vec<usize>) =
-            own.iter().partition(|i| is_dust(sizes[**i].0, SURELY * typical_px));
+            own.iter().partition(|i| is_dust(radius(**i), SURELY * typical_px));
         out.extend(small.into_iter().filter(|i| !large.iter().any(|k| may_shine_into(&starts[*i], &starts[*k]))));
     }
     out
@@ -166,6 +176,13 @@ mod tests {
         assert_eq!(asked.len() + dust.iter().filter(|d| **d).count(), starts.len());
         let words = found.into_iter().map(|f| f.map(|d| d.ellipse.semi_major_px).map_err(|e| e.to_string()));
         (asked, words.collect())
+    }
+
+    #[test]
+    fn radii_that_are_much_alike_are_no_dust() {
+        let free = |radii: &[f64]| is_free_of_dust(radii.iter().copied());
+        assert!(free(&[]) && free(&[7.0]) && free(&[10.0, 39.0, 12.0]));
+        assert!(!free(&[10.0, 40.0]) && !free(&[30.0, 7.0, 29.0]));
     }
 
     /// Dots in rows, far from the middle.

@@ -11,7 +11,7 @@ use crate::detect::candidate::{Candidate, Odd, Strength, Verdict, judge, judge_o
 use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::dust::refined_but_dust;
 use crate::detect::level::Level;
-use crate::detect::of_target::{keep_target, within};
+use crate::detect::of_target::{drop_twins, keep_target, within};
 use crate::detect::plane::{self, Floats, Source, check_finite};
 use crate::detect::refine::{Scratch, Start, noise_told, quantisation, refine, smoke_told};
 use crate::detect::rejection::told;
@@ -26,6 +26,7 @@ use crate::error::{self, Invalid, Result, Unusable};
 use crate::image::GrayView;
 use crate::target::{MarkKind, Polarity};
 use crate::threads::{self, OwnMemory};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A region with less than this part of the typical contrast is texture.
@@ -111,12 +112,23 @@ pub fn find_discs_while(
     let mut seen = look(view, [noise, range], options, memory);
     drop_texture(&mut seen, f64::from(noise), options);
     drop_repeats(&mut seen);
-    let mut detection = Detection::default();
     let (candidates, refined) = refine_all(view, &seen.candidates, [noise, range], options, go_on);
     if !go_on() {
         return Err(Unusable::Cancelled.into());
     }
-    let keep = drop_twins(&refined);
+    // Meanwhile another thread drops what an earlier search found.
+    Ok(threads::both(|| conclude(view, &seen, candidates, refined, options.polarity), || memory.drop_replaced()).0)
+}
+
+/// The discs and all that was turned down, from the candidates and what they were refined to.
+fn conclude(
+    view: &GrayView,
+    seen: &Seen,
+    candidates: Vec<&Candidate>,
+    refined: Vec<std::result::Result<Disc, RejectionReason>>,
+    polarity: Polarity,
+) -> Detection {
+    let (mut detection, keep) = (Detection::default(), drop_twins(&refined));
     let mut turned_down = |c: &Candidate, reason| detection.rejections.push(rejection(c, told(reason, view, c)));
     // Discs are large: where they lie they are collected.
     let found = refined.into_iter().enumerate().filter_map(|(i, refined)| match refined {
@@ -127,11 +139,11 @@ pub fn find_discs_while(
         }
     });
     detection.discs = found.collect();
-    for (candidate, reason) in seen.rejected.iter().filter(|(c, _)| wanted(c.bright, options.polarity)) {
+    for (candidate, reason) in seen.rejected.iter().filter(|(c, _)| wanted(c.bright, polarity)) {
         detection.rejections.push(rejection(candidate, *reason));
     }
-    keep_target(&mut detection, &seen.candidates, &seen.marks, options.polarity);
-    Ok(detection)
+    keep_target(&mut detection, &seen.candidates, &seen.marks, polarity);
+    detection
 }
 
 /// The candidates of the polarity wanted, in their order, and what they are refined to. The threads are those of the pool that the caller runs in; without
@@ -143,19 +155,23 @@ fn refine_all<'a>(
     options: &DetectOptions,
     go_on: &(dyn Fn() -> bool + Sync),
 ) -> (Vec<&'a Candidate>, Vec<std::result::Result<Disc, RejectionReason>>) {
-    let (around, sigma) = (surroundings(candidates), f64::from(noise_grey));
-    let wanted: Vec<_> = candidates.iter().zip(&around).filter(|(c, _)| wanted(c.bright, options.polarity)).collect();
-    let all: Vec<&Candidate> = wanted.iter().map(|w| w.0).collect();
+    let sigma = f64::from(noise_grey);
+    let is_wanted = |c: &Candidate| wanted(c.bright, options.polarity);
+    let all: Vec<&Candidate> = candidates.iter().filter(|c| is_wanted(c)).collect();
     let in_smoke = wisps(&all);
     let discs: Vec<&Candidate> = all.iter().zip(&in_smoke).filter(|(_, wisp)| !**wisp).map(|(c, _)| *c).collect();
     let few = |count: usize| count <= MOST_SMOKY;
     // Beside a wisp there is smoke, which must not pass for noise.
     let smoke = few(discs.len());
-    let (light, noise) = threads::both(
+    let (light, (noise, around)) = threads::both(
         || SharedLight::of(view, candidates),
-        || NoiseCorrelation::of(view, &all, if smoke { &discs } else { &all }, !smoke),
+        || {
+            let noise = NoiseCorrelation::of(view, &all, if smoke { &discs } else { &all }, !smoke);
+            (noise, surroundings(candidates))
+        },
     );
-    let each = wanted.iter().zip(&in_smoke).map(|((candidate, around), wisp)| {
+    let wanted = candidates.iter().zip(&around).filter(|(c, _)| is_wanted(c));
+    let each = wanted.zip(&in_smoke).map(|((candidate, around), wisp)| {
         let smoke = if *wisp { few(all.len()) } else { smoke };
         Start {
             ellipse: candidate.ellipse,
@@ -169,7 +185,7 @@ fn refine_all<'a>(
             level: candidate.level,
             variance: sigma * sigma,
             quantisation: quantisation(view),
-            clear: sigma < CLEAR * candidate.contrast * candidate.ellipse.perimeter_px().sqrt(),
+            clear: candidate.ellipse.is_longer_than((sigma / (CLEAR * candidate.contrast)).powi(2)),
             shot_noise: None,
             smoke,
             full_of_smoke: smoke && options.full_of_smoke && candidate.bright,
@@ -314,7 +330,7 @@ pub(crate) fn candidates_of(view: &GrayView) -> Vec<Candidate> {
     seen.candidates
 }
 
-/// One level after the other, each made from the finer one, within a pool while the lines of that are followed.
+/// One level after the other; coarser ones are made, each from the finer one, within a pool while the lines of the first are followed.
 fn look_at<L: Level + Send + Sync>(
     levels: &mut [L],
     gradients: &[f32],
@@ -322,25 +338,31 @@ fn look_at<L: Level + Send + Sync>(
     make: impl Fn(&mut L, Option<&L>, usize) + Sync,
 ) -> Seen {
     let mut seen = Seen::default();
-    let Some((first, mut rest)) = levels[..gradients.len()].split_first_mut() else { return seen };
+    let Some((first, rest)) = levels[..gradients.len()].split_first_mut() else { return seen };
     make(first, None, 0);
-    let (mut tracer, mut passed) = (Tracer::new(&*first), 0);
-    for (level, gradient) in gradients.iter().enumerate() {
+    let finest = || follow(Tracer::new(&*first), (&[], 0), gradients[0], 0, options, &mut seen);
+    let coarser = || {
+        let mut finer = &*first;
+        for (k, level) in rest.iter_mut().enumerate() {
+            make(level, Some(finer), k + 1);
+            finer = level;
+        }
+    };
+    threads::both(finest, coarser);
+    let (mut tracer, mut passed) = (None, 0);
+    for (k, on) in (1..).zip(rest.iter()) {
         let finer: Vec<(Ellipse, bool)> = seen.candidates.iter().map(|c| (c.ellipse, c.bright)).collect();
-        let (on, coarser) = (tracer.level, std::mem::take(&mut rest).split_first_mut());
-        let follow = || follow(tracer, (&finer, passed), *gradient, level as u32, options, &mut seen);
+        let own = tracer.take().unwrap_or_else(|| Tracer::new(on));
         // What was seen so far need not be waited for.
         let prepare = || {
-            coarser.map(|(next, rest)| {
-                make(next, Some(on), level + 1);
-                let mut tracer = Tracer::new(&*next);
-                finer.iter().for_each(|(e, _)| tracer.pass_over(&at_level(e, level + 1)));
-                (tracer, rest)
+            rest.get(k).map(|next| {
+                let mut tracer = Tracer::new(next);
+                finer.iter().for_each(|(e, _)| tracer.pass_over(&at_level(e, k + 1)));
+                tracer
             })
         };
-        let ((), Some(next)) = threads::both(follow, prepare) else { break };
-        passed = finer.len();
-        (tracer, rest) = next;
+        let follow = || follow(own, (&finer, passed), gradients[k], k as u32, options, &mut seen);
+        (tracer, passed) = (threads::both(follow, prepare).1, finer.len());
     }
     seen
 }
@@ -362,9 +384,10 @@ fn follow(
 ) {
     let (on, strength) = (tracer.level, Strength { gradient: f64::from(gradient) });
     finer[passed..].iter().for_each(|(e, _)| tracer.pass_over(&at_level(e, level as usize)));
-    let by_row = ByRow::new(finer.iter().map(|c| &c.0));
+    let by_row = OnceLock::new();
     // What was seen at a finer level need not be judged again.
     let known = |e: &Ellipse, bright: bool| {
+        let by_row = by_row.get_or_init(|| ByRow::new(finer.iter().map(|c| &c.0)));
         let reach = repeat_px(e.semi_minor_px.max(by_row.largest_px));
         by_row.near(e.center_px, reach).any(|k| finer[k].1 == bright && same_place(&finer[k].0, e))
     };
@@ -385,10 +408,19 @@ fn follow(
     } else {
         each(&mut |line| seen.take(judged(line)));
     }
+    tracer.end();
 }
 
 /// Drops what is far weaker than the discs that dominate the image: paper, cloth, smoke. What has the size of a disc is named.
 fn drop_texture(seen: &mut Seen, noise: f64, options: &DetectOptions) {
+    let regions = seen.candidates.iter().chain(seen.odd.iter().map(|o| &o.rough));
+    let most = regions.clone().fold(0.0_f64, |most, c| c.contrast.max(most));
+    let all = regions.chain(seen.marks.iter().map(|m| &m.0)).chain(seen.rejected.iter().map(|r| &r.0));
+    if all.fold(f64::INFINITY, |least, c| c.contrast.min(least)) >= TEXTURE * most {
+        // None is weak, whichever of them is typical.
+        std::mem::take(&mut seen.odd).iter().for_each(|odd| seen.take(judge_odd(odd, options)));
+        return;
+    }
     let weight = |c: &Candidate| c.contrast * c.ellipse.perimeter_px();
     let mut weights: Vec<(f64, f64, f64)> = seen
         .candidates
@@ -446,28 +478,6 @@ fn same_place(a: &Ellipse, b: &Ellipse) -> bool {
     within(a.center_px, b.center_px, repeat_px(large)) && 1.0 - small / large < (0.35 + 1.0 / small).min(MOST_WIDENED)
 }
 
-/// Two starts that ended on one disc.
-fn one_and_the_same(a: &Disc, b: &Disc) -> bool {
-    let (ra, rb) = (a.ellipse.semi_minor_px, b.ellipse.semi_minor_px);
-    a.polarity == b.polarity
-        && within(a.ellipse.center_px, b.ellipse.center_px, 0.5 * ra.min(rb))
-        && ra.min(rb) > 0.5 * ra.max(rb)
-}
-
-/// Which results are no second view of a disc that came before.
-fn drop_twins(refined: &[std::result::Result<Disc, RejectionReason>]) -> Vec<bool> {
-    let discs: Vec<(usize, &Disc)> =
-        refined.iter().enumerate().filter_map(|(i, r)| r.as_ref().ok().map(|d| (i, d))).collect();
-    let by_row = ByRow::new(discs.iter().map(|(_, d)| &d.ellipse));
-    let mut keep = vec![true; refined.len()];
-    for (k, (i, d)) in discs.iter().enumerate() {
-        let near = by_row.near(d.ellipse.center_px, 0.5 * d.ellipse.semi_minor_px);
-        let mut before = near.filter(|n| *n < k).map(|n| discs[n]);
-        keep[*i] = !before.any(|(j, other)| keep[j] && one_and_the_same(other, d));
-    }
-    keep
-}
-
 /// A coarse view in which a disc that is seen by itself at a finer level has run into something else.
 fn swallows(coarse: &Candidate, fine: &Candidate) -> bool {
     if coarse.level <= fine.level || coarse.bright != fine.bright {
@@ -484,13 +494,14 @@ fn swallows(coarse: &Candidate, fine: &Candidate) -> bool {
 /// Keeps of every region the view at the finest level.
 fn drop_repeats(seen: &mut Seen) {
     // Candidates come level by level: those of finer levels are decided first.
-    let by_row = ByRow::new(seen.candidates.iter().map(|c| &c.ellipse));
     let mut keep = vec![true; seen.candidates.len()];
-    for (i, c) in seen.candidates.iter().enumerate() {
-        let mut near = by_row.near(c.ellipse.center_px, repeat_px(by_row.largest_px));
-        let known =
-            c.level > 0 && near.any(|k| keep[k] && seen.candidates[k].level < c.level && same(&seen.candidates[k], c));
-        keep[i] = !known;
+    let finest = seen.candidates.iter().take_while(|c| c.level == 0).count();
+    if finest < seen.candidates.len() {
+        let by_row = ByRow::new(seen.candidates.iter().map(|c| &c.ellipse));
+        for (i, c) in seen.candidates.iter().enumerate().skip(finest) {
+            let mut near = by_row.near(c.ellipse.center_px, repeat_px(by_row.largest_px));
+            keep[i] = !near.any(|k| keep[k] && seen.candidates[k].level < c.level && same(&seen.candidates[k], c));
+        }
     }
     let mut kept: Vec<Candidate> = seen.candidates.iter().zip(&keep).filter(|(_, k)| **k).map(|(c, _)| *c).collect();
     // Parts of a disc that overlaps another are not to be used, even where enough of the contour is free.

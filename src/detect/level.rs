@@ -33,6 +33,12 @@ pub(crate) trait Level {
     }
     /// Its difference from the local mean, in a unit that is the same all over the image.
     fn field(&self, u: usize, v: usize) -> f32;
+    /// A bit for each pixel, none of them set; to be given back ([`Level::keep_marks`]).
+    fn marks(&self) -> Vec<u64> {
+        vec![0; (self.width() * self.height()).div_ceil(64)]
+    }
+    /// Takes the memory of such bits back.
+    fn keep_marks(&self, _marks: Vec<u64>) {}
     /// Has what is known around a pixel brought near, where memory can be asked; the pixel may lie beyond the image.
     #[inline(always)]
     fn fetch(&self, _u: usize, _v: usize) {}

@@ -1,7 +1,8 @@
-//! Which of the discs found are those of a target: of one polarity and no dust, with rings named and marks beside them.
+//! Which of the discs found are those of a target: no second views, of one polarity and no dust, with rings named and marks beside them.
 
 use crate::detect::candidate::Candidate;
-use crate::detect::dust::{is_dust, size, typical_radius_px};
+use crate::detect::dust::{is_dust, is_free_of_dust, size, typical_radius_px};
+use crate::detect::rows::ByRow;
 use crate::detect::{Detection, Disc, Rejection, RejectionReason, Shape};
 use crate::frames::Pixel;
 use crate::target::{MarkKind, Polarity};
@@ -10,6 +11,28 @@ use crate::target::{MarkKind, Polarity};
 pub(super) fn within(a: Pixel, b: Pixel, limit_px: f64) -> bool {
     let (du, dv) = (a.u_px - b.u_px, a.v_px - b.v_px);
     du * du + dv * dv < limit_px * limit_px
+}
+
+/// Two starts that ended on one disc.
+fn one_and_the_same(a: &Disc, b: &Disc) -> bool {
+    let (ra, rb) = (a.ellipse.semi_minor_px, b.ellipse.semi_minor_px);
+    a.polarity == b.polarity
+        && within(a.ellipse.center_px, b.ellipse.center_px, 0.5 * ra.min(rb))
+        && ra.min(rb) > 0.5 * ra.max(rb)
+}
+
+/// Which results are no second view of a disc that came before.
+pub(super) fn drop_twins(refined: &[Result<Disc, RejectionReason>]) -> Vec<bool> {
+    let discs: Vec<(usize, &Disc)> =
+        refined.iter().enumerate().filter_map(|(i, r)| r.as_ref().ok().map(|d| (i, d))).collect();
+    let by_row = ByRow::new(discs.iter().map(|(_, d)| &d.ellipse));
+    let mut keep = vec![true; refined.len()];
+    for (k, (i, d)) in discs.iter().enumerate() {
+        let near = by_row.near(d.ellipse.center_px, 0.5 * d.ellipse.semi_minor_px);
+        let mut before = near.filter(|n| *n < k).map(|n| discs[n]);
+        keep[*i] = !before.any(|(j, other)| keep[j] && one_and_the_same(other, d));
+    }
+    keep
 }
 
 /// Leaves of all discs and rejections those that say something of a target; `candidates` and `marks` are what the coarse stage saw.
@@ -56,7 +79,8 @@ fn mark_rings(discs: &mut Vec<Disc>, candidates: &[Candidate]) {
 
 /// Under `Auto` the polarity whose contours weigh more (length times contrast) stays; a target has one.
 fn keep_one_polarity(detection: &mut Detection, polarity: Polarity) {
-    if polarity != Polarity::Auto {
+    let first = detection.discs.first().map(|d| d.polarity);
+    if polarity != Polarity::Auto || detection.discs.iter().all(|d| Some(d.polarity) == first) {
         return;
     }
     let weight = |p: Polarity| -> f64 {
@@ -80,6 +104,9 @@ fn typical_px(discs: &[Disc]) -> Option<f64> {
 }
 
 fn drop_dust(detection: &mut Detection) {
+    if is_free_of_dust(detection.discs.iter().map(|d| d.ellipse.mean_radius_px())) {
+        return;
+    }
     let Some(typical) = typical_px(&detection.discs) else { return };
     let dust = detection.discs.extract_if(.., |d| is_dust(d.ellipse.mean_radius_px(), typical));
     detection.rejections.extend(dust.map(|d| Rejection {

@@ -39,7 +39,12 @@ const BOTTOM: u8 = 2;
 
 impl<'a, L: Level> Tracer<'a, L> {
     pub(crate) fn new(level: &'a L) -> Self {
-        Self { level, visited: vec![0; (level.width() * level.height()).div_ceil(64)] }
+        Self { level, visited: level.marks() }
+    }
+
+    /// Gives the memory back.
+    pub(crate) fn end(self) {
+        self.level.keep_marks(self.visited);
     }
 
     /// Lines are not to start near a contour, px of the level: what runs along it is known. What lies beside small ones is not.

@@ -20,11 +20,12 @@
 mod binomial;
 mod stretches;
 
+use crate::detect::Detection;
 use crate::detect::level::{Level, Places};
 use crate::image::{GrayView, Samples};
 use crate::lanes;
-use crate::threads;
-use binomial::Smooth;
+use crate::threads::{self, OwnMemory};
+use binomial::{Blur, Smooth};
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 use stretches::{Find, Finder, Found, STRETCH, Smoothed};
@@ -43,18 +44,34 @@ const KEPT: usize = 128 << 20;
 /// threads wait for each other there. Any number of threads may search with one memory; it holds what so many searches at a time needed, some 6
 /// bytes per pixel, at most 128 MB for each: what was more is given back.
 #[derive(Debug, Default)]
-pub struct DetectMemory(Mutex<Vec<[Whole; LEVELS]>>);
+pub struct DetectMemory {
+    levels: Mutex<Vec<[Whole; LEVELS]>>,
+    /// What a search found that nobody asks for any more, to be dropped where a thread of the next has nothing to do.
+    replaced: Mutex<Option<Detection>>,
+}
 
 impl DetectMemory {
     /// Does a piece of work with the levels of an image before.
     pub(crate) fn with<R>(&self, work: impl FnOnce(&mut [Whole]) -> R) -> R {
-        let spare = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let spare = || self.levels.lock().unwrap_or_else(PoisonError::into_inner);
         let mut levels = spare().pop().unwrap_or_default();
         let out = work(&mut levels);
         if levels.iter().map(Whole::bytes).sum::<usize>() <= KEPT {
             spare().push(levels);
         }
         out
+    }
+
+    /// Takes what nobody asks for any more.
+    pub(crate) fn take_replaced(&self, found: Detection) {
+        let before = self.replaced.lock().unwrap_or_else(PoisonError::into_inner).replace(found);
+        drop(before);
+    }
+
+    /// Drops it.
+    pub(crate) fn drop_replaced(&self) {
+        let found = self.replaced.lock().unwrap_or_else(PoisonError::into_inner).take();
+        drop(found);
     }
 }
 
@@ -70,9 +87,18 @@ pub(crate) struct Whole {
     field: Vec<i16>,
     /// Where lines start, for each band of rows.
     starts: Vec<Vec<u32>>,
+    marks: Mutex<Marks>,
     width: usize,
     height: usize,
     per_grey: f32,
+}
+
+/// Bits for those who follow lines: made ready with the level, while its threads have nothing to wait for.
+#[derive(Debug, Default)]
+struct Marks {
+    /// None of them set.
+    ready: Vec<u64>,
+    given_back: Vec<u64>,
 }
 
 /// Where rows come from.
@@ -140,6 +166,14 @@ impl Level for Whole {
             false => self.smoothed().field(u, v),
         })
     }
+    fn marks(&self) -> Vec<u64> {
+        let words = (self.width * self.height).div_ceil(64);
+        let ready = std::mem::take(&mut self.marks.lock().unwrap_or_else(PoisonError::into_inner).ready);
+        if ready.len() == words { ready } else { vec![0; words] }
+    }
+    fn keep_marks(&self, marks: Vec<u64>) {
+        self.marks.lock().unwrap_or_else(PoisonError::into_inner).given_back = marks;
+    }
     #[inline(always)]
     fn fetch(&self, u: usize, v: usize) {
         lanes::fetch(&self.smooth, v * self.width + u);
@@ -162,7 +196,8 @@ impl Whole {
     fn bytes(&self) -> usize {
         let starts: usize = self.starts.iter().map(Vec::capacity).sum();
         let numbers = self.smooth.capacity() + self.halved.capacity() + self.field.capacity();
-        2 * numbers + self.kept.capacity() + 4 * starts
+        let marks = self.marks.lock().unwrap_or_else(PoisonError::into_inner);
+        2 * numbers + self.kept.capacity() + 4 * starts + 8 * (marks.ready.capacity() + marks.given_back.capacity())
     }
 
     /// Makes a level in the memory of another, `last` where no coarser one is made from it; lines start where the grey level changes by more than
@@ -182,6 +217,11 @@ impl Whole {
         sized(&mut self.kept, stretches);
         sized(&mut self.field, stretches * STRETCH);
         self.starts.resize_with(height.div_ceil(ROWS), Vec::new);
+        let marks = self.marks.get_mut().unwrap_or_else(PoisonError::into_inner);
+        if marks.ready.is_empty() {
+            std::mem::swap(&mut marks.ready, &mut marks.given_back);
+        }
+        sized(&mut marks.ready, (width * height).div_ceil(64));
         // A difference of whole numbers is above a number where it is above its whole part.
         let least = (gradient * per_grey).min(65_535.0) as u16;
         if threads::several() && width * height >= SHARED {
@@ -193,10 +233,11 @@ impl Whole {
 
     /// Band after band, each looked at once the rows below it are smoothed, while they are still near.
     fn fill(&mut self, rows: Rows, least: u16) {
-        let Self { smooth, halved, kept, field, starts, width, height, .. } = self;
+        let Self { smooth, halved, kept, field, starts, marks, width, height, .. } = self;
+        marks.get_mut().unwrap_or_else(PoisonError::into_inner).ready.fill(0);
         let (width, height, count) = (*width, *height, width.div_ceil(STRETCH));
         let mut halves = halved.chunks_mut(ROWS / 2 * width.div_ceil(2));
-        let mut finder = Finder::new(width);
+        let (mut finder, mut blur) = (Finder::new(width), Blur::new(width));
         let mut bands = kept.chunks_mut(ROWS * count).zip(field.chunks_mut(ROWS * count * STRETCH)).zip(starts);
         let mut finish = |smooth: &[u16], first: usize| {
             let on = Smoothed { data: smooth, width, height };
@@ -205,7 +246,8 @@ impl Whole {
         };
         for (k, first) in (0..height).step_by(ROWS).enumerate() {
             let out = &mut smooth[first * width..(first + ROWS).min(height) * width];
-            lanes::run(Smooth { rows, first, width, height, out, halved: halves.next().unwrap_or_default() });
+            let halved = halves.next().unwrap_or_default();
+            lanes::run(Smooth { rows, first, width, height, out, halved, blur: &mut blur });
             if k > 0 {
                 finish(smooth, first - ROWS);
             }
@@ -213,21 +255,33 @@ impl Whole {
         finish(smooth, (height - 1) / ROWS * ROWS);
     }
 
-    /// The same with the threads of the pool.
+    /// The same with the threads of the pool. What is carried along from row to row is there where the next band is one's own, too.
     fn fill_side_by_side(&mut self, rows: Rows, least: u16) {
         let (width, height, count) = (self.width, self.height, self.stretches());
         let mut halves = self.halved.chunks_mut(ROWS / 2 * width.div_ceil(2));
+        let marks = &mut self.marks.get_mut().unwrap_or_else(PoisonError::into_inner).ready;
+        let words = marks.len().div_ceil(height.div_ceil(ROWS));
+        let mut marks = marks.chunks_mut(words);
         let bands = self.smooth.chunks_mut(ROWS * width).enumerate();
-        let bands: Vec<_> = bands.map(|(k, out)| (k, out, halves.next().unwrap_or_default())).collect();
-        bands.into_par_iter().for_each(|(k, out, halved)| {
-            lanes::run(Smooth { rows, first: k * ROWS, width, height, out, halved });
+        let bands = bands.map(|(k, out)| (k, out, halves.next().unwrap_or_default(), marks.next().unwrap_or_default()));
+        let (bands, memory) = (bands.collect::<Vec<_>>(), OwnMemory::<Option<(Blur, Finder)>>::new());
+        let new = || (Blur::new(width), Finder::new(width));
+        bands.into_par_iter().with_max_len(1).for_each(|(k, out, halved, marks)| {
+            marks.fill(0);
+            memory.with(|own| {
+                let (blur, _) = own.get_or_insert_with(new);
+                lanes::run(Smooth { rows, first: k * ROWS, width, height, out, halved, blur });
+            });
         });
         let on = Smoothed { data: &self.smooth, width, height };
         let kept = self.kept.par_chunks_mut(ROWS * count);
         let bands = kept.zip(self.field.par_chunks_mut(ROWS * count * STRETCH)).zip(&mut self.starts);
-        bands.enumerate().for_each(|(k, ((kept, field), starts))| {
+        bands.enumerate().with_max_len(1).for_each(|(k, ((kept, field), starts))| {
             let out = Found { kept, field, starts };
-            lanes::run(Find { on, first: k * ROWS, least, finder: &mut Finder::new(width), out });
+            memory.with(|own| {
+                let (_, finder) = own.get_or_insert_with(new);
+                lanes::run(Find { on, first: k * ROWS, least, finder, out });
+            });
         });
     }
 }
@@ -327,7 +381,8 @@ mod tests {
         fn run<L: Lanes>(self) -> Self::Output {
             let (rows, width, height) = (Rows::Samples(self.0, 0), self.0.width(), self.0.height());
             let mut smooth = vec![0; width * height];
-            Smooth { rows, first: 0, width, height, out: &mut smooth, halved: &mut [] }.run::<L>();
+            Smooth { rows, first: 0, width, height, out: &mut smooth, halved: &mut [], blur: &mut Blur::new(width) }
+                .run::<L>();
             let on = Smoothed { data: &smooth, width, height };
             let count = height * width.div_ceil(STRETCH);
             let (mut kept, mut field, mut starts) = (vec![false; count], vec![0; count * STRETCH], vec![]);
@@ -414,6 +469,26 @@ mod tests {
             assert!(fresh.starts().count() > 10 && used.starts().eq(fresh.starts()));
             for (u, v) in (0..height).flat_map(|v| (0..width).map(move |u| (u, v))) {
                 assert_eq!(kept(&used, u, v), kept(&fresh, u, v), "({u}, {v}) of {width} x {height}");
+            }
+        }
+    }
+
+    /// Bits are there once for each image, and none is set, whatever was given back.
+    #[test]
+    fn marks_used_again_are_blank() {
+        let grey = greys(700 * 320, 700, 8);
+        let bytes: Vec<u8> = grey.iter().map(|x| *x as u8).collect();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
+        let mut level = Whole::default();
+        for (width, height) in [(700, 300), (650, 310), (90, 40), (700, 300)] {
+            let view = GrayView::new(Samples::U8(&bytes), width, height, 700).expect("an image");
+            pool.install(|| level.remake(Rows::Samples(&view, 0), 8.0, true));
+            for _ in 0..2 {
+                let mut marks = level.marks();
+                assert_eq!(marks.len(), (width * height).div_ceil(64));
+                assert!(marks.iter().all(|x| *x == 0), "{width} x {height}");
+                marks.fill(u64::MAX);
+                level.keep_marks(marks);
             }
         }
     }

@@ -113,7 +113,10 @@ pub extern "C" fn spivcal_detection_run(detection: u64, image: u64) -> i32 {
         let options = state(object)?.options;
         let Context { threads, memory } = context_of(object)?;
         let found = Workers::new(threads)?.install(|| find_discs_with(&image.view(), &options, &memory))?;
-        state(object)?.found = Some(Found { detection: found, size_px: [image.width(), image.height()] });
+        let found = Found { detection: found, size_px: [image.width(), image.height()] };
+        if let Some(replaced) = state(object)?.found.replace(found) {
+            memory.take_replaced(replaced.detection);
+        }
         Ok(SPIVCAL_OK)
     })
 }

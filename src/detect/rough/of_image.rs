@@ -81,9 +81,10 @@ pub(crate) fn roughen_all(refined: &mut [Refined], options: &DetectOptions) {
         refined.iter().enumerate().filter_map(|(i, disc)| Some((i, disc.as_ref().ok()?))).collect();
     let memory = OwnMemory::<Feet>::new();
     let ask = |of: &[(usize, &Disc)]| threads::side_by_side(of, |(_, disc)| memory.with(|feet| said(disc, feet)));
-    let even = even(&discs, ask);
-    let asked = discs.iter().filter(|disc| even.is_none() || shows_more(&[**disc], SURELY));
-    let asked: Vec<(usize, &Disc)> = asked.copied().collect();
+    let shown: Vec<Shown> = discs.iter().map(|(_, disc)| Shown::of(disc)).collect();
+    let even = even(&discs, &shown, ask);
+    let asked = discs.iter().zip(&shown).filter(|(_, shown)| even.is_none() || shows_more(&[**shown], SURELY));
+    let asked: Vec<(usize, &Disc)> = asked.map(|(disc, _)| *disc).collect();
     let told = ask(&asked);
     let pool = if even.is_none() { Pool::of(&told) } else { None };
     let rough = |said: &Said| pool.as_ref().map_or_else(|| said.alone(), |pool| pool.rough(said));
@@ -93,14 +94,17 @@ pub(crate) fn roughen_all(refined: &mut [Refined], options: &DetectOptions) {
     let again = |(_, disc, rough): &(usize, &Disc, Rough)| memory.with(|feet| roughened(disc, *rough, options, feet));
     let new = threads::side_by_side(&worth, again);
     let places: Vec<usize> = worth.iter().map(|x| x.0).collect();
-    refined.iter_mut().flatten().for_each(|disc| widen(disc, 1.0 + even.unwrap_or(0.0)));
+    let by = 1.0 + even.unwrap_or(0.0);
+    if by > 1.0 {
+        threads::each(refined, |disc| disc.iter_mut().for_each(|disc| widen(disc, by)));
+    }
     places.into_iter().zip(new).for_each(|(i, disc)| refined[i] = disc);
 }
 
 /// By what part all contours scatter more than noise explains, where that is so little that none need be asked how rough it is.
-fn even(discs: &[(usize, &Disc)], ask: impl Fn(&[(usize, &Disc)]) -> Vec<Said>) -> Option<f64> {
-    if !shows_more(discs, 1.0) {
-        return Some(shown(discs).map_or(0.0, |(more, chance)| shrunk(more, chance)));
+fn even(discs: &[(usize, &Disc)], all: &[Shown], ask: impl Fn(&[(usize, &Disc)]) -> Vec<Said>) -> Option<f64> {
+    if !shows_more(all, 1.0) {
+        return Some(shown(all).map_or(0.0, |(more, chance)| shrunk(more, chance)));
     }
     // What looks rough may be bent smoothly: of many contours some are asked first.
     let some: Vec<_> = discs.iter().step_by(discs.len().div_ceil(MANY).max(1)).copied().collect();
@@ -110,29 +114,34 @@ fn even(discs: &[(usize, &Disc)], ask: impl Fn(&[(usize, &Disc)]) -> Vec<Said>) 
     Pool::of(&ask(&some)).map(|pool| pool.common_px2 / pool.noise_px2).filter(|more| *more <= EVEN)
 }
 
-/// Degrees of freedom of a contour.
-fn freedom(disc: &Disc) -> f64 {
-    (disc.edge.sigma_px.len() as f64 - 5.0).max(1.0)
+/// What a contour shows at a glance, smooth bends counted.
+#[derive(Debug, Clone, Copy)]
+struct Shown {
+    chi2: f64,
+    freedom: f64,
+}
+
+impl Shown {
+    fn of(disc: &Disc) -> Self {
+        Self { chi2: disc.contour.chi2(), freedom: (disc.edge.sigma_px.len() as f64 - 5.0).max(1.0) }
+    }
 }
 
 /// By what part some contours scatter more than noise explains, smooth bends counted, and the variance of that by chance; none of nothing.
-fn shown(discs: &[(usize, &Disc)]) -> Option<(f64, f64)> {
-    let add = |sum: (f64, f64), disc: &Disc| (sum.0 + disc.contour.chi2(), sum.1 + freedom(disc));
-    let (chi2, freedom) = discs.iter().fold((0.0, 0.0), |sum, (_, disc)| add(sum, disc));
+fn shown(all: &[Shown]) -> Option<(f64, f64)> {
+    let (chi2, freedom) = all.iter().fold((0.0, 0.0), |sum, x| (sum.0 + x.chi2, sum.1 + x.freedom));
     (freedom > 0.0).then(|| (chi2 / freedom - 1.0, 2.0 / freedom))
 }
 
 /// Whether that is beyond chance by so many standard deviations, and more than is let pass.
-fn shows_more(discs: &[(usize, &Disc)], sigmas: f64) -> bool {
-    shown(discs).is_some_and(|(more, chance)| more > EVEN.max(sigmas * chance.sqrt()))
+fn shows_more(all: &[Shown], sigmas: f64) -> bool {
+    shown(all).is_some_and(|(more, chance)| more > EVEN.max(sigmas * chance.sqrt()))
 }
 
 /// Multiplies the variances of a disc and its edge points.
 fn widen(disc: &mut Disc, by: f64) {
-    if by > 1.0 {
-        disc.covariance *= by;
-        disc.edge.sigma_px.iter_mut().for_each(|sigma| *sigma *= by.sqrt());
-    }
+    disc.covariance *= by;
+    disc.edge.sigma_px.iter_mut().for_each(|sigma| *sigma *= by.sqrt());
 }
 
 /// What contours say together.

@@ -14,14 +14,15 @@ pub(super) struct Smooth<'a> {
     pub(super) out: &'a mut [u16],
     /// Every second pixel of the rows with an even number, for the next level; no room where there is none.
     pub(super) halved: &'a mut [u16],
+    /// For rows of this width.
+    pub(super) blur: &'a mut Blur,
 }
 
 impl Kernel for Smooth<'_> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let Self { rows, first, width, height, out, halved } = self;
-        let mut blur = Blur { narrow: vec![0; width + 4], wide: vec![0; width + 4] };
+        let Self { rows, first, width, height, out, halved, blur } = self;
         let mut halves = halved.chunks_exact_mut(width.div_ceil(2));
         for (v, out) in (first..).zip(out.chunks_exact_mut(width)) {
             blur.row(rows, v, height, out);
@@ -48,12 +49,17 @@ fn halve(row: &[u16], half: &mut [u16]) {
     }
 }
 
-struct Blur {
+/// A row blurred down the columns, used again from row to row.
+pub(super) struct Blur {
     narrow: Vec<u16>,
     wide: Vec<u32>,
 }
 
 impl Blur {
+    pub(super) fn new(width: usize) -> Self {
+        Self { narrow: vec![0; width + 4], wide: vec![0; width + 4] }
+    }
+
     /// Row `v` of the blurred image.
     #[inline(always)]
     fn row(&mut self, rows: Rows, v: usize, height: usize, out: &mut [u16]) {
