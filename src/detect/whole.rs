@@ -42,7 +42,7 @@ const KEPT: usize = 128 << 20;
 
 /// Memory of searches for discs, to be used again by the next: what the system gives and takes back for each image costs time, most of all where
 /// threads wait for each other there. Any number of threads may search with one memory; it holds what so many searches at a time needed, some 6
-/// bytes per pixel, at most 128 MB for each: what was more is given back.
+/// bytes per pixel, at most 128 MB for each: what was more is given back. A result that the caller has replaced may be left to it: the next search drops it.
 #[derive(Debug, Default)]
 pub struct DetectMemory {
     levels: Mutex<Vec<[Whole; LEVELS]>>,

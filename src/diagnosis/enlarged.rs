@@ -12,8 +12,7 @@
 //! against the other) cameras and motion follow five altogether, and what leaving out v explains is distributed as F. Only where that is no chance, over all views
 //! that could have been left out, v belongs to V.
 //!
-//! With the sigmas `s_c(V)` all views are adjusted again and asked whether they contradict each other, as where nothing was enlarged ([`super::culprit`]):
-//! the views named there are wrong.
+//! At last every view of V but the last one is taken back for once: one that explains nothing beside the others was named by mistake.
 //!
 //! | symbol | identifier | meaning |
 //! |---|---|---|
@@ -22,7 +21,7 @@
 //! | e | `excess` | what scatters beyond noise |
 //! | F | `explained` | what one view more explains |
 
-use super::culprit::{BY_CHANCE, MOST, Wrong, culprits, seen};
+use super::culprit::{BY_CHANCE, Culprit, MOST, Wrong, seen};
 use super::{Subject, Watch};
 use crate::bundle::{
     AdjustOptions, Adjustment, ImageObservations, SolveOptions, Termination, readjusted_with, readjusted_without,
@@ -47,10 +46,13 @@ const SETTLED: f64 = 0.05;
 /// Numbers by which a view may differ from the others, and those of them that cameras and motion follow.
 const OF_VIEW: f64 = 2.0;
 const FOLLOWED: f64 = 5.0;
+/// Part of what is beyond noise without one view up to which it is as good to leave out another one.
+const AS_GOOD: f64 = 1.5;
 /// Variance beyond noise that is not told from none.
 const LEAST: f64 = 0.5;
 
 /// An adjustment without views, and the factors of the sigmas that its residuals show.
+#[derive(Clone)]
 struct Left {
     adjustment: Adjustment,
     scales: Vec<f64>,
@@ -116,13 +118,23 @@ impl Search<'_> {
         self.reached(readjusted_with(a, scales, &from.state, &options, &mut |i| self.watch.goes_on(i)))
     }
 
-    /// With the sigmas that its own residuals show, beginning with those given: enlarged ones keep a camera out for whose residuals they were.
+    /// With the sigmas that its own residuals show. Where one camera's are large the other one leads, and they stay so: from there those that are given are tried, too.
     fn settled(&self, left: Left) -> Result<Option<Left>> {
-        let given = vec![1.0; left.scales.len()];
-        let Some(mut left) = self.with(&left.adjustment, &given, &left.adjustment)? else { return Ok(None) };
+        let scales = left.scales.clone();
+        let Some(own) = self.settled_from(left, &scales)? else { return Ok(None) };
+        if is_noise(&own.scales) {
+            return Ok(Some(own));
+        }
+        let given = self.settled_from(own.clone(), &vec![1.0; own.scales.len()])?;
+        Ok(Some(given.filter(|given| self.noise(given) < self.noise(&own)).unwrap_or(own)))
+    }
+
+    fn settled_from(&self, mut left: Left, scales: &[f64]) -> Result<Option<Left>> {
+        let mut scales = scales.to_vec();
         for _ in 0..ROUNDS {
-            let Some(next) = self.with(&left.adjustment, &left.scales, &left.adjustment)? else { return Ok(None) };
-            let changed = falls(&left.scales, &next.scales).max(falls(&next.scales, &left.scales));
+            let Some(next) = self.with(&left.adjustment, &scales, &left.adjustment)? else { return Ok(None) };
+            let changed = falls(&scales, &next.scales).max(falls(&next.scales, &scales));
+            scales.clone_from(&next.scales);
             left = next;
             if changed < 1.0 + SETTLED {
                 break;
@@ -131,45 +143,78 @@ impl Search<'_> {
         Ok(Some(left))
     }
 
-    /// The view without which, beside those that are out, least is left.
-    fn next(&self, out: &[usize], views: &[usize]) -> Result<Option<(usize, Left)>> {
+    fn settled_without(&self, views: &[usize]) -> Result<Option<Left>> {
+        self.without(views)?.map_or(Ok(None), |left| self.settled(left))
+    }
+
+    /// The view without which, beside those that are out, least is left; and others without which no more is.
+    fn next(&self, out: &[usize], views: &[usize]) -> Result<Option<(Culprit, Left)>> {
         let others: Vec<usize> = views.iter().copied().filter(|v| !out.contains(v)).collect();
         let one = |v: &usize| Ok(self.without(&[out, &[*v]].concat())?.map(|left| (*v, left)));
         let first: Result<Vec<_>> = gathered(true, &others, one);
-        let mut first: Vec<(usize, Left)> = first?.into_iter().flatten().collect();
-        first.sort_by(|a, b| self.noise(&a.1).total_cmp(&self.noise(&b.1)));
-        first.truncate(TRIED);
-        let again: Result<Vec<_>> = first.into_iter().map(|(v, left)| Ok((v, self.settled(left)?))).collect();
-        let settled = again?.into_iter().filter_map(|(v, left)| Some((v, left?)));
-        Ok(settled.min_by(|a, b| self.noise(&a.1).total_cmp(&self.noise(&b.1))))
+        let mut tried: Vec<(usize, Left)> = first?.into_iter().flatten().collect();
+        let in_order = |tried: &mut Vec<(usize, Left)>| {
+            tried.sort_by(|a, b| self.noise(&a.1).total_cmp(&self.noise(&b.1)).then(a.0.cmp(&b.0)));
+        };
+        in_order(&mut tried);
+        tried.truncate(TRIED);
+        let again: Result<Vec<_>> = tried.into_iter().map(|(v, left)| Ok((v, self.settled(left)?))).collect();
+        let mut tried: Vec<(usize, Left)> = again?.into_iter().filter_map(|(v, left)| Some((v, left?))).collect();
+        in_order(&mut tried);
+        let mut tried = tried.into_iter();
+        let Some((view, left)) = tried.next() else { return Ok(None) };
+        let as_good = |other: &Left| excess(&other.scales) < AS_GOOD * excess(&left.scales);
+        let rivals = tried.filter(|(_, other)| as_good(other)).map(|(v, _)| v).collect();
+        Ok(Some((Culprit { view, rivals }, left)))
     }
 
-    /// What is left without the views for which sigmas were enlarged; `None` where there are none.
-    fn left(&self, now: &[f64]) -> Result<Option<Left>> {
+    /// The views for which sigmas were enlarged, in their order, with what is left without them; `None` where there are none.
+    fn wrong(&self, now: &[f64]) -> Result<Option<(Vec<Culprit>, Left)>> {
         let views = seen(self.s.adjustment);
         let n = views.len();
         let most = ((MOST * n as f64) as usize).min(MOST_WRONG);
         let (mut out, mut last, mut found, mut ways) = (vec![], now.to_vec(), None, 1.0);
         while out.len() < most {
-            let Some((view, left)) = self.next(&out, &views)? else { break };
+            let all: Vec<usize> = out.iter().map(|c: &Culprit| c.view).collect();
+            let Some((culprit, left)) = self.next(&all, &views)? else { break };
             let others = n - out.len();
-            out.push(view);
+            out.push(culprit);
             ways *= others as f64 / out.len() as f64;
             let (fell, chance) = (falls(&last, &left.scales), by_chance([&last, &left.scales], others, ways));
             last.clone_from(&left.scales);
             if chance < BY_CHANCE {
-                found = Some(left);
+                found = Some((out.clone(), left));
             }
             if fell < FALLS || is_noise(&last) {
                 break;
             }
         }
-        Ok(found)
+        let Some((out, left)) = found else { return Ok(None) };
+        let (mut out, left) = self.pardoned(out, left, ways)?;
+        out.sort_by_key(|c| c.view);
+        Ok(Some((out, left)))
+    }
+
+    /// Takes back those beside the last one without which no less is left.
+    fn pardoned(&self, mut out: Vec<Culprit>, mut left: Left, ways: f64) -> Result<(Vec<Culprit>, Left)> {
+        let n = seen(self.s.adjustment).len();
+        let mut k = 0;
+        while k + 1 < out.len() {
+            let rest: Vec<usize> = out.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, c)| c.view).collect();
+            match self.settled_without(&rest)? {
+                Some(with) if by_chance([&with.scales, &left.scales], n - rest.len(), ways) > BY_CHANCE => {
+                    out.remove(k);
+                    left = with;
+                }
+                _ => k += 1,
+            }
+        }
+        Ok((out, left))
     }
 }
 
 /// Wrong views that hide behind enlarged sigmas; `None` where sigmas are not enlarged, or not for a few views.
-pub(super) fn hidden(s: &Subject<'_>, names: &[&str], watch: &Watch<'_>) -> Result<Option<Wrong>> {
+pub(super) fn hidden(s: &Subject<'_>, watch: &Watch<'_>) -> Result<Option<Wrong>> {
     let a = s.adjustment;
     let own = |c: usize| a.model.images.iter().filter(move |i| i.camera == c);
     let cameras = 0..a.model.cameras.len();
@@ -181,12 +226,14 @@ pub(super) fn hidden(s: &Subject<'_>, names: &[&str], watch: &Watch<'_>) -> Resu
     let options = AdjustOptions { solve, rounds: 0, ..*s.options };
     let discs = cameras.map(|c| own(c).map(|i| i.discs.len() as f64).sum()).collect();
     let search = Search { s, options, discs, watch };
-    let Some(left) = search.left(&now)? else { return Ok(None) };
+    let Some((views, left)) = search.wrong(&now)? else { return Ok(None) };
+    let fell = falls(&now, &left.scales);
     let Some(Left { adjustment: strict, .. }) = search.with(a, &left.scales, &left.adjustment)? else {
         return Ok(None);
     };
-    let Some(wrong) = culprits(&Subject { adjustment: &strict, ..*s }, names, watch)? else { return Ok(None) };
-    let kept = wrong.without.as_ref().and_then(sigma_scales);
-    let fell = kept.map(|kept| falls(&now, &kept)).filter(|fell| *fell > ENLARGED);
-    Ok(fell.map(|fell| Wrong { hidden: Some((strict, fell)), ..wrong }))
+    // What is theirs costs half of each number where they are right.
+    let is_out = |i: &&ImageObservations| views.iter().any(|c| c.view == i.view);
+    let own: usize = a.model.images.iter().filter(is_out).flat_map(|i| &i.discs).map(|d| d.count()).sum();
+    let excess = 2.0 * (strict.cost - left.adjustment.cost) - own as f64;
+    Ok(Some(Wrong { views, excess, without: Some(left.adjustment), hidden: Some((strict, fell)) }))
 }

@@ -137,7 +137,7 @@ pub(super) fn views(
     let each = seen.iter().zip(&left);
     let mut out: Vec<ViewInfluence> =
         each.filter_map(|(v, left)| Some(influence(&functions, *v, left.as_ref()?, tests))).collect();
-    let mut wrong = hidden(s, names, watch)?;
+    let mut wrong = hidden(s, watch)?;
     if wrong.is_none() && out.iter().any(|v| v.contradicts) {
         wrong = culprits(s, names, watch)?;
     }
