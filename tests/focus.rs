@@ -9,7 +9,7 @@ use spivcal::diagnosis::mapping_of_record;
 use spivcal::frames::{Cam, Rig};
 use spivcal::pipeline::{CalibrateOptions, calibrate};
 use spivcal::reconstruct::perturbed_maps;
-use spivcal::record::Record;
+use spivcal::record::{MappingTold, Record};
 use spivcal::rig_file::RigDescription;
 use spivcal::simulate::{Scene, simulate};
 
@@ -102,7 +102,7 @@ fn a_fixed_sheet_is_flagged_without_the_focus_relation() {
     told_truly(&read, &truth);
     // Nor does what follows make sigmas up.
     assert!(perturbed_maps(&read).unwrap().is_none(), "sigmas of three components");
-    let (mapping, _) = mapping_of_record(&read, None).unwrap();
+    let (mapping, _) = mapping_of_record(&read, MappingTold::default()).unwrap();
     assert!(!mapping.undetermined.is_empty(), "{mapping:?}");
     assert_eq!(read.covariance.sigma("right.cam_from_rig.tx_mm"), None);
     assert!(read.covariance.sigma("target.spacing_mm").is_none_or(|s| s >= 0.0));

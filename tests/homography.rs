@@ -11,7 +11,7 @@ use spivcal::bundle::{NamedCovariance, adjust, named_covariance};
 use spivcal::camera::Camera;
 use spivcal::diagnosis::mapping_of_record;
 use spivcal::frames::{Cam, Rig};
-use spivcal::record::{self, Covariance, Record};
+use spivcal::record::{self, Covariance, MappingTold, Record};
 use spivcal::rigid::Motion;
 use spivcal::sheet::{HeldCameras, Homography, PairFeatures, StereoSheet, fit_homography};
 
@@ -161,7 +161,7 @@ fn what_is_measured_in_a_sheet_found_alone_has_true_sigmas() {
         let sheet = found(&held, &whole.with_noise(10_000 + seed), &abc);
         scatters.push(sheet.scatter);
         let record = recorded(&covariance, &held, &sheet);
-        let middle = mapping_of_record(&record, None).expect("known").0.middle;
+        let middle = mapping_of_record(&record, MappingTold::default()).expect("known").0.middle;
         let second: Motion<Cam, Rig> = covariance.natural.cam_from_rig[1];
         let stereo = StereoSheet::new(held.cameras().map(|c| *c), second, &sheet.estimate.rig_from_sheet);
         let r = stereo.response(&truth, middle.point_mm).unwrap();
@@ -185,7 +185,9 @@ fn what_is_measured_in_a_sheet_found_alone_has_true_sigmas() {
                 }
             }
         }
-        alone_over_joint.push(mapping_of_record(&apart, None).expect("known").0.middle.displacement[2][2] / d[2][2]);
+        alone_over_joint.push(
+            mapping_of_record(&apart, MappingTold::default()).expect("known").0.middle.displacement[2][2] / d[2][2],
+        );
     }
     hardly_ever_scattered(&scatters);
     alone_over_joint.sort_by(f64::total_cmp);
