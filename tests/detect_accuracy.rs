@@ -171,7 +171,7 @@ fn a_shadow_on_a_small_dark_disc_is_not_taken_for_smoke() {
         let mut random = Random(300 + seed);
         let [x, y] = [38.0 + random.uniform(), 38.0 + random.uniform()];
         let spots = [x, 115.0].map(|u| Spot { u, v: y, a: 15.0, b: 12.0, phi: 3.0 * random.uniform() });
-        let (sin, cos) = (6.28 * random.uniform()).sin_cos();
+        let (sin, cos) = (std::f64::consts::TAU * random.uniform()).sin_cos();
         let shade = |u: f64, v: f64| 0.1 / (1.0 + (-0.17 * ((u - x) * cos + (v - y) * sin - 3.6)).exp());
         let clean = draw(153, 76, 0.8, |u, v, h| {
             let cover: f64 = spots.iter().map(|s| s.cover(u, v, h)).sum();
