@@ -19,8 +19,8 @@
 //! half the step (`N(0, 1/2)`), for light is nowhere negative. Noise inside is what is left over the degrees of freedom that the waves did not
 //! spend, for light carries shot noise that the ground does not show. Of small discs these are few: then the mean is over the noise as
 //! well, which may be four times louder where there is more light (`ln (variance / outside) ~ N(0, ln 4)`), but hardly quieter (`ln 1.3`).
-//! A small disc is asked for smoke where its inside is louder or less even than its ground, where its light rises and the ground does not, or where more is left
-//! than noise: weak slow smoke shows no more than a slope, and its bend would draw the contour. Behind a blur any smoke may look so: a few fields are
+//! A small bright disc is asked for smoke, which shines, where its inside is louder or less even than its ground, where its light rises and the ground does
+//! not, or where more is left than noise: weak slow smoke shows no more than a slope, and its bend would draw the contour. Behind a blur any smoke may look so: a few fields are
 //! asked then whether they say more (`asked.rs`). What light and edge do to each other in second order is taken off (`second.rs`).
 //! Of large discs ([`is_large`]) a field is asked for where light along the contour changes slowly, and must leave no more than noise; nodes along
 //! the contour ([`crate::detect::light`]) follow what is faster.
