@@ -33,7 +33,7 @@ mod weak;
 pub use crate::bundle::Observe;
 pub use mapping::mapping_of_record;
 
-use crate::bundle::{AdjustOptions, Adjustment, Iteration, NamedCovariance};
+use crate::bundle::{AdjustOptions, Adjustment, Iteration, NamedCovariance, SolveOptions, Termination};
 use crate::error::{Result, Unusable};
 use crate::frames::{Rig, Sheet};
 use crate::record::{Diagnosis, Interval, KeyQuantity, MappingUncertainty, NearNull};
@@ -50,6 +50,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 const FALSE_ALARMS: f64 = 0.01;
 /// A key quantity that would move by more than this many of its standard deviations makes a finding a flag.
 const FELT_SIGMAS: f64 = 3.0;
+/// Views beyond which nothing is adjusted without single ones.
+const MOST_ADJUSTED: usize = 40;
 
 /// What is diagnosed.
 #[derive(Debug, Clone, Copy)]
@@ -168,6 +170,19 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
     out.diagnosis.model_tests = tests.asked.into_iter().map(|t| t.row).collect();
     out.diagnosis.views = views.influences;
     Ok(out)
+}
+
+/// How all is adjusted once more for a question, to a thousandth of a sigma.
+fn brief(s: &Subject<'_>) -> AdjustOptions {
+    AdjustOptions { solve: SolveOptions { decrement: 1e-3, iterations: 40 }, rounds: 0, ..*s.options }
+}
+
+/// An adjustment that got there; an error where it was stopped.
+fn near_its_minimum(a: Adjustment) -> Result<Option<Adjustment>> {
+    if a.termination == Termination::Cancelled {
+        return Err(Unusable::Cancelled.into());
+    }
+    Ok((a.decrement < 0.1).then_some(a))
 }
 
 fn quantities(

@@ -365,9 +365,7 @@ fn rescale(
     state: &State,
     equations: Option<&NormalEquations>,
 ) -> bool {
-    let Some(posterior) = equations.map(solve::posterior) else { return false };
-    let scales: Vec<f64> =
-        (0..model.cameras.len()).map(|c| scale_of_camera(model, all, (state, &posterior), c)).collect();
+    let Some(scales) = equations.map(|e| scales_of(model, all, state, e)) else { return false };
     let changed = model.images.iter().any(|i| (scales[i.camera] / i.sigma_scale - 1.0).abs() > 0.03);
     set_scales(model, &scales);
     changed
@@ -379,9 +377,13 @@ fn set_scales(model: &mut Model, scales: &[f64]) {
 
 /// Factor of the given sigmas of each camera that the residuals of an adjustment show, whatever it was made with; `None` without equations.
 pub fn sigma_scales(a: &Adjustment) -> Option<Vec<f64>> {
-    let posterior = solve::posterior(a.equations.as_ref()?);
     let all = residuals::of_each_image(&a.model, &a.state);
-    Some((0..a.model.cameras.len()).map(|c| scale_of_camera(&a.model, &all, (&a.state, &posterior), c)).collect())
+    Some(scales_of(&a.model, &all, &a.state, a.equations.as_ref()?))
+}
+
+fn scales_of(model: &Model, all: &[Option<ImageResiduals>], state: &State, equations: &NormalEquations) -> Vec<f64> {
+    let posterior = solve::posterior(equations);
+    (0..model.cameras.len()).map(|c| scale_of_camera(model, all, (state, &posterior), c)).collect()
 }
 
 /// The adjustment with other factors of the given sigmas, one for each camera, from where another one of the same rig ended; nothing is set aside.

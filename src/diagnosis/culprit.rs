@@ -20,12 +20,12 @@
 //!
 //! Source: Hausman, "Specification tests in econometrics" (1978); Cook and Weisberg, "Residuals and influence in regression" (1982).
 
-use super::{Subject, Watch};
+use super::{Subject, Watch, brief, near_its_minimum};
 use crate::bundle::{
-    AdjustOptions, Adjustment, ImageObservations, Parameter, Prediction, SolveOptions, Termination, ViewsLeftOut,
-    named_rows, predicted_with_all_views, readjusted_without, symmetric_eigen,
+    Adjustment, ImageObservations, Iteration, Parameter, Prediction, ViewsLeftOut, named_rows,
+    predicted_with_all_views, readjusted_without, symmetric_eigen,
 };
-use crate::error::{Result, Unusable};
+use crate::error::Result;
 use crate::stats::chi_square_above;
 use crate::threads::gathered;
 use nalgebra::{DMatrix, DVector};
@@ -162,14 +162,9 @@ impl Search<'_> {
 
     /// The adjustment without views; `None` where it does not get near its minimum.
     fn without(&self, views: &[usize]) -> Result<Option<Adjustment>> {
-        let solve = SolveOptions { decrement: 1e-3, iterations: 40 };
-        let options = AdjustOptions { solve, rounds: 0, ..*self.s.options };
         let is_out = |i: &ImageObservations| views.contains(&i.view);
-        let out = readjusted_without(self.s.adjustment, &is_out, &options, &mut |i| self.watch.goes_on(i));
-        if out.termination == Termination::Cancelled {
-            return Err(Unusable::Cancelled.into());
-        }
-        Ok((out.decrement < 0.1).then_some(out))
+        let goes_on = &mut |i: &Iteration| self.watch.goes_on(i);
+        near_its_minimum(readjusted_without(self.s.adjustment, &is_out, &brief(self.s), goes_on))
     }
 
     /// The first suspects, each left out for once.

@@ -24,12 +24,11 @@ use super::model_tests::{ModelTests, model_tests};
 use super::priors::{Priors, priors};
 use super::probes::Probes;
 use super::views::Views;
-use super::{Asked, Subject, Watch, flags};
+use super::{Asked, Subject, Watch, brief, flags, near_its_minimum};
 use crate::bundle::{
-    AdjustOptions, Adjustment, ImageObservations, Moved, NamedCovariance, SolveOptions, Termination, adjust, listed,
-    named_covariance, readjusted_without,
+    Adjustment, ImageObservations, Moved, NamedCovariance, adjust, listed, named_covariance, readjusted_without,
 };
-use crate::error::{Result, Unusable};
+use crate::error::Result;
 use crate::record::{ModelTest, Prior};
 
 /// A row that tells of something.
@@ -222,16 +221,4 @@ fn before_move(s: &Subject<'_>, when: Moved, watch: &Watch<'_>) -> Result<Option
     let Moved::Before(view) = when else { return Ok(None) };
     let is_out = |i: &ImageObservations| i.camera == 1 && i.view >= view;
     near_its_minimum(readjusted_without(s.adjustment, &is_out, &brief(s), &mut |i| watch.goes_on(i)))
-}
-
-fn brief(s: &Subject<'_>) -> AdjustOptions {
-    AdjustOptions { solve: SolveOptions { decrement: 1e-3, iterations: 40 }, rounds: 0, ..*s.options }
-}
-
-/// An adjustment that got there; an error where it was stopped.
-fn near_its_minimum(a: Adjustment) -> Result<Option<Adjustment>> {
-    if a.termination == Termination::Cancelled {
-        return Err(Unusable::Cancelled.into());
-    }
-    Ok((a.decrement < 0.1).then_some(a))
 }

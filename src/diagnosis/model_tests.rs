@@ -1,5 +1,6 @@
 //! Whether the model lacks something, in words.
 
+use super::enlarged::ENLARGED;
 use super::keys::{Keys, intrinsic_unit};
 use super::moved;
 use super::probes::Probes;
@@ -192,9 +193,6 @@ fn of_extension(
 fn enlarged(s: &Subject<'_>) -> f64 {
     s.adjustment.model.images.iter().map(|i| i.sigma_scale).fold(1.0, f64::max)
 }
-
-/// Sigmas enlarged by more hold what discs scatter by, but not that displaced ones are off by the same in all images.
-const ENLARGED: f64 = 1.5;
 
 /// What is said of dots off their places where the scatter of discs has enlarged sigmas: these hold errors of single images, and shrink with their number.
 fn misprinted(t: &ExtensionTest, enlarged: f64) -> [String; 2] {

@@ -9,16 +9,14 @@ use super::enlarged::hidden;
 use super::keys::Keys;
 use super::probes::Probes;
 use super::spread::{self, Change, Number, Spread};
-use super::{FALSE_ALARMS, FELT_SIGMAS, Subject, Watch, digits};
-use crate::bundle::{Natural, Prediction, SolveOptions, Termination, ViewsLeftOut, listed, named_rows, natural_of};
+use super::{FALSE_ALARMS, FELT_SIGMAS, MOST_ADJUSTED, Subject, Watch, brief, digits};
+use crate::bundle::{Natural, Prediction, Termination, ViewsLeftOut, listed, named_rows, natural_of};
 use crate::error::{Result, Unusable};
 use crate::record::{MappingByViews, ViewInfluence};
 use crate::stats::normal_beyond;
 use crate::threads::gathered;
 use nalgebra::{DMatrix, DVector};
 
-/// Views beyond which only the prediction is made.
-const MOST_ADJUSTED: usize = 40;
 /// A view without which no sigma grows by more than this part adds little.
 const LITTLE: f64 = 0.02;
 /// Difference of covariances, part of the covariance, below which rounding would be tested.
@@ -290,8 +288,7 @@ fn left_out(
     if lost || s.adjustment.model.views.len() > MOST_ADJUSTED {
         return Ok(Some(Left { adjusted: None, prediction }));
     }
-    let options = SolveOptions { decrement: 1e-3, iterations: 40 };
-    let Some(other) = without.readjusted(view, &options, &mut |i| watch.goes_on(i)) else {
+    let Some(other) = without.readjusted(view, &brief(s).solve, &mut |i| watch.goes_on(i)) else {
         return Ok(Some(Left { adjusted: None, prediction }));
     };
     if other.termination == Termination::Cancelled {
