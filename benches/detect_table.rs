@@ -15,7 +15,7 @@ fn main() {
     let words: Vec<String> = std::env::args().skip(1).filter(|x| !x.starts_with("--")).collect();
     let wished = |name: &str| words.iter().find_map(|w| w.strip_prefix(name).map(|x| x.parse().unwrap()));
     let (scenes_wished, shots_wished) = (wished("scenes="), wished("shots="));
-    let lights = ["even", "slanted", "smoke", "haze", "bent", "glare", "bubble", "shot"];
+    let lights = ["even", "slanted", "smoke", "haze", "bent", "glare", "bubble", "shot", "defocus"];
     let any_light = !words.iter().any(|w| lights.contains(&&w[..]));
     let sizes: Vec<f64> = words.iter().filter_map(|w| w.parse().ok()).collect();
     let wide = std::env::var("SPIVCAL_TABLE").is_ok_and(|x| x == "wide");
@@ -34,8 +34,9 @@ fn main() {
             // On small discs such light is even or slanted, large discs are hardly behind a blur.
             let late = matches!(light, Light::Bent | Light::Haze);
             let behind = light == Light::Smoke && blur_px > 1.0;
-            let added = late || behind || matches!(light, Light::Bubble | Light::Shot);
-            if blur_px > 0.45 * semi_minor_px || late && semi_minor_px < 40.0 || behind && semi_minor_px > 20.0 {
+            let added = late || behind || matches!(light, Light::Bubble | Light::Shot | Light::Defocus);
+            let whole_blur_px = if light == Light::Defocus { 1.8 * blur_px } else { blur_px };
+            if whole_blur_px > 0.45 * semi_minor_px || late && semi_minor_px < 40.0 || behind && semi_minor_px > 20.0 {
                 continue;
             }
             // Rows keep their seeds.
@@ -45,6 +46,7 @@ fn main() {
                 Light::Haze => 2000 + semi_minor_px as u64,
                 Light::Bubble => 3000 + semi_minor_px as u64,
                 Light::Shot => 5000 + 1000 * u64::from(bright) + 100 * blur_px as u64 + semi_minor_px as u64,
+                Light::Defocus => 7000 + 1000 * u64::from(bright) + semi_minor_px as u64,
                 _ if behind => 1000 * blur_px as u64 + 4000 + semi_minor_px as u64,
                 _ => seed,
             };
@@ -75,7 +77,7 @@ fn main() {
 }
 
 /// a/b, blur, light, bits, bright.
-fn conditions() -> [(f64, f64, Light, u32, bool); 18] {
+fn conditions() -> [(f64, f64, Light, u32, bool); 20] {
     [
         (1.2, 0.8, Light::Even, 8, false),
         (1.2, 0.8, Light::Even, 16, true),
@@ -95,5 +97,7 @@ fn conditions() -> [(f64, f64, Light, u32, bool); 18] {
         (1.2, 0.8, Light::Shot, 16, true),
         (1.2, 1.7, Light::Shot, 8, false),
         (1.2, 1.7, Light::Shot, 16, true),
+        (1.2, 0.6, Light::Defocus, 8, false),
+        (1.2, 1.0, Light::Defocus, 16, true),
     ]
 }

@@ -24,6 +24,7 @@ mod rim;
 mod rough;
 mod rows;
 mod sectors;
+mod shape;
 mod shared_light;
 mod shot_noise;
 mod surface;

@@ -23,6 +23,7 @@ use crate::detect::contour::towards_px;
 use crate::detect::refine::{Start, reach_px};
 use crate::detect::rim::Rim;
 use crate::detect::rows::ByRow;
+use crate::detect::shape::Shape;
 use crate::detect::{Disc, RejectionReason};
 use crate::frames::Pixel;
 use crate::image::{GrayView, Samples};
@@ -53,13 +54,14 @@ type Refined = Result<Disc, RejectionReason>;
 struct Lit {
     ellipse: Ellipse,
     blur_px: f64,
+    shape: Shape,
     step: f64,
 }
 
 impl Lit {
-    fn of(disc: &Disc) -> Self {
+    fn of(disc: &Disc, shape: Shape) -> Self {
         let step = if disc.polarity == Polarity::Bright { disc.contrast } else { -disc.contrast };
-        Self { ellipse: disc.ellipse, blur_px: disc.blur_px, step }
+        Self { ellipse: disc.ellipse, blur_px: disc.blur_px, shape, step }
     }
 
     /// Whether a disc `at` sees this one where it looks towards it, beyond noise of the standard deviation `sigma`.
@@ -93,7 +95,7 @@ impl Lit {
     fn take_off(&self, grey: &mut [f32], width: usize, corner: [usize; 2]) {
         let frame = Frame::new(&self.ellipse);
         let mut rim = Rim::default();
-        rim.set(&frame, self.blur_px);
+        rim.set(&frame, self.blur_px, self.shape);
         rim.step = rim.angles().map(|_| self.step).collect();
         let skirt = SKIRT * self.blur_px;
         let cut = Cut::new(&frame, frame.a + skirt, frame.b + skirt);
@@ -147,11 +149,11 @@ pub(super) fn refine_beside(
 pub(super) fn ask_beside<T: Send>(
     view: &GrayView,
     asked: &[Start],
-    refined: &[Refined],
+    (starts, refined): (&[Start], &[Refined]),
     sigma: f64,
     ask: impl Fn(&GrayView, &Start) -> Option<T> + Sync,
 ) -> Vec<Option<T>> {
-    let lights = Lights::of(refined.iter().filter_map(|disc| Some((true, disc.as_ref().ok()?))), sigma);
+    let lights = Lights::of(starts, refined, |_| true, sigma);
     threads::side_by_side(asked, |start| {
         let felt = lights.felt_by(&start.ellipse).unwrap_or_default();
         if felt.iter().any(|lit| lit.gap_px(&start.ellipse) < CLOSEST * lit.blur_px) {
@@ -177,8 +179,12 @@ struct Lights {
 }
 
 impl Lights {
-    fn of<'a>(discs: impl Iterator<Item = (bool, &'a Disc)>, sigma: f64) -> Self {
-        let lit: Vec<(bool, Lit)> = discs.map(|(moved, disc)| (moved, Lit::of(disc))).collect();
+    /// Of the discs that the starts were refined to; `moved` says which have.
+    fn of(starts: &[Start], refined: &[Refined], moved: impl Fn(usize) -> bool, sigma: f64) -> Self {
+        let lit = |(i, (start, disc)): (usize, (&Start, &Refined))| {
+            Some((moved(i), Lit::of(disc.as_ref().ok()?, start.shape)))
+        };
+        let lit: Vec<(bool, Lit)> = starts.iter().zip(refined).enumerate().filter_map(lit).collect();
         let by_row = ByRow::new(lit.iter().map(|(_, l)| &l.ellipse));
         let blur_px = lit.iter().map(|(_, l)| l.blur_px).fold(0.0, f64::max);
         Self { lit, by_row, blur_px, sigma }
@@ -194,8 +200,7 @@ impl Lights {
 
 /// The discs that feel others of which one has moved, with all that they feel.
 fn close_ones(starts: &[Start], refined: &[Refined], moved: &[bool], sigma: f64) -> Vec<(usize, Vec<Lit>)> {
-    let found = refined.iter().zip(moved).filter_map(|(disc, moved)| Some((*moved, disc.as_ref().ok()?)));
-    let lights = Lights::of(found, sigma);
+    let lights = Lights::of(starts, refined, |i| moved[i], sigma);
     let felt_by = |&(start, disc): &(&Start, &Refined)| match disc {
         Ok(disc) => lights.felt_by(&disc.ellipse),
         // The light of others may be what made it look hidden or bent. What is no disc is hardly like them.
@@ -281,7 +286,7 @@ mod tests {
 
     #[test]
     fn what_is_taken_off_is_the_blurred_disc() {
-        let lit = Lit { ellipse: ellipse(), blur_px: BLUR, step: -80.0 };
+        let lit = Lit { ellipse: ellipse(), blur_px: BLUR, shape: Shape::GAUSSIAN, step: -80.0 };
         // A patch that the disc sticks out of.
         let (width, corner) = (23, [24, 19]);
         let mut grey = vec![100.0_f32; width * 17];
@@ -300,7 +305,7 @@ mod tests {
     #[test]
     fn a_neighbour_is_felt_by_its_gap_and_no_disc_by_itself() {
         let e = ellipse();
-        let lit = Lit { ellipse: e, blur_px: BLUR, step: -80.0 };
+        let lit = Lit { ellipse: e, blur_px: BLUR, shape: Shape::GAUSSIAN, step: -80.0 };
         let at =
             |du: f64, dv: f64| Ellipse { center_px: Pixel::new(e.center_px.u_px + du, e.center_px.v_px + dv), ..e };
         assert!(lit.is_felt(&at(12.0, 0.0), 1.0));
@@ -313,7 +318,7 @@ mod tests {
     #[test]
     fn discs_are_alike_in_both_axes_and_light() {
         let e = ellipse();
-        let lit = Lit { ellipse: e, blur_px: BLUR, step: -80.0 };
+        let lit = Lit { ellipse: e, blur_px: BLUR, shape: Shape::GAUSSIAN, step: -80.0 };
         assert!(lit.is_like(&Ellipse { semi_major_px: 5.5, semi_minor_px: 2.3, ..e }, -60.0));
         assert!(!lit.is_like(&Ellipse { semi_major_px: 6.5, ..e }, -60.0));
         assert!(!lit.is_like(&Ellipse { semi_minor_px: 1.8, ..e }, -60.0));

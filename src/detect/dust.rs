@@ -138,6 +138,7 @@ mod tests {
     use crate::conic::Ellipse;
     use crate::detect::correlation::NoiseCorrelation;
     use crate::detect::pattern::tests::disc;
+    use crate::detect::shape::Shape;
     use std::sync::Mutex;
 
     fn start(at: [f64; 2], radius_px: f64) -> Start<'static> {
@@ -158,6 +159,8 @@ mod tests {
             shot_noise: None,
             smoke: true,
             full_of_smoke: true,
+            shape: Shape::GAUSSIAN,
+            shape_covariance: nalgebra::Matrix2::zeros(),
         }
     }
 

@@ -42,6 +42,7 @@ mod second;
 mod small;
 #[cfg(test)]
 mod tests;
+mod told;
 mod waves;
 pub(crate) use asked::Answer;
 pub(crate) use field::Field;
@@ -57,6 +58,7 @@ use crate::detect::light::Side;
 use crate::detect::profile::{Lanes, Profile, Profiled};
 use crate::detect::refine::{Start, reach_px};
 use crate::detect::rim::Rim;
+use crate::detect::shape::Shape;
 use crate::detect::shared_light::in_axes;
 use crate::detect::surface::{At, on_contour};
 use crate::image::GrayView;
@@ -87,6 +89,7 @@ pub(crate) struct State {
     pub(crate) ellipse: Ellipse,
     pub(crate) blur_px: f64,
     pub(crate) expected_blur_px: f64,
+    pub(crate) shape: Shape,
     pub(crate) sides: [Side; 2],
     pub(crate) field: Option<Field>,
     /// Gradients of the light inside and outside that other discs tell, grey/px along u and v; coefficients are beyond them.
@@ -205,7 +208,7 @@ impl Exact {
     fn profile(&self, state: &State, i: usize) -> Lanes<LANES> {
         let (a, b) = (state.ellipse.semi_major_px, state.ellipse.semi_minor_px);
         let Band { distance, cos, sin, .. } = &self.band;
-        let profile = Profile { blur_px: state.blur_px, a, b };
+        let profile = Profile { blur_px: state.blur_px, shape: state.shape, a, b };
         lanes::run(Profiled { profile, distance: eight(distance, i), cos: eight(cos, i), sin: eight(sin, i) })
     }
 

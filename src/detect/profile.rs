@@ -23,16 +23,20 @@
 //! | dP/ds | `by_blur` | 1/px | derivative by the blur |
 //! | - | `depth` | 1 | `(d/s + mu) / sqrt(variance)`: the distance in units of the blur as the profile sees it |
 //!
+//! Where the blur is no Gaussian's its shape is added ([`crate::detect::shape`]).
+//!
 //! Not valid where `eps` exceeds about one half.
 
 use crate::detect::band::LANES;
 use crate::detect::sectors::normal_tails;
+use crate::detect::shape::{Shape, of_edge};
 use crate::lanes::{self, Kernel};
 
 /// One disc's part in the profile: what its pixels share.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Profile {
     pub(crate) blur_px: f64,
+    pub(crate) shape: Shape,
     pub(crate) a: f64,
     pub(crate) b: f64,
 }
@@ -76,6 +80,7 @@ impl Profile {
             y[i] = (d[i] * inverse + mean) * root[i];
         }
         normal_tails(&y, &mut out.inside, &mut out.density);
+        let shaped = !self.shape.is_gaussian();
         for i in 0..N {
             let (y, r, f) = (y[i], root[i], out.density[i]);
             let y2 = y * y;
@@ -94,6 +99,12 @@ impl Profile {
             let y_by_blur = (mean_by_blur[i] - d[i] * inverse * inverse) * r - y * widening;
             let shape_by_blur = (inverse - widening) * (-3.0 * third * he2 + 4.0 * fourth * he3 + 6.0 * sixth * he5);
             out.by_blur[i] = f * (shape_by_blur - shape * y_by_blur);
+            if shaped {
+                let added = of_edge([self.shape.fourth, self.shape.sixth], y, eps[i]);
+                out.inside[i] += f * added.share;
+                out.slope[i] += f * added.by_depth * r * inverse;
+                out.by_blur[i] += f * (added.by_depth * y_by_blur + added.by_bend * eps[i] * inverse);
+            }
             out.depth[i] = y;
             out.narrow[i] = r;
         }
@@ -126,7 +137,7 @@ mod tests {
     fn all_widths_give_the_same_bits() {
         let angle = [0.1_f64, 0.7, 1.3, 2.0, 2.9, 4.0, 4.4, 6.0];
         let distance = [-3.0, -1.2, -0.4, 0.0, 0.3, 0.9, 2.0, 4.0];
-        let profile = Profile { blur_px: 0.9, a: 7.0, b: 4.0 };
+        let profile = Profile { blur_px: 0.9, shape: Shape::GAUSSIAN, a: 7.0, b: 4.0 };
         let kernel = Profiled { profile, distance, cos: angle.map(f64::cos), sin: angle.map(f64::sin) };
         let plain = profile.at(&kernel.distance, &kernel.cos, &kernel.sin);
         let bits = |p: &Lanes<LANES>| {

@@ -23,6 +23,7 @@ mod few;
 mod pixels;
 mod shares;
 mod start;
+mod told;
 mod whole;
 
 use crate::conic::{Ellipse, Frame, from_regular, to_regular};
@@ -33,6 +34,7 @@ use crate::detect::edge_model::{LEAST_BLUR_PX, blur_weight};
 use crate::detect::exact::{SLOPE, Share, on_rim};
 use crate::detect::light::Side;
 use crate::detect::refine::{border_px, reach_px};
+use crate::detect::shape::Shape;
 use crate::detect::shared_light::in_axes;
 use crate::detect::shot_noise::ShotNoise;
 use crate::image::GrayView;
@@ -82,6 +84,7 @@ pub(crate) struct Clean {
     pub(crate) ellipse: Ellipse,
     pub(crate) blur_px: f64,
     pub(crate) expected_blur_px: f64,
+    pub(crate) shape: Shape,
     pub(crate) step: f64,
     /// Gradients of the light inside and outside that other discs tell, grey/px along u and v.
     pub(crate) slopes: [[f64; 2]; 2],
@@ -253,7 +256,7 @@ impl Quick {
 
     /// Products of all columns.
     fn sum_up(&mut self, state: &Clean) {
-        let lens = Lens { blur_px: state.blur_px, variance: state.variance, light: self.light };
+        let lens = Lens { blur_px: state.blur_px, shape: state.shape, variance: state.variance, light: self.light };
         let (near, frame, out) = (&self.pixels.near, &self.frame, &mut self.columns);
         if self.bent.is_some() {
             lanes::run(SumUp::<true> { near, frame, lens: &lens, out });

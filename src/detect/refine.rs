@@ -15,6 +15,7 @@
 //! [`ContourNoise`]; their sigmas are those of each for itself.
 
 mod pixels;
+mod told;
 
 use crate::conic::{ContourNoise, Ellipse, Feet, covariance_from_regular, fit_geometric_from, to_regular};
 use crate::detect::band::{Band, Reach};
@@ -26,13 +27,15 @@ use crate::detect::exact::{Exact, State};
 use crate::detect::light::{self, Light, Side};
 use crate::detect::quick::{Quick, contour_of};
 use crate::detect::sectors::{Lens, Sectors};
-use crate::detect::shot_noise::{ShotNoise, Told};
+use crate::detect::shape::Shape;
+use crate::detect::shot_noise::ShotNoise;
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::{GrayView, Samples};
 use crate::stats::{SIGMA_OVER_MEDIAN, median};
 use crate::target::Polarity;
-use nalgebra::SMatrix;
+use nalgebra::{Matrix2, SMatrix};
 use pixels::{Exactly, clean_disc, fit_exactly};
+pub(crate) use told::{noise_told, shape_told, smoke_told};
 
 /// Rounds at most: a disc that is not still by then is judged as it is.
 const MOST_ROUNDS: usize = 10;
@@ -54,8 +57,8 @@ pub(crate) struct Scratch {
     fine: Contour,
     quick: Quick,
     feet: Feet,
-    /// What the longer way came to, where there was neither smoke nor anything hidden.
-    plain: Option<State>,
+    /// What the longer way came to, where there was neither smoke nor anything hidden, and whether its edge was like no Gaussian's.
+    plain: Option<(State, bool)>,
 }
 
 /// A disc to refine.
@@ -88,6 +91,9 @@ pub(crate) struct Start<'a> {
     pub(crate) smoke: bool,
     /// Whether it is known to have one.
     pub(crate) full_of_smoke: bool,
+    /// The shape of the blur, as all discs tell it, and how well they know it.
+    pub(crate) shape: Shape,
+    pub(crate) shape_covariance: Matrix2<f64>,
 }
 
 impl Start<'_> {
@@ -101,6 +107,11 @@ impl Start<'_> {
         Self { ellipse: line.ellipse, blur_px: line.blur_px, contrast: line.contrast, ..*self }
     }
 
+    /// The blur that the line shows, that of a Gaussian, px.
+    pub(crate) fn line_blur_px(&self) -> f64 {
+        Self { shape: Shape::GAUSSIAN, ..*self }.contour().1
+    }
+
     /// The ellipse and the blur that the line followed is that of.
     fn contour(&self) -> (Ellipse, f64) {
         let scale = f64::from(1_u32 << self.level);
@@ -109,38 +120,12 @@ impl Start<'_> {
             semi_minor_px: self.ellipse.semi_minor_px / scale,
             ..self.ellipse
         };
-        let (e, blur_px) = contour_of(&of_level, self.blur_px / scale);
+        let (e, blur_px) = contour_of(&of_level, self.blur_px / scale / self.shape.looks_wider());
         (
             Ellipse { semi_major_px: scale * e.semi_major_px, semi_minor_px: scale * e.semi_minor_px, ..e },
             scale * blur_px,
         )
     }
-}
-
-/// What one disc tells of the noise inside; none where it is no disc, or its light is not plain, or it knows it.
-pub(crate) fn noise_told(view: &GrayView, start: &Start, options: &DetectOptions, s: &mut Scratch) -> Option<Told> {
-    let state = plain(view, start, options, s)?;
-    s.exact.noise_told(&state, start.variance)
-}
-
-/// What one disc says of smoke, under the noise that all discs tell; none as of [`noise_told`].
-pub(crate) fn smoke_told(
-    view: &GrayView,
-    start: &Start,
-    noise: &ShotNoise,
-    options: &DetectOptions,
-    s: &mut Scratch,
-) -> Option<Vec<f64>> {
-    let mut state = plain(view, start, options, s)?;
-    state.variance = noise.fill([None, Some((state.variance[1], 0.0))], state.step)?;
-    Some(s.exact.smoke_told(&state))
-}
-
-/// The disc that was fitted to single pixels, if its light is plain.
-fn plain(view: &GrayView, start: &Start, options: &DetectOptions, s: &mut Scratch) -> Option<State> {
-    s.plain = None;
-    refine(view, start, options, s).ok()?;
-    s.plain.take()
 }
 
 /// Refines one disc, or says why it is none.
@@ -563,6 +548,8 @@ mod tests {
             shot_noise: None,
             smoke: false,
             full_of_smoke: false,
+            shape: Shape::GAUSSIAN,
+            shape_covariance: Matrix2::zeros(),
         };
         let course = |shift_px: f64, semi_minor_px: f64, blur_px: f64| {
             let center_px = Pixel::new(50.0 + shift_px, 60.0);

@@ -10,7 +10,8 @@
 //! grad g     = - closed integral of n G dl,   grad grad g = closed integral of n (p - x)^T G dl / s^2
 //! ```
 //!
-//! (the first by the divergence theorem: the field `(x - p)(1 - exp)/(2 pi rho^2)` has the divergence `G`). The integrands are smooth and
+//! (the first by the divergence theorem: the field `(x - p)(1 - exp)/(2 pi rho^2)` has the divergence `G`). A blur of another shape takes the place of G
+//! ([`crate::detect::shape`]). The integrands are smooth and
 //! periodic: sums over nodes less than a blur apart are exact to rounding.
 //!
 //! | symbol | identifier | unit | meaning |
@@ -21,6 +22,7 @@
 
 use crate::conic::Frame;
 use crate::detect::band::LANES;
+use crate::detect::shape::Shape;
 use crate::lanes::{self, splats};
 
 /// Distance of two nodes over the blur.
@@ -44,6 +46,7 @@ pub(crate) struct Rim {
     /// Difference of the light at each node, inside minus outside.
     pub(crate) step: Vec<f64>,
     blur_px: f64,
+    shape: Shape,
 }
 
 /// What [`LANES`] pixels see.
@@ -60,8 +63,8 @@ pub(crate) struct Seen {
 
 impl Rim {
     /// Sets the nodes anew.
-    pub(crate) fn set(&mut self, frame: &Frame, blur_px: f64) {
-        self.blur_px = blur_px;
+    pub(crate) fn set(&mut self, frame: &Frame, blur_px: f64, shape: Shape) {
+        (self.blur_px, self.shape) = (blur_px, shape);
         self.nodes.clear();
         let (a, b) = (frame.a, frame.b);
         // The nodes are equal steps of the eccentric angle; the widest lie a step times `a` apart.
@@ -106,7 +109,11 @@ impl lanes::Kernel for Looks<'_> {
     fn run<L: lanes::Lanes>(self) -> Seen {
         let mut out = Seen::default();
         for at in (0..LANES).step_by(L::N) {
-            self.look::<L>(at, &mut out);
+            if self.rim.shape.is_gaussian() {
+                self.look::<L, false>(at, &mut out);
+            } else {
+                self.look::<L, true>(at, &mut out);
+            }
         }
         out
     }
@@ -114,7 +121,7 @@ impl lanes::Kernel for Looks<'_> {
 
 impl Looks<'_> {
     #[inline(always)]
-    fn look<L: lanes::Lanes>(&self, at: usize, out: &mut Seen) {
+    fn look<L: lanes::Lanes, const SHAPED: bool>(&self, at: usize, out: &mut Seen) {
         let (x, y, zero) = (L::load(&self.x[at..]), L::load(&self.y[at..]), L::splat(0.0));
         let s = self.rim.blur_px;
         let by_two_s2 = L::splat(0.5 / (s * s));
@@ -128,10 +135,17 @@ impl Looks<'_> {
             let across = dx * nx + dy * ny;
             let gauss = gaussian(half);
             inside = inside + across * (L::splat(1.0) - gauss) / half;
-            let (gx, gy) = (nx * gauss, ny * gauss);
+            // What a point sees of another, and what its gradient has in place of it.
+            let (mut seen, mut rising) = (gauss, gauss);
+            if SHAPED {
+                inside = inside - across * (gauss * self.rim.shape.of_disc(half));
+                [seen, rising] = self.rim.shape.of_point(half).map(|x| gauss * x);
+            }
+            let (gx, gy) = (nx * seen, ny * seen);
             gradient = [gradient[0] - gx, gradient[1] - gy];
+            let (gx, gy) = (nx * rising, ny * rising);
             bend = [bend[0] - gx * dx, bend[1] - (gx * dy + gy * dx), bend[2] - gy * dy];
-            let light = L::splat(*step) * gauss;
+            let light = L::splat(*step) * seen;
             by_blur = by_blur - across * light;
             for (k, row) in node.row.iter().enumerate() {
                 by_geometry[k] = by_geometry[k] - L::splat(*row) * light;
@@ -181,7 +195,7 @@ mod tests {
 
     fn rim(e: &Ellipse, blur_px: f64) -> Rim {
         let mut rim = Rim::default();
-        rim.set(&Frame::new(e), blur_px);
+        rim.set(&Frame::new(e), blur_px, Shape::GAUSSIAN);
         rim.step = rim.angles().map(|_| 1.0).collect();
         rim
     }
@@ -262,7 +276,7 @@ mod tests {
     #[test]
     fn the_local_profile_holds_up_to_a_third() {
         for (a, b, s, limit) in [(4.8, 4.0, 0.85, 5e-4), (4.8, 4.0, 1.1, 1.5e-3), (30.0, 12.0, 1.0, 2e-4)] {
-            let (e, profile) = (ellipse(a, b), Profile { blur_px: s, a, b });
+            let (e, profile) = (ellipse(a, b), Profile { blur_px: s, shape: Shape::GAUSSIAN, a, b });
             let (frame, exact) = (Frame::new(&e), rim(&e, s));
             for i in 0..24 {
                 let (sin, cos) = (0.26 * f64::from(i)).sin_cos();
@@ -272,7 +286,9 @@ mod tests {
                     let lanes = profile.at(&[d], &[cos], &[sin]);
                     let truth = inside(&exact, foot.u + d * foot.normal_u, foot.v + d * foot.normal_v);
                     assert!((lanes.inside[0] - truth).abs() < limit, "{a} {b} {s}, z {z}: {} {truth}", lanes.inside[0]);
-                    let by = |d: f64, s: f64| Profile { blur_px: s, a, b }.at(&[d], &[cos], &[sin]).inside[0];
+                    let by = |d: f64, s: f64| {
+                        Profile { blur_px: s, shape: Shape::GAUSSIAN, a, b }.at(&[d], &[cos], &[sin]).inside[0]
+                    };
                     let slope = (by(d + 1e-4, s) - by(d - 1e-4, s)) / 2e-4;
                     assert!((lanes.slope[0] - slope).abs() < 1e-3);
                     let by_blur = (by(d, s + 1e-4) - by(d, s - 1e-4)) / 2e-4;

@@ -26,6 +26,8 @@ pub enum Light {
     Bubble,
     /// Even, with noise whose variance grows with the light: nine times as loud where it is lighter, be that the disc or the ground.
     Shot,
+    /// As shot, through a lens out of focus, which spreads light over a disc of three times the radius of the Gaussian's standard deviation.
+    Defocus,
 }
 
 impl Light {
@@ -82,7 +84,8 @@ impl Row {
 impl Condition {
     /// Width and height of its images, px.
     pub fn size(&self) -> usize {
-        (2.0 * (self.semi_minor_px * self.ratio + 5.0 * self.blur_px) + 24.0) as usize
+        let spread_px = if self.light == Light::Defocus { self.spread_px() } else { 0.0 };
+        (2.0 * (self.semi_minor_px * self.ratio + 5.0 * self.blur_px + spread_px) + 24.0) as usize
     }
 
     /// Of the smoke, px.
@@ -91,7 +94,7 @@ impl Condition {
         std::array::from_fn(|i| times * self.semi_minor_px * (1.0 + 3.0 * i as f64 / 7.0))
     }
 
-    fn spot(&self, du: f64, dv: f64) -> Spot {
+    pub fn spot(&self, du: f64, dv: f64) -> Spot {
         let middle = (self.size() / 2) as f64;
         Spot { u: middle + du, v: middle + dv, a: self.semi_minor_px * self.ratio, b: self.semi_minor_px, phi: PHI }
     }
@@ -121,7 +124,7 @@ impl Condition {
     fn sigma(&self, grey: f64) -> f64 {
         let (ground, disc) = self.levels();
         let light = (grey - ground.min(disc)) / self.step();
-        let louder = if self.light == Light::Shot { 1.0 + 8.0 * light } else { 1.0 };
+        let louder = if matches!(self.light, Light::Shot | Light::Defocus) { 1.0 + 8.0 * light } else { 1.0 };
         self.noise * self.step() * louder.max(0.0).sqrt()
     }
 
@@ -139,6 +142,9 @@ impl Condition {
     }
 
     fn draw(&self, spot: &Spot, psf: f64, levels: (f64, f64), waves: &[[f64; 4]]) -> Clean {
+        if self.light == Light::Defocus {
+            return self.draw_out_of_focus(spot, psf, levels, self.spread_px());
+        }
         let (ground, disc) = levels;
         let middle = (self.size() / 2) as f64;
         let across = 2.0 * self.semi_minor_px;
@@ -146,7 +152,7 @@ impl Condition {
             let (x, y) = (u - middle, v - middle);
             let cover = spot.cover(u, v, h);
             match self.light {
-                Light::Even | Light::Glare | Light::Shot => ground + (disc - ground) * cover,
+                Light::Even | Light::Glare | Light::Shot | Light::Defocus => ground + (disc - ground) * cover,
                 Light::Bent => {
                     let (x, y) = (x / self.semi_minor_px, y / self.semi_minor_px);
                     (ground + (disc - ground) * cover) * (1.0 + 0.05 * x - 0.05 * x * x - 0.025 * y * y)
@@ -159,6 +165,26 @@ impl Condition {
                 }
             }
         })
+    }
+
+    /// Radius of the disc that a point is spread over, px.
+    fn spread_px(&self) -> f64 {
+        3.0 * self.blur_px
+    }
+
+    /// Even light behind a blur of a disc of `spread_px` and a Gaussian: the mean over rings of that disc of equal area.
+    pub fn draw_out_of_focus(&self, spot: &Spot, psf: f64, (ground, disc): (f64, f64), spread_px: f64) -> Clean {
+        const RINGS: usize = 6;
+        const PLACES: usize = 12;
+        let mut sum = Clean { width: self.size(), height: self.size(), grey: vec![0.0; self.size() * self.size()] };
+        for k in 0..RINGS * PLACES {
+            let radius = spread_px * (((k / PLACES) as f64 + 0.5) / RINGS as f64).sqrt();
+            let (sin, cos) = (TAU * ((k % PLACES) as f64 + 0.382 * (k / PLACES) as f64) / PLACES as f64).sin_cos();
+            let moved = Spot { u: spot.u + radius * cos, v: spot.v + radius * sin, ..*spot };
+            let one = draw(sum.width, sum.height, psf, |u, v, h| ground + (disc - ground) * moved.cover(u, v, h));
+            sum.grey.iter_mut().zip(one.grey).for_each(|(sum, x)| *sum += x / (RINGS * PLACES) as f64);
+        }
+        sum
     }
 
     /// Cramer-Rao covariance of (u, v, a, b) with angle, blur, levels and light unknown, by differences of drawn images. Of the
@@ -215,6 +241,13 @@ impl Condition {
         };
         match self.light {
             Light::Even | Light::Glare | Light::Shot => vec![],
+            // How far the lens is out of focus is not known either.
+            Light::Defocus => {
+                let at = |spread| self.draw_out_of_focus(spot, self.blur_px, self.levels(), spread).grey;
+                let step = 0.05 * self.spread_px();
+                let ends = [at(self.spread_px() + step), at(self.spread_px() - step)];
+                vec![(ends[0].iter().zip(&ends[1]).map(|(a, b)| (a - b) / (2.0 * step)).collect(), 0.0)]
+            }
             Light::Slanted => [(disc, 0.0), (0.0, ground)]
                 .iter()
                 .flat_map(|(i, o)| [(image(&|x, _| x, *i, *o), 0.0), (image(&|_, y| y, *i, *o), 0.0)])

@@ -189,6 +189,7 @@ impl State {
             ellipse,
             blur_px,
             expected_blur_px: blur_px,
+            shape: crate::detect::shape::Shape::GAUSSIAN,
             sides: [Side::plain(0, step); 2],
             field: Some(field),
             slopes: [[0.0; 2]; 2],

@@ -16,7 +16,7 @@ use crate::detect::surface::At;
 impl Exact {
     /// Sets up the contour and the step of the light along it.
     pub(super) fn prepare_rim(&mut self, state: &State, frame: &Frame) {
-        self.rim.set(frame, state.blur_px);
+        self.rim.set(frame, state.blur_px, state.shape);
         if let Some(field) = &state.field {
             let lattice = Lattice { spacing: field.spacing, steps: &field.steps };
             self.area.set([frame.a, frame.b], state.blur_px, lattice);

@@ -242,7 +242,7 @@ mod tests {
         let (e, Blurred(a, b, blur_px)) = (ellipse(disc), disc);
         let (s, c) = t.sin_cos();
         let foot = Frame::new(&e).on_contour(c, s);
-        let seen = Profile { blur_px, a, b }.at(&[d], &[c], &[s]);
+        let seen = Profile { blur_px, shape: crate::detect::shape::Shape::GAUSSIAN, a, b }.at(&[d], &[c], &[s]);
         let normal = foot.climb;
         let tangent = [-normal[1] * b / a, normal[0] * a / b];
         let curvature = a * b / (a * a * s * s + b * b * c * c).powf(1.5);

@@ -8,6 +8,7 @@ mod steps;
 
 use super::{ALL, BENDS, LIGHTS, M, N, PLAIN, PRODUCTS, place};
 use crate::conic::Frame;
+use crate::detect::shape::Shape;
 use crate::lanes::{Kernel, Lanes, SINGLES, Singles, sum_of_singles};
 use steps::{Edge, PART, Steps};
 
@@ -63,6 +64,11 @@ impl Near {
         [&mut self.x, &mut self.y, &mut self.grey].map(|list| &mut list[first..first + EIGHT].as_chunks_mut().0[0])
     }
 
+    /// Place of a pixel.
+    pub(super) fn place(&self, i: usize) -> [f64; 2] {
+        [&self.x, &self.y].map(|list| f64::from(list[i]))
+    }
+
     /// Fills up to a multiple of [`SINGLES`] with pixels on the contour at `(a, 0)`.
     pub(super) fn fill_up(&mut self, a: f64) {
         let (count, n) = (self.count, self.padded());
@@ -84,6 +90,7 @@ impl Near {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Lens {
     pub(super) blur_px: f64,
+    pub(super) shape: Shape,
     /// Noise variance inside and outside, grey^2.
     pub(super) variance: [f64; 2],
     /// Level and slopes of the light inside and outside, then what is of second degree, grey.
@@ -316,6 +323,8 @@ struct Seen<S> {
     last_step: S,
     blur: S,
     inverse_blur: S,
+    /// What it has of fourth and sixth order, where it is no Gaussian.
+    shape: Option<[S; 2]>,
     variance: [S; 2],
     light: [S; LIGHTS + BENDS],
 }
@@ -354,6 +363,7 @@ impl<S: Singles> Seen<S> {
             last_step: one(LAST_STEP * (frame.b * frame.b) / (frame.a * frame.a)),
             blur: one(lens.blur_px),
             inverse_blur: one(1.0 / lens.blur_px),
+            shape: (!lens.shape.is_gaussian()).then(|| [lens.shape.fourth, lens.shape.sixth].map(one)),
             variance: [one(lens.variance[0]), one(lens.variance[1])],
             light,
         }

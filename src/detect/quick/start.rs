@@ -85,6 +85,7 @@ mod tests {
     use crate::detect::edge_model::blur_weight;
     use crate::detect::find::candidates_of;
     use crate::detect::rim::Rim;
+    use crate::detect::shape::Shape;
     use crate::frames::Pixel;
     use crate::image::{GrayView, Samples};
 
@@ -93,7 +94,7 @@ mod tests {
     /// An image of one disc under a Gaussian blur, by integrals along its contour.
     fn image(e: &Ellipse, blur_px: f64) -> Vec<f32> {
         let (frame, mut rim) = (crate::conic::Frame::new(e), Rim::default());
-        rim.set(&frame, blur_px);
+        rim.set(&frame, blur_px, Shape::GAUSSIAN);
         rim.step = vec![0.0; rim.angles().count()];
         let places: Vec<(f64, f64)> =
             (0..SIZE * SIZE).map(|i| frame.inside((i % SIZE) as f64, (i / SIZE) as f64)).collect();

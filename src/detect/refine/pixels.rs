@@ -7,6 +7,7 @@ use crate::detect::edge_model::{EdgeModel, LEAST_BLUR_PX};
 use crate::detect::exact::{Answer, Exact, Field, Hidden, Share, State, is_large};
 use crate::detect::light::{Light, Side};
 use crate::detect::quick::Clean;
+use crate::detect::shape::of_image::Told;
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::GrayView;
 use crate::lanes::{self, Kernel, Lanes};
@@ -54,33 +55,11 @@ pub(super) fn clean_disc(
     if start.full_of_smoke || start.smoke && !is_large(&start.ellipse) {
         return None;
     }
-    let gap_px = |e: &Ellipse| Frame::new(&start.ellipse).least_gap_px(e);
-    let outer_px = start.neighbours.iter().map(gap_px).fold(f64::INFINITY, f64::min) * NEIGHBOUR;
-    if start.inner_px < 0.89 * start.ellipse.semi_minor_px {
-        return None;
-    }
-    let (contour, blur_px) = start.contour();
-    let near = start.level == 0 && contour.semi_minor_px > LEAST_NEAR * start.ellipse.semi_minor_px;
-    let ellipse = if near { contour } else { start.ellipse };
-    let mut state = Clean {
-        ellipse,
-        blur_px,
-        expected_blur_px: blur_px,
-        near: near && start.clear,
-        step: start.step(),
-        slopes: start.slopes,
-        variance: [start.variance; 2],
-        allow: start.noise.allow,
-        shot_noise: start.shot_noise,
-    };
-    let floor = start.quantisation.max((1e-4 * start.contrast).powi(2));
-    s.quick.fit(view, &mut state, outer_px, floor)?;
+    let state = fit_quickly(view, start, s)?;
     // A small disc in slow smoke looks clean but for that, and its axes come out wrong by many sigmas.
     if start.smoke && s.quick.slanted_inside && !is_large(&state.ellipse) {
         return None;
     }
-    s.fine.cut_frame(&s.quick.frame, &[]);
-    s.quick.share_out(&s.fine);
     if !s.quick.clean(&state) || !agree(&s.quick.shares, &mut s.sorted) {
         return None;
     }
@@ -104,11 +83,49 @@ pub(super) fn clean_disc(
     // Sigmas are those of the blur before; what an edge tells goes with one over its blur.
     let wider = blur_px / state.blur_px;
     edge.sigma_px.iter_mut().for_each(|sigma| *sigma *= wider.sqrt());
-    let found = Found { ellipse, blur_px, covariance: s.quick.covariance() * wider, followed: false };
+    let told = if state.shape.is_gaussian() { None } else { s.quick.shape_told(&state) };
+    let added = told.map_or_else(SMatrix::zeros, |told| told.adds(&start.shape_covariance));
+    let covariance = s.quick.covariance() * wider + added;
+    let found = Found { ellipse, blur_px, covariance, followed: false };
     let disc = accept(&found, edge, &model, start, options, &mut s.feet);
     // Where noise is allowed to look like light the longer way has the last word.
     let sure = disc.is_ok() || start.noise.is_none();
     sure.then_some(disc)
+}
+
+/// The fit of the short way, shared out among the sectors.
+fn fit_quickly(view: &GrayView, start: &Start, s: &mut Scratch) -> Option<Clean> {
+    let gap_px = |e: &Ellipse| Frame::new(&start.ellipse).least_gap_px(e);
+    let outer_px = start.neighbours.iter().map(gap_px).fold(f64::INFINITY, f64::min) * NEIGHBOUR;
+    if start.inner_px < 0.89 * start.ellipse.semi_minor_px {
+        return None;
+    }
+    let (contour, blur_px) = start.contour();
+    let near = start.level == 0 && contour.semi_minor_px > LEAST_NEAR * start.ellipse.semi_minor_px;
+    let ellipse = if near { contour } else { start.ellipse };
+    let mut state = Clean {
+        ellipse,
+        blur_px,
+        expected_blur_px: blur_px,
+        shape: start.shape,
+        near: near && start.clear,
+        step: start.step(),
+        slopes: start.slopes,
+        variance: [start.variance; 2],
+        allow: start.noise.allow,
+        shot_noise: start.shot_noise,
+    };
+    let floor = start.quantisation.max((1e-4 * start.contrast).powi(2));
+    s.quick.fit(view, &mut state, outer_px, floor)?;
+    s.fine.cut_frame(&s.quick.frame, &[]);
+    s.quick.share_out(&s.fine);
+    Some(state)
+}
+
+/// What a disc says of the shape of the blur; none where the short way comes to no end.
+pub(super) fn shape_told(view: &GrayView, start: &Start, s: &mut Scratch) -> Option<Told> {
+    let state = fit_quickly(view, start, s)?;
+    s.quick.shape_told(&state)
 }
 
 /// Whether every sector of the contour says the same.
@@ -196,6 +213,7 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
         ellipse: model.ellipse,
         blur_px: model.blur_px,
         expected_blur_px: model.expected_blur_px,
+        shape: start.shape,
         sides,
         field: None,
         slopes: start.slopes,
@@ -258,19 +276,21 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
             }
         }
     }
-    finished(&state, &kept, edge_alone, s)
+    finished(&state, start, (&kept, edge_alone), s)
 }
 
 /// What the fit came to, from the state where it stands still; kept in the scratch where its light is plain.
-fn finished(state: &State, kept: &[bool], edge_alone: bool, s: &mut Scratch) -> Option<Exactly> {
-    let plain = state.field.is_none() && !edge_alone && s.exact.hides_nothing();
-    s.plain = plain.then(|| state.clone());
+fn finished(state: &State, start: &Start, (kept, edge_alone): (&[bool], bool), s: &mut Scratch) -> Option<Exactly> {
+    let plain = state.field.is_none() && s.exact.hides_nothing();
+    s.plain = plain.then(|| (state.clone(), edge_alone));
+    let told = if plain && !state.shape.is_gaussian() { s.exact.shape_told(state) } else { None };
     let (ellipse, change, blur_px) = s.exact.finished(state)?;
     let mut covariance = s.exact.covariance();
     if edge_alone {
         s.exact.count_misfit_as_noise();
         covariance = s.exact.covariance() + of_other_profile(&ellipse, blur_px);
     }
+    covariance += told.map_or_else(SMatrix::zeros, |told| told.adds(&start.shape_covariance));
     let edge = lanes::run(Edges { contour: &s.fine, shares: &s.exact.shares, kept: Some(kept), change: &change });
     Some(Exactly::Fitted(Box::new(Found { ellipse, blur_px, covariance, followed: state.field.is_some() }), edge))
 }

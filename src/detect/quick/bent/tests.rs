@@ -8,6 +8,7 @@ use crate::detect::exact::{Exact, State};
 use crate::detect::quick::pixels::{Collect, Rings};
 use crate::detect::quick::{Clean, Quick};
 use crate::detect::refine::Start;
+use crate::detect::shape::Shape;
 use crate::frames::Pixel;
 use crate::lanes;
 use crate::stats::random::Random;
@@ -130,6 +131,7 @@ fn start_beside() -> Clean {
         ellipse,
         blur_px: 0.8,
         expected_blur_px: 0.8,
+        shape: Shape::GAUSSIAN,
         step: -32_000.0,
         slopes: [[0.0; 2]; 2],
         variance: [1.0; 2],
@@ -215,12 +217,15 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
             shot_noise: None,
             smoke: false,
             full_of_smoke: false,
+            shape: Shape::GAUSSIAN,
+            shape_covariance: nalgebra::Matrix2::zeros(),
         };
         let (variance, field) = (state.variance, None);
         let mut plain = State {
             ellipse: LARGE,
             blur_px,
             expected_blur_px: blur_px,
+            shape: Shape::GAUSSIAN,
             sides,
             field,
             slopes: [[0.0; 2]; 2],

@@ -4,6 +4,7 @@
 //! The formulas are those of [`crate::detect::profile`], which stays the plain path.
 
 use super::{Foot, Seen};
+use crate::detect::shape::of_edge;
 use crate::lanes::Singles;
 
 /// Pixels that are taken through the steps together; a multiple of [`crate::lanes::SINGLES`].
@@ -91,7 +92,8 @@ impl Steps {
         i = 0;
         while i < count && i + S::N <= PART {
             let [kappa, c4, bends, narrow, along, depth, tail, density] = self.get(CURVE, i);
-            let edge = seen.edge(&Curve { kappa, c4, bends, narrow, along, depth }, [tail, density]);
+            let curve = Curve { kappa, c4, bends, narrow, along, depth };
+            let edge = seen.shaped(seen.edge(&curve, [tail, density]), &curve, density);
             self.put(EDGE, i, [edge.inside, edge.slope, edge.by_blur, seen.root_of_weight(edge.inside)]);
             i += S::N;
         }
@@ -144,10 +146,8 @@ impl<S: Singles> Seen<S> {
     fn edge(&self, curve: &Curve<S>, [tail, f]: [S; 2]) -> Edge<S> {
         let number = |x: f32| S::splat(x);
         let (one, half) = (number(1.0), number(0.5));
-        let Curve { kappa, c4, bends, narrow: r, along: d, depth: y } = *curve;
-        let s2 = self.blur * self.blur;
+        let Curve { kappa, narrow: r, depth: y, .. } = *curve;
         let eps = kappa * self.blur;
-        let eps2 = eps * eps;
         let y2 = y * y;
         // The third cumulant over -6, the fourth over 24, the square of the third over 72.
         let bent = eps * r;
@@ -162,12 +162,36 @@ impl<S: Singles> Seen<S> {
         let inside = f.fused((of_third + of_fourth) + of_sixth, tail);
         let shape = fourth.fused(he4, sixth.fused(he6, third.fused(he3, one)));
         let slope = (f * shape) * (r * -self.inverse_blur);
-        let widening = (half * self.inverse_blur) * number(4.0).fused(bends, eps2) * (r * r);
-        let mean_by_blur = half.fused(kappa, (number(9.0) * s2) * c4);
-        let y_by_blur = (-self.inverse_blur).fused(d, mean_by_blur).fused(r, -(y * widening));
+        let [y_by_blur, widening] = self.depth_by_blur(curve);
         let bends = number(4.0).fused(of_fourth, number(6.0).fused(of_sixth, number(3.0) * of_third));
         let by_blur = f * (self.inverse_blur - widening).fused(bends, -(shape * y_by_blur));
         Edge { inside, slope, by_blur, depth: y, kappa }
+    }
+
+    /// Derivative of the depth by the blur, and by what part the profile grows wider beside it.
+    #[inline(always)]
+    fn depth_by_blur(&self, curve: &Curve<S>) -> [S; 2] {
+        let number = |x: f32| S::splat(x);
+        let half = number(0.5);
+        let Curve { kappa, c4, bends, narrow: r, along: d, depth: y } = *curve;
+        let (s2, eps) = (self.blur * self.blur, kappa * self.blur);
+        let widening = (half * self.inverse_blur) * number(4.0).fused(bends, eps * eps) * (r * r);
+        let mean_by_blur = half.fused(kappa, (number(9.0) * s2) * c4);
+        [(-self.inverse_blur).fused(d, mean_by_blur).fused(r, -(y * widening)), widening]
+    }
+
+    /// The profile of a blur of another shape.
+    #[inline(always)]
+    fn shaped(&self, edge: Edge<S>, curve: &Curve<S>, f: S) -> Edge<S> {
+        let Some(shape) = self.shape else { return edge };
+        let added = of_edge(shape, curve.depth, curve.kappa * self.blur);
+        let [y_by_blur, _] = self.depth_by_blur(curve);
+        Edge {
+            inside: edge.inside + f * added.share,
+            slope: edge.slope + (f * added.by_depth) * (curve.narrow * self.inverse_blur),
+            by_blur: edge.by_blur + f * (added.by_depth * y_by_blur + added.by_bend * curve.kappa),
+            ..edge
+        }
     }
 }
 

@@ -2,6 +2,7 @@ use super::*;
 use crate::conic::Ellipse;
 use crate::detect::contour;
 use crate::detect::profile::Profile;
+use crate::detect::shape::Shape;
 use crate::detect::surface::{At, on_contour};
 use crate::frames::Pixel;
 use crate::lanes::run_all;
@@ -24,11 +25,12 @@ fn near(e: &Ellipse, reach: f64) -> Near {
 }
 
 const CASES: [(f64, f64, f64); 4] = [(13.0, 11.0, 1.0), (30.0, 12.0, 1.3), (36.0, 35.9, 0.5), (5.0, 4.0, 0.7)];
+const DEFOCUS: Shape = Shape { fourth: -0.09, sixth: -0.05 };
 
-fn case((a, b, blur_px): (f64, f64, f64)) -> (Ellipse, Lens) {
+fn case((a, b, blur_px): (f64, f64, f64), shape: Shape) -> (Ellipse, Lens) {
     let e = Ellipse { center_px: Pixel::new(0.0, 0.0), semi_major_px: a, semi_minor_px: b, angle_rad: 0.4 };
     let light = [80.0, 4.0, -3.0, 10.0, 1.0, 2.0, 1.5, -2.5, 3.0, -2.0, 1.0, 0.5];
-    (e, Lens { blur_px, variance: [2.0, 3.0], light })
+    (e, Lens { blur_px, shape, variance: [2.0, 3.0], light })
 }
 
 #[derive(Clone)]
@@ -52,7 +54,7 @@ fn plain_pixel(near: &Near, i: usize, e: &Ellipse, lens: &Lens, off: f64) -> ([f
     let mut feet = frame.feet(&[x], &[y]);
     feet.distance[0] += off;
     let (c, s) = (feet.cos[0], feet.sin[0]);
-    let profile = Profile { blur_px: lens.blur_px, a: frame.a, b: frame.b };
+    let profile = Profile { blur_px: lens.blur_px, shape: lens.shape, a: frame.a, b: frame.b };
     let lanes = profile.at(&feet.distance, &feet.cos, &feet.sin);
     let on = frame.on_contour(c, s);
     let (p, slope) = (lanes.inside[0], lanes.slope[0]);
@@ -95,8 +97,8 @@ fn plain_pixel(near: &Near, i: usize, e: &Ellipse, lens: &Lens, off: f64) -> ([f
 
 #[test]
 fn columns_are_those_of_the_plain_profile() {
-    for of in CASES {
-        let (e, lens) = case(of);
+    for (of, shape) in CASES.into_iter().flat_map(|of| [(of, Shape::GAUSSIAN), (of, DEFOCUS)]) {
+        let (e, lens) = case(of, shape);
         let near = near(&e, 3.5 * of.2);
         let columns = run_all(&Summed::<true>(&near, &e, lens)).remove(0);
         // A distance from the edge is the difference of two places of the size of the semi-axes, each of 24 digits.
@@ -131,7 +133,7 @@ fn columns_are_those_of_the_plain_profile() {
 #[test]
 fn any_width_gives_the_same_bits() {
     for of in CASES {
-        let (e, lens) = case(of);
+        let (e, lens) = case(of, Shape::GAUSSIAN);
         let near = near(&e, 3.5 * of.2);
         let all = run_all(&Summed::<true>(&near, &e, lens));
         for one in &all {
@@ -145,7 +147,7 @@ fn any_width_gives_the_same_bits() {
 #[test]
 fn without_bends_the_others_are_the_same() {
     for of in CASES {
-        let (e, mut lens) = case(of);
+        let (e, mut lens) = case(of, Shape::GAUSSIAN);
         lens.light[LIGHTS..].fill(0.0);
         let near = near(&e, 3.5 * of.2);
         let bent = run_all(&Summed::<true>(&near, &e, lens)).remove(0);
