@@ -160,7 +160,10 @@ mod tests {
             smoke: true,
             full_of_smoke: true,
             shape: Shape::GAUSSIAN,
-            shape_covariance: nalgebra::Matrix2::zeros(),
+            stretch: [0.0; 2],
+            shape_covariance: nalgebra::Matrix4::zeros(),
+            asked_for_shape: false,
+            tells: None,
         }
     }
 

@@ -23,18 +23,20 @@ use crate::detect::candidate::Candidate;
 use crate::detect::contour::Contour;
 use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::edge_model::{EdgeModel, Solution};
-use crate::detect::exact::{Exact, State};
+use crate::detect::exact::{Exact, State, is_large};
 use crate::detect::light::{self, Light, Side};
 use crate::detect::quick::{Quick, contour_of};
 use crate::detect::sectors::{Lens, Sectors};
 use crate::detect::shape::Shape;
+use crate::detect::shape::of_image::Told;
 use crate::detect::shot_noise::ShotNoise;
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::{GrayView, Samples};
 use crate::stats::{SIGMA_OVER_MEDIAN, median};
 use crate::target::Polarity;
-use nalgebra::{Matrix2, SMatrix};
+use nalgebra::{Matrix4, SMatrix};
 use pixels::{Exactly, clean_disc, fit_exactly};
+use std::sync::OnceLock;
 pub(crate) use told::{noise_told, shape_told, smoke_told};
 
 /// Rounds at most: a disc that is not still by then is judged as it is.
@@ -91,9 +93,13 @@ pub(crate) struct Start<'a> {
     pub(crate) smoke: bool,
     /// Whether it is known to have one.
     pub(crate) full_of_smoke: bool,
-    /// The shape of the blur, as all discs tell it, and how well they know it.
+    /// The shape of the blur, as all discs tell it, by what part it is wider along the image than across, and how well they know both.
     pub(crate) shape: Shape,
-    pub(crate) shape_covariance: Matrix2<f64>,
+    pub(crate) stretch: [f64; 2],
+    pub(crate) shape_covariance: Matrix4<f64>,
+    /// Whether it is fitted for what it says of these alone, or where to put that by the way.
+    pub(crate) asked_for_shape: bool,
+    pub(crate) tells: Option<&'a OnceLock<Box<Told>>>,
 }
 
 impl Start<'_> {
@@ -110,6 +116,11 @@ impl Start<'_> {
     /// The blur that the line shows, that of a Gaussian, px.
     pub(crate) fn line_blur_px(&self) -> f64 {
         Self { shape: Shape::GAUSSIAN, ..*self }.contour().1
+    }
+
+    /// Whether the short way of clean discs is not for it: it may be full of smoke that looks like a slope.
+    pub(crate) fn goes_the_longer_way(&self) -> bool {
+        self.full_of_smoke || self.smoke && !is_large(&self.ellipse)
     }
 
     /// The ellipse and the blur that the line followed is that of.
@@ -549,7 +560,10 @@ mod tests {
             smoke: false,
             full_of_smoke: false,
             shape: Shape::GAUSSIAN,
-            shape_covariance: Matrix2::zeros(),
+            stretch: [0.0; 2],
+            shape_covariance: Matrix4::zeros(),
+            asked_for_shape: false,
+            tells: None,
         };
         let course = |shift_px: f64, semi_minor_px: f64, blur_px: f64| {
             let center_px = Pixel::new(50.0 + shift_px, 60.0);

@@ -7,9 +7,9 @@ use crate::detect::dense::FIXED;
 use crate::detect::exact::products::CHUNK;
 use crate::detect::profile::Lanes;
 use crate::detect::rim::Rim;
-use crate::detect::shape::of_image::{Sums, Told};
-use crate::detect::shape::{Shape, orders_of_edge};
-use nalgebra::Vector2;
+use crate::detect::shape::Shape;
+use crate::detect::shape::of_image::{Edge, Sums, Told, by_stretch};
+use nalgebra::Vector4;
 
 /// Fourth and sixth order alone.
 const ALONE: [Shape; 2] = [Shape { fourth: 1.0, sixth: 0.0 }, Shape { fourth: 0.0, sixth: 1.0 }];
@@ -34,8 +34,8 @@ impl Exact {
             let lanes = self.profile(state, i);
             self.fill(state, &frame, i, 0);
             let shares = match &rims {
-                Some(rims) => self.orders_on_rim(rims, i),
-                None => Self::orders_on_edge(state, &lanes, |l| self.band.curvature[i + l]),
+                Some(rims) => self.on_rim(state, &frame, rims, i),
+                None => self.on_edge(state, &frame, &lanes, i),
             };
             let root = self.roots(state, i, std::array::from_fn(|l| self.inside[i + l].clamp(0.0, 1.0)));
             for (l, share) in shares.into_iter().enumerate().take(self.count - i) {
@@ -48,18 +48,26 @@ impl Exact {
         Some(sums.told(&self.dense))
     }
 
-    /// What both orders add to the share of [`LANES`] pixels.
-    fn orders_on_edge(state: &State, lanes: &Lanes<LANES>, curvature: impl Fn(usize) -> f64) -> [Vector2<f64>; LANES] {
+    /// Derivatives of the share of [`LANES`] pixels from place `i` on, by the local profile.
+    fn on_edge(&self, state: &State, frame: &Frame, lanes: &Lanes<LANES>, i: usize) -> [Vector4<f64>; LANES] {
         std::array::from_fn(|l| {
-            let orders = orders_of_edge(lanes.depth[l], state.blur_px * curvature(l));
-            Vector2::from(orders.map(|order| lanes.density[l] * order.share))
+            let (cos, sin) = (self.band.cos[i + l], self.band.sin[i + l]);
+            let (x, y) = (frame.b * cos, frame.a * sin);
+            let (length, kappa) = (x.hypot(y), self.band.curvature[i + l]);
+            let edge = Edge { depth: lanes.depth[l], density: lanes.density[l], slope: lanes.slope[l], kappa };
+            edge.derivatives(state.blur_px, [x / length, y / length], [frame.cos, frame.sin])
         })
     }
 
-    /// The same exactly, of the pixels from place `i` on.
-    fn orders_on_rim(&self, rims: &[Rim; 3], i: usize) -> [Vector2<f64>; LANES] {
+    /// The same exactly.
+    fn on_rim(&self, state: &State, frame: &Frame, rims: &[Rim; 3], i: usize) -> [Vector4<f64>; LANES] {
         let place = [&self.band.x, &self.band.y].map(|list| super::eight(list, i));
-        let [gaussian, fourth, sixth] = rims.each_ref().map(|rim| rim.seen(&place[0], &place[1]).inside);
-        std::array::from_fn(|l| Vector2::new(fourth[l] - gaussian[l], sixth[l] - gaussian[l]))
+        let [gaussian, fourth, sixth] = rims.each_ref().map(|rim| rim.seen(&place[0], &place[1]));
+        let bend = self.rim.seen(&place[0], &place[1]).bend;
+        std::array::from_fn(|l| {
+            let [p, q] = by_stretch(state.blur_px, bend.map(|lanes| lanes[l]), [frame.cos, frame.sin]);
+            let [c, e] = [fourth.inside[l], sixth.inside[l]].map(|x| x - gaussian.inside[l]);
+            Vector4::new(c, e, p, q)
+        })
     }
 }

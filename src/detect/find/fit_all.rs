@@ -9,13 +9,14 @@ use crate::detect::dust::refined_but_dust;
 use crate::detect::refine::{Scratch, Start, noise_told, quantisation, refine, shape_told, smoke_told};
 use crate::detect::rough::roughen_all;
 use crate::detect::shape::Shape;
-use crate::detect::shape::of_image::shape_all;
+use crate::detect::shape::of_image::{Question, Told};
 use crate::detect::shared_light::SharedLight;
 use crate::detect::shot_noise::ShotNoise;
 use crate::detect::{DetectOptions, Disc, RejectionReason};
 use crate::image::GrayView;
 use crate::threads::{self, OwnMemory};
-use nalgebra::Matrix2;
+use nalgebra::Matrix4;
+use std::sync::OnceLock;
 
 /// Noise over contrast and root of the length of a contour below which its line tells place and blur to a hundredth of a pixel, px^(-1/2).
 const CLEAR: f64 = 0.0035;
@@ -67,13 +68,50 @@ pub(super) fn refine_all<'a>(
             smoke,
             full_of_smoke: smoke && options.full_of_smoke && candidate.bright,
             shape: Shape::GAUSSIAN,
-            shape_covariance: Matrix2::zeros(),
+            stretch: [0.0; 2],
+            shape_covariance: Matrix4::zeros(),
+            asked_for_shape: false,
+            tells: None,
         }
     });
     let mut starts: Vec<Start> = each.collect();
-    let mut refined = fit_all(view, &mut starts, [noise_grey, range], options, go_on);
+    let told: Vec<OnceLock<Box<Told>>> = starts.iter().map(|_| OnceLock::new()).collect();
+    let mut refined = fit_shaped(view, &mut starts, &told, [noise_grey, range], options, go_on);
     roughen_all(&mut refined, options);
     (all, refined)
+}
+
+/// Fits all discs, with the shape of the blur that they tell together. Clean ones tell it by the way; before the others are asked for smoke it must be known.
+fn fit_shaped<'a>(
+    view: &GrayView,
+    starts: &mut [Start<'a>],
+    told: &'a [OnceLock<Box<Told>>],
+    levels: [f32; 2],
+    options: &DetectOptions,
+    go_on: &(dyn Fn() -> bool + Sync),
+) -> Vec<Refined> {
+    let memory = OwnMemory::<Scratch>::new();
+    let ask = |start: &Start| {
+        if go_on() { memory.with(|scratch| shape_told(view, start, options, scratch)) } else { None }
+    };
+    let ask_all = |asked: &[Start<'a>]| threads::side_by_side(asked, ask);
+    let question = Question::new(starts);
+    let first = |starts: &[Start<'a>]| question.first.iter().map(|i| starts[*i]).collect::<Vec<_>>();
+    if first(starts).iter().any(Start::goes_the_longer_way) {
+        let told = ask_all(&first(starts));
+        question.settle(starts, told, ask_all);
+        return fit_all(view, starts, levels, options, go_on);
+    }
+    question.first.iter().for_each(|i| starts[*i].tells = told.get(*i));
+    let before = starts.to_vec();
+    let refined = fit_all(view, starts, levels, options, go_on);
+    let by_the_way = |start: &Start<'a>| match start.tells.and_then(OnceLock::get) {
+        Some(told) => Some((**told).clone()),
+        None => ask(start),
+    };
+    let told = threads::side_by_side(&first(&before), by_the_way);
+    starts.copy_from_slice(&before);
+    if question.settle(starts, told, ask_all) { fit_all(view, starts, levels, options, go_on) } else { refined }
 }
 
 /// Fits all discs: alone, then those that are close without each other's light, with the noise that all of them tell together.
@@ -101,10 +139,6 @@ fn fit_all(
         let line = seen_again(patch, start, [noise_grey, range], options);
         refine(patch, &line.as_ref().map_or(*start, |line| start.by(line)))
     };
-    let ask_shape = |start: &Start| {
-        if go_on() { memory.with(|scratch| shape_told(view, start, options, scratch)) } else { None }
-    };
-    shape_all(starts, |asked| threads::side_by_side(asked, ask_shape));
     let shot_noise = ShotNoise::of(starts, |asked| threads::side_by_side(asked, |start| ask(view, start)));
     let shot_noise = shot_noise.filter(|noise| {
         let ask = |start: &Start| {

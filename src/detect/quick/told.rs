@@ -6,10 +6,9 @@ use super::{Clean, LIGHTS, M, N, Quick};
 use crate::conic::Frame;
 use crate::detect::band::LANES;
 use crate::detect::profile::{Profile, Profiled};
-use crate::detect::shape::of_image::{Sums, Told};
-use crate::detect::shape::orders_of_edge;
+use crate::detect::shape::of_image::{Edge, Sums, Told};
 use crate::lanes;
-use nalgebra::Vector2;
+use nalgebra::Vector4;
 
 impl Quick {
     /// What the fit left, the sectors being shared out, says of a shape beside the one that it was made with.
@@ -36,9 +35,9 @@ impl Quick {
         Some(sums.told(&self.dense))
     }
 
-    /// Derivatives of the grey values of [`LANES`] pixels from one on by the shape, over the noise.
-    fn shapes(&self, state: &Clean, i: usize) -> [Vector2<f64>; LANES] {
-        let Frame { a, b, .. } = self.frame;
+    /// Derivatives of the grey values of [`LANES`] pixels from one on by what they tell, over the noise.
+    fn shapes(&self, state: &Clean, i: usize) -> [Vector4<f64>; LANES] {
+        let Frame { a, b, cos: turn_cos, sin: turn_sin, .. } = self.frame;
         let near = &self.pixels.near;
         let mut profiled = Profiled {
             profile: Profile { blur_px: state.blur_px, shape: state.shape, a, b },
@@ -46,7 +45,7 @@ impl Quick {
             cos: [1.0; LANES],
             sin: [0.0; LANES],
         };
-        let (mut response, mut eps) = ([0.0; LANES], [0.0; LANES]);
+        let (mut response, mut normal, mut kappa) = ([0.0; LANES], [[0.0; 2]; LANES], [0.0; LANES]);
         for l in 0..LANES.min(near.count - i) {
             response[l] = f64::from(self.columns.response[i + l]);
             let [nx, ny] = self.normal(i + l);
@@ -59,13 +58,13 @@ impl Quick {
             let ([x, y], cos, sin) = (near.place(i + l), nx * length / b, ny * length / a);
             (profiled.cos[l], profiled.sin[l]) = (cos, sin);
             profiled.distance[l] = (x - a * cos) * nx + (y - b * sin) * ny;
-            eps[l] = state.blur_px * a * b / length.powi(3);
+            (normal[l], kappa[l]) = ([nx, ny], a * b / length.powi(3));
         }
         let seen = lanes::run(profiled);
         std::array::from_fn(|l| {
             let step = if seen.slope[l].abs() > 1e-9 { response[l] / seen.slope[l] } else { 0.0 };
-            let orders = orders_of_edge(seen.depth[l], eps[l]);
-            Vector2::from(orders.map(|order| step * seen.density[l] * order.share))
+            let edge = Edge { depth: seen.depth[l], density: seen.density[l], slope: seen.slope[l], kappa: kappa[l] };
+            edge.derivatives(state.blur_px, normal[l], [turn_cos, turn_sin]) * step
         })
     }
 

@@ -52,10 +52,14 @@ pub(super) fn clean_disc(
     options: &DetectOptions,
     s: &mut Scratch,
 ) -> Option<Result<Disc, RejectionReason>> {
-    if start.full_of_smoke || start.smoke && !is_large(&start.ellipse) {
+    if start.goes_the_longer_way() {
         return None;
     }
     let state = fit_quickly(view, start, s)?;
+    if let Some((tells, told)) = start.tells.and_then(|tells| Some((tells, s.quick.shape_told(&state)?))) {
+        // The first fit counts.
+        tells.get_or_init(|| Box::new(told));
+    }
     // A small disc in slow smoke looks clean but for that, and its axes come out wrong by many sigmas.
     if start.smoke && s.quick.slanted_inside && !is_large(&state.ellipse) {
         return None;
@@ -76,14 +80,14 @@ pub(super) fn clean_disc(
     if ends < 1.0 || check_size(&model, start, options).is_err() {
         return None;
     }
-    let change = s.quick.change();
+    let told = if state.shape.is_gaussian() { None } else { s.quick.shape_told(&state) };
+    let change = s.quick.change() + told.as_ref().map_or_else(SVector::zeros, |told| told.stretched(start.stretch));
     let ellipse = from_regular(&(to_regular(&state.ellipse) + change))?;
     let mut edge = lanes::run(Edges { contour: &s.fine, shares: &s.quick.shares, kept: None, change: &change });
     let blur_px = (state.blur_px + s.quick.change_of_blur()).max(LEAST_BLUR_PX);
     // Sigmas are those of the blur before; what an edge tells goes with one over its blur.
     let wider = blur_px / state.blur_px;
     edge.sigma_px.iter_mut().for_each(|sigma| *sigma *= wider.sqrt());
-    let told = if state.shape.is_gaussian() { None } else { s.quick.shape_told(&state) };
     let added = told.map_or_else(SMatrix::zeros, |told| told.adds(&start.shape_covariance));
     let covariance = s.quick.covariance() * wider + added;
     let found = Found { ellipse, blur_px, covariance, followed: false };
@@ -204,6 +208,8 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let short = model.ellipse.perimeter_px() < LONGEST_PX;
     let (sides, nodes) = match &model.light {
         Light::Surface(sides) => (*sides, false),
+        // An edge of another profile may look like light that changes along it.
+        Light::Nodes(..) if start.asked_for_shape && !large => ([Side::plain(0, model.step.abs()); 2], false),
         Light::Nodes(..) if !start.smoke => return None,
         // Nodes along a long contour do as well as a field where the light changes fast, and for less.
         Light::Nodes(..) if large => (model.light.beside_slow_waves().filter(|_| short)?, true),
@@ -284,7 +290,12 @@ fn finished(state: &State, start: &Start, (kept, edge_alone): (&[bool], bool), s
     let plain = state.field.is_none() && s.exact.hides_nothing();
     s.plain = plain.then(|| (state.clone(), edge_alone));
     let told = if plain && !state.shape.is_gaussian() { s.exact.shape_told(state) } else { None };
-    let (ellipse, change, blur_px) = s.exact.finished(state)?;
+    let (mut ellipse, mut change, blur_px) = s.exact.finished(state)?;
+    if let Some(told) = &told {
+        let stretched = told.stretched(start.stretch);
+        ellipse = from_regular(&(to_regular(&ellipse) + stretched))?;
+        change += stretched;
+    }
     let mut covariance = s.exact.covariance();
     if edge_alone {
         s.exact.count_misfit_as_noise();

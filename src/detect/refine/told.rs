@@ -36,7 +36,7 @@ pub(crate) fn shape_told(
     if let Some(told) = pixels::shape_told(view, start, s) {
         return Some(told);
     }
-    let unasked = Start { smoke: false, full_of_smoke: false, ..*start };
+    let unasked = Start { smoke: false, full_of_smoke: false, asked_for_shape: true, ..*start };
     let (state, _) = plain_but_for_edge(view, &unasked, options, s)?;
     s.exact.shape_told(&state)
 }

@@ -1,63 +1,80 @@
 //! The shape of the blur of one image, told by all of its discs together.
 //!
-//! Disc i, fitted with the shape `x0 = (c, e)`, says by its score `g_i` and information `S_i` where the shape is ([`Told`]): with `C_i` the derivatives of the
-//! grey values by the two numbers of [`crate::detect::shape`], over the noise, `J_i` those by all unknowns of the disc, `A_i` their equations and `r_i` what these left,
+//! Beside its two numbers c and e a blur may be wider along one direction of the image than across: motion, an oblique window. Its covariance is
+//! `s^2 (1 + p, q; q, 1 - p)` then, and adds to the share g of the disc in a pixel, to first order,
+//!
+//! ```text
+//! s^2/2 (p (g_uu - g_vv) + 2 q g_uv),   of which along the normal, at the angle f from u:   s^2/2 (g_nn - g_tt) (p cos 2f + q sin 2f)
+//! ```
+//!
+//! Disc i, fitted with `x0 = (c, e, 0, 0)`, says by its score `g_i` and information `S_i` where x = (c, e, p, q) is ([`Told`]): with `C_i` the
+//! derivatives of the grey values by x, over the noise, `J_i` those by all unknowns of the disc, `A_i` their equations and `r_i` what these left,
 //!
 //! ```text
 //! S_i = C^T C - C^T J A^-1 J^T C,   g_i = C^T r,   geometry follows by -A^-1 J^T C
 //! ```
 //!
 //! Where focus differs over the image so does the shape. A blur of disc and Gaussian, s0 the Gaussian's, has of fourth order what goes with `x^2`, and of
-//! sixth with `x^3`, `x = 1 - (s0 / s)^2`. So disc i, whose line shows the blur s_i, has the shape
+//! sixth with `x^3`, `x = 1 - (s0 / s)^2`. So disc i, whose line shows the blur s_i, has
 //!
 //! ```text
-//! (c, e)_i = B_i t,   B_i = (1 x_i^2 0 0; 0 0 1 x_i^3),   s0 that of the sharpest discs
+//! (c, e, p, q)_i = B_i t,   B_i = (1 x_i^2 . . . .; . . 1 x_i^3 . .; . . . . 1 .; . . . . . 1),   s0 that of the sharpest discs
 //! ```
 //!
-//! and with a prior `N(0, diag(0.3, 0.3, 0.1, 0.1)^2)`, `Lambda`,
+//! and with a prior `N(0, diag(0.3, 0.3, 0.1, 0.1, 0.3, 0.3)^2)`, `Lambda`,
 //!
 //! ```text
 //! V = f (sum_i B^T S_i B + Lambda)^-1,   t = (sum_i B^T S_i B + Lambda)^-1 sum_i B^T (S_i B t0 + g_i)
 //! ```
 //!
-//! t0 being what the discs were fitted with and f by how much discs differ more than noise makes them. Discs that lie far off have dirt on them and no say.
-//! A few are asked first, half of them of the widest blurs: where these show no shape for sure, or one that would move no contour, it is a Gaussian.
+//! t0 being what the discs were fitted with and f by how much discs differ more than noise makes them. Discs that lie far off have dirt on them and no say, nor
+//! have those that are known to be full of smoke or feel a neighbour's light.
+//! A few are asked first, half of them of the widest blurs: where these show nothing for sure, or what would move no contour, it is a Gaussian. Fits have the shape;
+//! what p and q do to the geometry is added to what they find.
 
-use super::Shape;
+use super::{Shape, orders_of_edge};
+use crate::conic::Frame;
 use crate::detect::dense::Dense;
 use crate::detect::refine::Start;
 use crate::stats::median;
-use nalgebra::{Matrix2, Matrix4, SMatrix, Vector2, Vector4};
+use nalgebra::{Matrix4, Matrix6, SMatrix, SVector, Vector4, Vector6};
 
 /// Discs that are asked first, and at most.
 const FIRST: usize = 8;
 const ASKED: usize = 64;
-/// Standard deviations of both parts of fourth and of sixth order before any image is seen.
-const EXPECTED: [f64; 4] = [0.3, 0.3, 0.1, 0.1];
-/// `t^T V^-1 t` that chance does not make of four numbers: once in 20000 images.
-const SURE: f64 = 25.0;
+/// So many times as many are looked at for those that say of nothing else.
+const MORE: usize = 3;
+/// Gap to a neighbour, of which a fit looks at three fifths, over the blur from which its skirt is not felt: 3.6 blurs from it.
+const CLEAR_BLURS: f64 = 9.0;
+/// Numbers of a disc, and those that all have in common.
+const OWN: usize = 4;
+const COMMON: usize = 6;
+/// Standard deviations of these before any image is seen.
+const EXPECTED: [f64; COMMON] = [0.3, 0.3, 0.1, 0.1, 0.3, 0.3];
+/// `t^T V^-1 t` that chance does not make of six numbers: once in 20000 images.
+const SURE: f64 = 30.0;
 /// One disc in so many is sharper than what is taken for the sharpest.
 const SHARPEST: usize = 20;
 /// By how much the geometry must move, squared and over its covariance, in the mean over discs.
 const FELT: f64 = 0.01;
 /// Furthest a disc may be off, of what is typical or of noise.
-const FURTHEST: f64 = 20.0;
+const FURTHEST: f64 = 30.0;
 /// What a fit may leave of the squares that noise explains, or of those that are there: at little noise a shape explains most at once, the rest later.
 const MOST_LEFT: f64 = 2.0;
 const MOSTLY: f64 = 0.25;
 /// Rounds at most, and the squared distance over V below which they end.
 const ROUNDS: usize = 5;
 const STILL: f64 = 0.1;
-/// Half of chi-square of two degrees of freedom lies below.
-const MEDIAN: f64 = 1.386;
+/// Half of chi-square of four degrees of freedom lies below.
+const MEDIAN: f64 = 3.357;
 
 /// What one disc says.
 #[derive(Debug, Clone)]
 pub(crate) struct Told {
-    pub(crate) information: Matrix2<f64>,
-    pub(crate) right: Vector2<f64>,
+    pub(crate) information: Matrix4<f64>,
+    pub(crate) right: Vector4<f64>,
     /// Change of the geometry in regular coordinates with the shape, px.
-    pub(crate) follows: SMatrix<f64, 5, 2>,
+    pub(crate) follows: SMatrix<f64, 5, OWN>,
     /// Covariance of the geometry, px^2.
     pub(crate) covariance: SMatrix<f64, 5, 5>,
     /// Squares that the fit left, over the noise, and number of pixels.
@@ -65,11 +82,41 @@ pub(crate) struct Told {
     pub(crate) pixels: f64,
 }
 
+/// What a pixel sees of the edge near it.
+pub(crate) struct Edge {
+    pub(crate) depth: f64,
+    pub(crate) density: f64,
+    /// 1/px, both.
+    pub(crate) slope: f64,
+    pub(crate) kappa: f64,
+}
+
+impl Edge {
+    /// Derivatives of the share of the disc by c, e, p and q, the normal given in a frame that is turned by the angle with this cosine and sine.
+    pub(crate) fn derivatives(&self, blur_px: f64, normal: [f64; 2], turn: [f64; 2]) -> Vector4<f64> {
+        let orders = orders_of_edge(self.depth, blur_px * self.kappa).map(|order| self.density * order.share);
+        // g_nn - g_tt, as the second derivatives of `surface`.
+        let bend = -self.slope * (self.depth / blur_px + self.kappa);
+        let [x, y] = normal;
+        let second = [bend * x * x, bend * x * y, bend * y * y];
+        let [p, q] = by_stretch(blur_px, second, turn);
+        Vector4::new(orders[0], orders[1], p, q)
+    }
+}
+
+/// Derivatives by p and q of what has the second derivatives xx, xy, yy (1/px^2) in a frame that is turned by the angle with this cosine and sine; what is
+/// alike in all directions says nothing.
+pub(crate) fn by_stretch(blur_px: f64, [xx, xy, yy]: [f64; 3], [cos, sin]: [f64; 2]) -> [f64; 2] {
+    let (half, along, mixed) = (0.5 * blur_px * blur_px, xx - yy, 2.0 * xy);
+    let (cos2, sin2) = ((cos - sin) * (cos + sin), 2.0 * cos * sin);
+    [half * (along * cos2 - mixed * sin2), half * (along * sin2 + mixed * cos2)]
+}
+
 /// Sums over the pixels of one disc, from which it tells.
 pub(crate) struct Sums {
-    mixed: Vec<[f64; 2]>,
-    information: Matrix2<f64>,
-    right: Vector2<f64>,
+    mixed: Vec<[f64; OWN]>,
+    information: Matrix4<f64>,
+    right: Vector4<f64>,
     squares: f64,
     pixels: f64,
 }
@@ -77,19 +124,21 @@ pub(crate) struct Sums {
 impl Sums {
     /// None yet, for `n` unknowns of the disc.
     pub(crate) fn new(n: usize) -> Self {
-        let (information, right) = (Matrix2::zeros(), Vector2::zeros());
-        Self { mixed: vec![[0.0; 2]; n], information, right, squares: 0.0, pixels: 0.0 }
+        let (information, right) = (Matrix4::zeros(), Vector4::zeros());
+        Self { mixed: vec![[0.0; OWN]; n], information, right, squares: 0.0, pixels: 0.0 }
     }
 
     /// Adds a pixel: derivatives of its grey value by the shape and what is left of it, both over the noise, and those by the unknowns.
     #[inline(always)]
-    pub(crate) fn add(&mut self, own: &Vector2<f64>, left: f64, column: impl Fn(usize) -> f64) {
+    pub(crate) fn add(&mut self, own: &Vector4<f64>, left: f64, column: impl Fn(usize) -> f64) {
         self.information += own * own.transpose();
         self.right += own * left;
         (self.squares, self.pixels) = (self.squares + left * left, self.pixels + 1.0);
         for (k, sums) in self.mixed.iter_mut().enumerate() {
             let value = column(k);
-            (sums[0], sums[1]) = (sums[0] + own[0] * value, sums[1] + own[1] * value);
+            for m in 0..OWN {
+                sums[m] += own[m] * value;
+            }
         }
     }
 
@@ -97,7 +146,7 @@ impl Sums {
     pub(crate) fn told(self, dense: &Dense) -> Told {
         let (n, mut follows) = (self.mixed.len(), self.mixed.clone());
         dense.solve_each(&mut follows);
-        let known = Matrix2::from_fn(|a, b| (0..n).map(|k| self.mixed[k][a] * follows[k][b]).sum());
+        let known = Matrix4::from_fn(|a, b| (0..n).map(|k| self.mixed[k][a] * follows[k][b]).sum());
         Told {
             information: self.information - known,
             right: self.right,
@@ -111,24 +160,29 @@ impl Sums {
 
 impl Told {
     /// How far off a shape is, given as what it adds to that of the fit.
-    fn off(&self, beside: &Vector2<f64>) -> f64 {
+    fn off(&self, beside: &Vector4<f64>) -> f64 {
         let left = self.right - self.information * beside;
         self.information.try_inverse().map_or(0.0, |inverse| left.dot(&(inverse * left)))
     }
 
     /// Whether noise and a shape explain what it sees.
     fn is_clean(&self) -> bool {
-        let left = self.squares - self.off(&Vector2::zeros());
+        let left = self.squares - self.off(&Vector4::zeros());
         self.information.determinant() > 0.0 && left < f64::max(MOST_LEFT * self.pixels, MOSTLY * self.squares)
     }
 
+    /// By how much a blur that is wider along one direction moved the geometry, which the fit did not know, px.
+    pub(crate) fn stretched(&self, [p, q]: [f64; 2]) -> SVector<f64, 5> {
+        self.follows * Vector4::new(0.0, 0.0, p, q)
+    }
+
     /// What not knowing the shape better adds to the covariance of the geometry, px^2.
-    pub(crate) fn adds(&self, covariance: &Matrix2<f64>) -> SMatrix<f64, 5, 5> {
+    pub(crate) fn adds(&self, covariance: &Matrix4<f64>) -> SMatrix<f64, 5, 5> {
         self.follows * covariance * self.follows.transpose()
     }
 
     /// By how much the geometry moves, squared over its covariance.
-    fn moved(&self, by: &Vector2<f64>) -> f64 {
+    fn moved(&self, by: &Vector4<f64>) -> f64 {
         let moved = self.follows * by;
         self.covariance.cholesky().map_or(0.0, |c| moved.dot(&c.solve(&moved)))
     }
@@ -137,44 +191,51 @@ impl Told {
 /// What all discs have in common: t, and s0.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shapes {
-    common: Vector4<f64>,
+    common: Vector6<f64>,
     sharpest_px: f64,
 }
 
 impl Shapes {
     /// What goes with each part of what is common, at a blur.
-    fn parts(&self, blur_px: f64) -> SMatrix<f64, 2, 4> {
+    fn parts(&self, blur_px: f64) -> SMatrix<f64, OWN, COMMON> {
         let x = 1.0 - (self.sharpest_px / blur_px).powi(2).min(1.0);
-        SMatrix::from_rows(&[[1.0, x * x, 0.0, 0.0].into(), [0.0, 0.0, 1.0, x * x * x].into()])
+        let mut parts = SMatrix::zeros();
+        for (i, k, part) in [(0, 0, 1.0), (0, 1, x * x), (1, 2, 1.0), (1, 3, x * x * x), (2, 4, 1.0), (3, 5, 1.0)] {
+            parts[(i, k)] = part;
+        }
+        parts
     }
 
-    fn at(&self, blur_px: f64) -> Shape {
-        let [fourth, sixth] = (self.parts(blur_px) * self.common).into();
-        Shape { fourth, sixth }
+    /// The shape, and p and q, at a blur.
+    fn at(&self, blur_px: f64) -> (Shape, [f64; 2]) {
+        let [fourth, sixth, p, q] = (self.parts(blur_px) * self.common).into();
+        (Shape { fourth, sixth }, [p, q])
     }
 }
 
 /// What one disc says, and the parts of its shape.
 struct Said {
     told: Told,
-    parts: SMatrix<f64, 2, 4>,
+    parts: SMatrix<f64, OWN, COMMON>,
 }
 
 /// What discs say together.
 #[derive(Debug, Clone, Copy)]
 struct Pool {
-    common: Vector4<f64>,
+    common: Vector6<f64>,
     /// Inverse of V.
-    weight: Matrix4<f64>,
+    weight: Matrix6<f64>,
     /// Mean of what the shapes move.
     felt: f64,
 }
 
 impl Pool {
     /// Of discs fitted with what they were thought to have in common; none of none.
-    fn of(told: &[Said], fitted: &Vector4<f64>) -> Option<Self> {
+    fn of(told: &[Said], common: &Vector6<f64>) -> Option<Self> {
+        // No fit knew of p and q.
+        let fitted = Vector6::from_fn(|k, _| if k < COMMON - 2 { common[k] } else { 0.0 });
         let mut of: Vec<&Said> = told.iter().filter(|x| x.told.is_clean()).collect();
-        let prior = Matrix4::from_diagonal(&Vector4::from(EXPECTED.map(|x| x.powi(-2))));
+        let prior = Matrix6::from_diagonal(&Vector6::from(EXPECTED.map(|x| x.powi(-2))));
         let (mut out, mut scatter) = (None, 1.0);
         // Those that lie far off are told from what the others say.
         for _ in 0..3 {
@@ -198,6 +259,12 @@ impl Pool {
     }
 }
 
+/// Whether neither smoke that is known nor the skirt of a neighbour looks like a shape of the blur.
+fn says_of_blur_alone(start: &Start, blur_px: f64) -> bool {
+    let frame = Frame::new(&start.ellipse);
+    !start.full_of_smoke && start.neighbours.iter().all(|e| frame.least_gap_px(e) > CLEAR_BLURS * blur_px)
+}
+
 /// So many of the discs: half of them from all, in order, and half from the quarter with the widest blurs.
 fn some_of(blurs_px: &[f64], most: usize) -> Vec<usize> {
     let count = blurs_px.len();
@@ -215,36 +282,70 @@ fn some_of(blurs_px: &[f64], most: usize) -> Vec<usize> {
     out
 }
 
-/// Gives all discs of an image the shape that they have at the blurs of their lines, from what `ask` hears of some of them.
-pub(crate) fn shape_all<'a>(starts: &mut [Start<'a>], ask: impl Fn(&[Start<'a>]) -> Vec<Option<Told>>) {
-    let blurs_px: Vec<f64> = starts.iter().map(Start::line_blur_px).collect();
-    let mut sorted = blurs_px.clone();
-    sorted.sort_by(f64::total_cmp);
-    let Some(sharpest_px) = sorted.get(sorted.len() / SHARPEST).copied() else { return };
-    let hear = |most: usize, common: Vector4<f64>| {
-        let shapes = Shapes { common, sharpest_px };
-        let some = some_of(&blurs_px, most);
-        let asked: Vec<Start> = some.iter().map(|i| Start { shape: shapes.at(blurs_px[*i]), ..starts[*i] }).collect();
-        let said = some.iter().zip(ask(&asked));
-        let said: Vec<Said> =
-            said.filter_map(|(i, told)| Some(Said { told: told?, parts: shapes.parts(blurs_px[*i]) })).collect();
-        Pool::of(&said, &common).filter(Pool::is_sure)
-    };
-    let Some(mut pool) = hear(FIRST, Vector4::zeros()) else { return };
-    for _ in 0..ROUNDS {
-        let Some(next) = hear(ASKED, pool.common) else { return };
-        let change = next.common - pool.common;
-        let still = change.dot(&(next.weight * change)) < STILL;
-        pool = next;
-        if still {
-            break;
-        }
+/// The question for the shape of the blur of one image.
+pub(crate) struct Question {
+    blurs_px: Vec<f64>,
+    sharpest_px: f64,
+    /// The discs that are asked first.
+    pub(crate) first: Vec<usize>,
+}
+
+impl Question {
+    pub(crate) fn new(starts: &[Start]) -> Self {
+        let blurs_px: Vec<f64> = starts.iter().map(Start::line_blur_px).collect();
+        let mut sorted = blurs_px.clone();
+        sorted.sort_by(f64::total_cmp);
+        let sharpest_px = sorted.get(sorted.len() / SHARPEST).copied().unwrap_or(0.0);
+        let mut out = Self { blurs_px, sharpest_px, first: vec![] };
+        out.first = out.some(starts, FIRST);
+        out
     }
-    let (shapes, covariance) = (Shapes { common: pool.common, sharpest_px }, pool.weight.try_inverse());
-    for (start, blur_px) in starts.iter_mut().zip(blurs_px) {
-        let parts = shapes.parts(blur_px);
-        start.shape = shapes.at(blur_px);
-        start.shape_covariance = covariance.map_or_else(Matrix2::zeros, |v| parts * v * parts.transpose());
+
+    /// So many of the discs that say of the blur alone.
+    fn some(&self, starts: &[Start], most: usize) -> Vec<usize> {
+        let mut some = some_of(&self.blurs_px, MORE * most);
+        some.retain(|i| says_of_blur_alone(&starts[*i], self.blurs_px[*i]));
+        some.iter().step_by(some.len().div_ceil(most).max(1)).copied().collect()
+    }
+
+    /// What some discs say together, fitted with what they were thought to have in common, if that is sure.
+    fn pool(&self, some: &[usize], told: Vec<Option<Told>>, common: &Vector6<f64>) -> Option<Pool> {
+        let shapes = Shapes { common: *common, sharpest_px: self.sharpest_px };
+        let said = some.iter().zip(told);
+        let said = said.filter_map(|(i, told)| Some(Said { told: told?, parts: shapes.parts(self.blurs_px[*i]) }));
+        Pool::of(&said.collect::<Vec<_>>(), common).filter(Pool::is_sure)
+    }
+
+    /// Gives all discs the shape that they have at the blurs of their lines, from what the first, fitted with a Gaussian, told and from what `ask` hears of
+    /// more of them; false where it is a Gaussian.
+    pub(crate) fn settle<'a>(
+        &self,
+        starts: &mut [Start<'a>],
+        first: Vec<Option<Told>>,
+        ask: impl Fn(&[Start<'a>]) -> Vec<Option<Told>>,
+    ) -> bool {
+        let Some(mut pool) = self.pool(&self.first, first, &Vector6::zeros()) else { return false };
+        let some = self.some(starts, ASKED);
+        for _ in 0..ROUNDS {
+            let shapes = Shapes { common: pool.common, sharpest_px: self.sharpest_px };
+            let shaped = |i: &usize| Start { shape: shapes.at(self.blurs_px[*i]).0, ..starts[*i] };
+            let told = ask(&some.iter().map(shaped).collect::<Vec<_>>());
+            let Some(next) = self.pool(&some, told, &pool.common) else { return false };
+            let change = next.common - pool.common;
+            let still = change.dot(&(next.weight * change)) < STILL;
+            pool = next;
+            if still {
+                break;
+            }
+        }
+        let shapes = Shapes { common: pool.common, sharpest_px: self.sharpest_px };
+        let covariance = pool.weight.try_inverse();
+        for (start, blur_px) in starts.iter_mut().zip(&self.blurs_px) {
+            let parts = shapes.parts(*blur_px);
+            (start.shape, start.stretch) = shapes.at(*blur_px);
+            start.shape_covariance = covariance.map_or_else(Matrix4::zeros, |v| parts * v * parts.transpose());
+        }
+        true
     }
 }
 
@@ -254,14 +355,15 @@ mod tests {
     use super::*;
     use crate::stats::random::Random;
 
-    const SHAPES: Shapes = Shapes { common: Vector4::new(-0.02, -0.08, 0.0, -0.06), sharpest_px: 0.8 };
+    const SHAPES: Shapes = Shapes { common: Vector6::new(-0.02, -0.08, 0.0, -0.06, 0.1, -0.05), sharpest_px: 0.8 };
 
     /// What a disc says that has such a shape, as a fit with a Gaussian leaves it; its score scatters as its information says.
     fn said(shapes: &Shapes, blur_px: f64, random: &mut Random) -> Said {
-        let information = Matrix2::new(4000.0, -3000.0, -3000.0, 9000.0);
+        let mut information = Matrix4::from_diagonal(&Vector4::new(4000.0, 9000.0, 2000.0, 1500.0));
+        (information[(0, 1)], information[(1, 0)]) = (-3000.0, -3000.0);
         let parts = shapes.parts(blur_px);
         let root = information.cholesky().expect("positive").l();
-        let noise = root * Vector2::new(random.gauss(), random.gauss());
+        let noise = root * Vector4::from_fn(|_, _| random.gauss());
         let told = Told {
             information,
             right: information * (parts * shapes.common) + noise,
@@ -273,7 +375,7 @@ mod tests {
         Said { told, parts }
     }
 
-    /// Errors over V are those of four numbers, one disc with dirt on it or not.
+    /// Errors over V are those of six numbers, one disc with dirt on it or not.
     #[test]
     fn discs_of_many_blurs_tell_what_they_have_in_common() {
         let mut random = Random(3);
@@ -284,12 +386,12 @@ mod tests {
                 let blur_px = |k: usize| 0.8 + 0.05 * k as f64;
                 let mut all: Vec<Said> = (0..20).map(|k| said(&SHAPES, blur_px(k), &mut random)).collect();
                 if dirty {
-                    all[7].told.right += Vector2::new(900.0, -1500.0);
+                    all[7].told.right += Vector4::new(900.0, -1500.0, 500.0, 0.0);
                 }
-                let pool = Pool::of(&all, &Vector4::zeros()).expect("discs");
+                let pool = Pool::of(&all, &Vector6::zeros()).expect("discs");
                 assert!(pool.is_sure());
                 let off = pool.common - SHAPES.common;
-                chi2 += off.dot(&(pool.weight * off)) / (4 * IMAGES) as f64;
+                chi2 += off.dot(&(pool.weight * off)) / (COMMON * IMAGES) as f64;
             }
             assert!((0.6..1.25).contains(&chi2), "dirty {dirty}: {chi2}");
         }
@@ -298,12 +400,12 @@ mod tests {
     #[test]
     fn gaussians_have_no_shape() {
         let mut random = Random(4);
-        let none = Shapes { common: Vector4::zeros(), ..SHAPES };
+        let none = Shapes { common: Vector6::zeros(), ..SHAPES };
         for _ in 0..300 {
             let all: Vec<Said> = (0..8).map(|k| said(&none, 0.8 + 0.1 * f64::from(k), &mut random)).collect();
-            assert!(!Pool::of(&all, &Vector4::zeros()).expect("discs").is_sure());
+            assert!(!Pool::of(&all, &Vector6::zeros()).expect("discs").is_sure());
         }
-        assert!(Pool::of(&[], &Vector4::zeros()).is_none());
+        assert!(Pool::of(&[], &Vector6::zeros()).is_none());
     }
 
     /// As many as may be, no disc twice, the widest blurs among them.

@@ -218,7 +218,10 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
             smoke: false,
             full_of_smoke: false,
             shape: Shape::GAUSSIAN,
-            shape_covariance: nalgebra::Matrix2::zeros(),
+            stretch: [0.0; 2],
+            shape_covariance: nalgebra::Matrix4::zeros(),
+            asked_for_shape: false,
+            tells: None,
         };
         let (variance, field) = (state.variance, None);
         let mut plain = State {
