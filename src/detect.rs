@@ -27,6 +27,7 @@ mod sectors;
 mod shape;
 mod shared_light;
 mod shot_noise;
+mod slim;
 mod surface;
 mod trace;
 mod whole;

@@ -8,6 +8,7 @@ mod looks;
 
 use crate::conic::{Ellipse, Frame, fit_direct};
 use crate::detect::level::Level;
+use crate::detect::slim::{SHOWN_SLIMMER, slim_disc};
 use crate::detect::trace::Line;
 use crate::detect::{DetectOptions, RejectionReason};
 use crate::frames::Pixel;
@@ -113,40 +114,27 @@ pub(crate) fn judge(
     let limit = 0.5 + 0.05 * radius;
     let direct = fit_direct(&u, &v).unwrap_or(rough);
     let rms = rms_gap(&direct, &u, &v);
-    let slim = direct.semi_minor_px < options.min_axis_ratio * direct.semi_major_px;
+    let ratio = direct.semi_minor_px / direct.semi_major_px;
+    let slim = ratio < options.min_axis_ratio;
     let area = 0.5 * m.doubled_area.abs();
     let edgy = rms > 0.25 + 0.015 * radius && radius >= 4.0 && !slim;
     if let Some(kind) = edgy.then(|| polygon_kind(&u, &v, area)).flatten() {
         return Verdict::Mark(found(&rough, rms), kind);
     }
-    if rms < limit && !slim {
+    if rms < limit && ratio >= SHOWN_SLIMMER * options.min_axis_ratio {
         if direct.semi_minor_px * scale < 0.8 * options.min_semi_minor_px {
             let semi_minor_px = direct.semi_minor_px * scale;
             return Verdict::Rejected(found(&direct, rms), RejectionReason::TooSmall { semi_minor_px });
         }
         return Verdict::Disc(found(&direct, rms));
     }
-    if slim && direct.semi_minor_px >= SLIM_PX && rms < limit {
+    if rms < limit && direct.semi_minor_px * scale >= options.min_semi_minor_px {
         return slim_disc(found(&direct, rms), share, options.min_axis_ratio);
     }
     if radius < 4.0 || slim {
         return Verdict::Nothing;
     }
     Verdict::Odd(Odd { rough: found(&rough, rms), u, v, share })
-}
-
-/// Minor semi-axis from which on, and part of the least ratio of axes down to which, something slim may be a disc, px and 1: scratches and fibres are finer.
-const SLIM_PX: f64 = 4.0;
-const SLIM: f64 = 0.4;
-
-/// A disc that is seen too obliquely, or a streak.
-fn slim_disc(candidate: Candidate, share: f64, least: f64) -> Verdict {
-    let axis_ratio = candidate.ellipse.semi_minor_px / candidate.ellipse.semi_major_px;
-    if share > 0.9 && axis_ratio > SLIM * least {
-        Verdict::Rejected(candidate, RejectionReason::TooSlim { axis_ratio, least })
-    } else {
-        Verdict::Nothing
-    }
 }
 
 /// Two discs in one, a disc with part of its contour spoilt, or neither.

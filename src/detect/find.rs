@@ -14,6 +14,7 @@ use crate::detect::plane::{self, Floats, Source, check_finite};
 use crate::detect::refine::Start;
 use crate::detect::rejection::told;
 use crate::detect::rows::ByRow;
+use crate::detect::slim::drop_widened;
 use crate::detect::trace::{Line, Tracer};
 use crate::detect::whole::{self, DetectMemory, LEVELS, Rows};
 use crate::detect::{DetectOptions, Detection, Disc, Rejection, RejectionReason};
@@ -382,6 +383,7 @@ fn swallows(coarse: &Candidate, fine: &Candidate) -> bool {
 
 /// Keeps of every region the view at the finest level.
 fn drop_repeats(seen: &mut Seen) {
+    drop_widened(&mut seen.candidates, &seen.rejected);
     // Candidates come level by level: those of finer levels are decided first.
     let mut keep = vec![true; seen.candidates.len()];
     let finest = seen.candidates.iter().take_while(|c| c.level == 0).count();

@@ -30,6 +30,7 @@ use crate::detect::sectors::{Lens, Sectors};
 use crate::detect::shape::Shape;
 use crate::detect::shape::of_image::Told;
 use crate::detect::shot_noise::ShotNoise;
+use crate::detect::slim::is_slim;
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::{GrayView, Samples};
 use crate::stats::{SIGMA_OVER_MEDIAN, median};
@@ -320,7 +321,9 @@ pub(crate) fn border_px(view: &GrayView, e: &Ellipse) -> f64 {
 fn moved_px(model: &EdgeModel, start: &Start) -> (f64, f64) {
     let (e, e0) = (&model.ellipse, &start.ellipse);
     let shift = (e.center_px.u_px - e0.center_px.u_px).hypot(e.center_px.v_px - e0.center_px.v_px);
-    let axes = (e.semi_major_px - e0.semi_major_px).abs().max((e.semi_minor_px - e0.semi_minor_px).abs());
+    let ahead = if is_slim(e0) { (e0.semi_major_px - start.contour().0.semi_major_px).max(0.0) } else { 0.0 };
+    let major = (e.semi_major_px - e0.semi_major_px).max(e0.semi_major_px - ahead - e.semi_major_px);
+    let axes = major.max((e.semi_minor_px - e0.semi_minor_px).abs());
     (shift.max(axes), 0.5 * e0.semi_minor_px + 1.0)
 }
 

@@ -12,6 +12,7 @@ use crate::detect::shape::Shape;
 use crate::detect::shape::of_image::{Question, Told};
 use crate::detect::shared_light::SharedLight;
 use crate::detect::shot_noise::ShotNoise;
+use crate::detect::slim::turn_down_slim;
 use crate::detect::{DetectOptions, Disc, RejectionReason};
 use crate::image::GrayView;
 use crate::threads::{self, OwnMemory};
@@ -78,6 +79,7 @@ pub(super) fn refine_all<'a>(
     let told: Vec<OnceLock<Box<Told>>> = starts.iter().map(|_| OnceLock::new()).collect();
     let mut refined = fit_shaped(view, &mut starts, &told, [noise_grey, range], options, go_on);
     roughen_all(&mut refined, options);
+    turn_down_slim(&mut refined, options.min_axis_ratio);
     (all, refined)
 }
 
