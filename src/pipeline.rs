@@ -1,5 +1,6 @@
 //! The order of things: from files and rig descriptions to results.
 
+mod blacks;
 mod calibrate;
 mod exposure;
 mod files;
@@ -16,6 +17,7 @@ mod sheet_part;
 mod tiff_file;
 mod workers;
 
+pub use blacks::cut_at_zero;
 pub use calibrate::{CalibrateOptions, CalibrationOutput, calibrate};
 pub use exposure::saturated_about;
 pub use files::{Output, can_write, of_the_system, read_text, spares};

@@ -46,4 +46,4 @@ pub use html::{OverlayInput, write_html};
 pub use overlay::{Label, Marks, OverlayShapes, Polyline, RejectedMark, overlay_png};
 pub use text::text;
 pub use vectors::{VectorPicture, vectors_svg};
-pub use verdict::{CUT_OFF, Level, SATURATED, Verdict, verdict};
+pub use verdict::{CUT_AT_ZERO, CUT_OFF, Level, SATURATED, TOO_BLACK, Verdict, verdict};

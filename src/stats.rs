@@ -44,6 +44,22 @@ pub fn normal_beyond(sigmas: f64) -> f64 {
     upper_gamma(0.5, 0.5 * sigmas * sigmas)
 }
 
+/// Probability that a normal number is less than so many standard deviations above its mean.
+pub(crate) fn normal_below(sigmas: f64) -> f64 {
+    let beyond = 0.5 * normal_beyond(sigmas);
+    if sigmas > 0.0 { 1.0 - beyond } else { beyond }
+}
+
+/// The standard deviations above its mean below which a normal number lies with this probability, at most 10 either way; to 1e-12.
+pub(crate) fn sigmas_below(probability: f64) -> f64 {
+    let (mut low, mut high) = (-10.0, 10.0);
+    for _ in 0..44 {
+        let middle = 0.5 * (low + high);
+        if normal_below(middle) < probability { low = middle } else { high = middle }
+    }
+    0.5 * (low + high)
+}
+
 /// Q(a, x).
 fn upper_gamma(a: f64, x: f64) -> f64 {
     if x.is_nan() {
@@ -109,6 +125,16 @@ fn ln_gamma(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn normal_numbers_are_found_by_their_probability() {
+        assert!((normal_below(1.0) - 0.841_344_746_068_543).abs() < 1e-12 && normal_below(0.0) == 0.5);
+        for sigmas in [-6.0, -NORMAL_95, 0.0, 0.4, 3.5] {
+            assert!((sigmas_below(normal_below(sigmas)) - sigmas).abs() < 1e-10, "{sigmas}");
+        }
+        assert!((sigmas_below(0.025) + NORMAL_95).abs() < 1e-10);
+        assert!(sigmas_below(0.0) < -9.9 && sigmas_below(1.0) > 8.0);
+    }
 
     #[test]
     fn tables_of_the_normal_and_the_chi_square() {

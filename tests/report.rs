@@ -461,6 +461,22 @@ fn the_verdict_follows_the_record() {
     assert!(v.next.iter().any(|s| s.contains("View 1: what is open there harms nothing else")), "{:?}", v.next);
 }
 
+/// Noise that is cut off at 0 is told with what to do, once, from 2 % on.
+#[test]
+fn images_without_an_offset_are_told() {
+    let mut record = scene::record();
+    let told = |record: &Record| {
+        let all = report::verdict(record).next;
+        all.into_iter().filter(|s| s.contains("cut off at grey level 0")).collect::<Vec<_>>()
+    };
+    assert!(told(&record).is_empty());
+    (record.provenance.images[1].cut_at_zero, record.provenance.images[4].cut_at_zero) = (0.018, 0.31);
+    let words = told(&record);
+    let path = &record.provenance.images[4].path;
+    assert!(words.len() == 1 && words[0].starts_with("In 1 image noise beside the contours"), "{words:?}");
+    assert!(words[0].contains(&format!("{path} the most, 31 %")) && words[0].contains("raise the camera's offset"));
+}
+
 /// What is known already is not asked for.
 #[test]
 fn few_views_are_told_what_else_would_help() {

@@ -8,10 +8,10 @@ use super::threads;
 use crate::detect::{DetectMemory, DetectOptions, Detection, counted, counted_words, find_discs_with, missing_words};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::image::GrayImage;
-use crate::pipeline::{load_image, saturated_about};
+use crate::pipeline::{cut_at_zero, load_image, saturated_about};
 use crate::report::{
-    CUT_OFF, DETECTION_FORMAT, SATURATED, contours_csv, detection_json, detection_shapes, discs_csv, features_csv,
-    overlay_png,
+    CUT_AT_ZERO, CUT_OFF, DETECTION_FORMAT, SATURATED, TOO_BLACK, contours_csv, detection_json, detection_shapes,
+    discs_csv, features_csv, overlay_png,
 };
 use crate::target::Polarity;
 use rayon::prelude::*;
@@ -28,6 +28,8 @@ struct Found {
     bubbles: usize,
     /// Part of the pixels about them that are at the end of the scale.
     saturated: f64,
+    /// Part of those beside their contours whose noise is cut off at 0.
+    cut_at_zero: f64,
     rejected: BTreeMap<&'static str, usize>,
     /// The same in words; empty where none was turned down.
     words: String,
@@ -66,7 +68,8 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
         none.clone()?;
     }
     let bubbles = found.iter().map(|f| f.bubbles).sum();
-    let cut_off: Vec<(&PathBuf, f64)> = command.images.iter().zip(found.iter().map(|f| f.saturated)).collect();
+    let parts = |of: fn(&Found) -> f64| command.images.iter().zip(found.iter().map(of)).collect::<Vec<_>>();
+    let (saturated, too_black) = (parts(|f| f.saturated), parts(|f| f.cut_at_zero));
     let mut out = Output::default();
     let mut text = String::new();
     let mut images = Vec::new();
@@ -74,9 +77,10 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
         let turned_down = if f.words.is_empty() { String::new() } else { format!(" (turned down: {})", f.words) };
         let _ = writeln!(text, "{}: {} disc(s){turned_down}", path.display(), f.discs);
         let files: Vec<&String> = f.files.iter().map(|(n, _)| n).collect();
-        images.push(
-            json!({ "image": path.display().to_string(), "discs": f.discs, "rejected": f.rejected, "saturated": f.saturated, "files": files }),
-        );
+        images.push(json!({
+            "image": path.display().to_string(), "discs": f.discs, "rejected": f.rejected,
+            "saturated": f.saturated, "cut_at_zero": f.cut_at_zero, "files": files,
+        }));
         f.files.into_iter().for_each(|(name, bytes)| out.add(name, bytes));
     }
     out.commit_beside(&command.output, &command.images.iter().map(AsRef::as_ref).collect::<Vec<&Path>>())?;
@@ -84,7 +88,8 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
     if !full_of_smoke {
         tell_of_smoke(progress, bubbles);
     }
-    tell_of_saturation(progress, &cut_off);
+    tell_of_saturation(progress, &saturated);
+    tell_of_blacks(progress, &too_black);
     none?;
     let json = json!({ "output": command.output.display().to_string(), "images": images });
     Ok(Done { text, json, flags })
@@ -138,7 +143,8 @@ fn describe(path: &Path, stem: &str, image: &GrayImage, detection: &Detection) -
     let (words, missing) = (counted_words(rejections), missing_words(rejections));
     let (discs, bubbles) = (detection.discs.len(), detection.possible_bubbles());
     let saturated = saturated_about(&image.view(), detection.discs.iter());
-    Ok(Found { discs, bubbles, saturated, rejected, words, missing, other: None, files })
+    let cut_at_zero = cut_at_zero(&image.view(), detection.discs.iter());
+    Ok(Found { discs, bubbles, saturated, cut_at_zero, rejected, words, missing, other: None, files })
 }
 
 /// What to say of an image without discs that has some of the other polarity.
@@ -162,13 +168,27 @@ fn tell_of_smoke(to: &Bar, bubbles: usize) {
     }
 }
 
+/// How many images have more of something than `limit`, and the one with the most.
+fn most<'a>(images: &[(&'a PathBuf, f64)], limit: f64) -> Option<(usize, &'a PathBuf, f64)> {
+    let all = || images.iter().filter(|(_, part)| *part > limit);
+    all().max_by(|a, b| a.1.total_cmp(&b.1)).map(|(path, part)| (all().count(), *path, *part))
+}
+
 /// Says where light may have been cut off.
 fn tell_of_saturation(to: &Bar, images: &[(&PathBuf, f64)]) {
-    let all = || images.iter().filter(|(_, part)| *part > SATURATED);
-    let Some((path, part)) = all().max_by(|a, b| a.1.total_cmp(&b.1)) else { return };
+    let Some((count, path, part)) = most(images, SATURATED) else { return };
     to.note(format_args!(
-        "{} image(s) with pixels about the discs at the end of the scale ({} the most, {:.0} %): {CUT_OFF}",
-        all().count(),
+        "{count} image(s) with pixels about the discs at the end of the scale ({} the most, {:.0} %): {CUT_OFF}",
+        path.display(),
+        100.0 * part
+    ));
+}
+
+/// Says where noise was cut off at grey level 0.
+fn tell_of_blacks(to: &Bar, images: &[(&PathBuf, f64)]) {
+    let Some((count, path, part)) = most(images, CUT_AT_ZERO) else { return };
+    to.note(format_args!(
+        "{count} image(s) whose noise beside the contours of discs is cut off at grey level 0 ({} the most, {:.0} % of the pixels): {TOO_BLACK}",
         path.display(),
         100.0 * part
     ));

@@ -14,7 +14,7 @@ const FLAT_SIGMAS: f32 = 12.0;
 /// Surroundings of a disc in which saturation is counted, semi-axes.
 const ABOUT_DISC: f64 = 1.25;
 /// Of so many rows one is looked at.
-const ROW_STEP: usize = 4;
+pub(super) const ROW_STEP: usize = 4;
 
 /// Says more of an image without its discs, where more can be said: that it is flat, or that the polarity is the other one.
 pub(super) fn explained(e: Error, target: &TargetDescription, name: &str, view: &GrayView<'_>) -> Error {
@@ -56,13 +56,9 @@ pub fn saturated_about<'a>(view: &GrayView<'_>, discs: impl Iterator<Item = &'a 
     let mut rows = Vec::new();
     for e in discs.map(|d| &d.ellipse) {
         let reach = ABOUT_DISC * e.semi_major_px;
-        let span = |middle: f64, size: usize| {
-            let from = ((middle - reach).max(0.0) as usize).min(size);
-            from..((middle + reach + 1.0).max(0.0) as usize).clamp(from, size)
-        };
-        let columns = span(e.center_px.u_px, view.width());
+        let columns = span(e.center_px.u_px, reach, view.width());
         let row = |v: usize| v * view.stride() + columns.start..v * view.stride() + columns.end;
-        rows.extend(span(e.center_px.v_px, view.height()).step_by(ROW_STEP).map(row));
+        rows.extend(span(e.center_px.v_px, reach, view.height()).step_by(ROW_STEP).map(row));
     }
     let (high, equal) = match view.samples() {
         Samples::U8(s) => of_the_brightest(s, &rows, u8::MIN),
@@ -71,6 +67,12 @@ pub fn saturated_about<'a>(view: &GrayView<'_>, discs: impl Iterator<Item = &'a 
     };
     let all: usize = rows.iter().map(Range::len).sum();
     if view.may_saturate_at(high) { equal as f64 / all.max(1) as f64 } else { 0.0 }
+}
+
+/// Rows or columns, of so many, as far as `reach` from one of them, px.
+pub(super) fn span(middle: f64, reach: f64, size: usize) -> Range<usize> {
+    let from = ((middle - reach).max(0.0) as usize).min(size);
+    from..((middle + reach + 1.0).max(0.0) as usize).clamp(from, size)
 }
 
 /// The largest of the samples, at least `low`, and how many of them it is.

@@ -1,5 +1,6 @@
 //! Images to labelled discs, in parallel, each image by itself.
 
+use super::blacks::cut_at_zero;
 use super::exposure::{explained, saturated_about};
 use super::{Progress, Source};
 use crate::detect::pattern::{Labelling, label_discs};
@@ -35,6 +36,8 @@ pub struct SeenImage {
     pub open: OpenImage,
     /// Part of the pixels about its discs that are at the end of the camera's scale.
     pub saturated: f64,
+    /// Part of the pixels beside their contours whose noise is cut off at grey level 0.
+    pub cut_at_zero: f64,
 }
 
 impl SeenImage {
@@ -46,6 +49,7 @@ impl SeenImage {
             camera: job.cameras[self.camera].name.clone(),
             sha256: None,
             saturated: self.saturated,
+            cut_at_zero: self.cut_at_zero,
         }
     }
 }
@@ -172,8 +176,9 @@ fn see(
     }
     let Labelling { discs, warnings, alternatives, origin_is_arbitrary, .. } = labelling;
     let open = OpenImage { alternatives, any_origin: origin_is_arbitrary };
-    let saturated = saturated_about(&image.view(), discs.iter().map(|d| &detection.discs[d.disc]));
-    Ok(SeenImage { view, camera, name: name.into(), image, detection, discs, warnings, open, saturated })
+    let own = || discs.iter().map(|d| &detection.discs[d.disc]);
+    let (saturated, cut_at_zero) = (saturated_about(&image.view(), own()), cut_at_zero(&image.view(), own()));
+    Ok(SeenImage { view, camera, name: name.into(), image, detection, discs, warnings, open, saturated, cut_at_zero })
 }
 
 fn check_sizes(job: &RigDescription, images: &[SeenImage]) -> Result<()> {

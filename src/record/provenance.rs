@@ -18,6 +18,9 @@ pub struct ImageFile {
     /// Part of the pixels about its discs that are at the end of the camera's scale, 0 to 1.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub saturated: f64,
+    /// Part of the pixels beside the contours of its discs whose noise is cut off at grey level 0, 0 to 1.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub cut_at_zero: f64,
 }
 
 fn is_zero(x: &f64) -> bool {

@@ -23,6 +23,11 @@ pub const SATURATED: f64 = 0.02;
 /// What that does, and what to do.
 pub const CUT_OFF: &str = "if light was cut off there, edges are where they are not, and sigmas do not tell; reduce the exposure until the brightest parts keep their \
                            texture";
+/// More pixels beside the contours of an image than this part, whose noise is cut off at grey level 0, are told.
+pub const CUT_AT_ZERO: f64 = 0.02;
+/// What that does, and what to do.
+pub const TOO_BLACK: &str = "dark discs come out too large and bright ones too small by it, by some hundredths of a pixel that sigmas do not tell; raise the camera's offset \
+                             (black level) until noise is not cut off";
 
 /// How far a calibration is to be trusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -398,6 +403,7 @@ fn next_steps(r: &Record) -> Vec<String> {
     }
     out.extend(r.cameras.iter().flat_map(|c| bad_views(r, &c.name)));
     out.extend(saturated(r));
+    out.extend(too_black(r));
     out.extend(more_views(r));
     out.extend(loose_views(r));
     if r.sheet.is_none() {
@@ -418,6 +424,18 @@ fn saturated(r: &Record) -> Option<String> {
         if all.len() == 1 { "1 image has pixels".into() } else { format!("{} images have pixels", all.len()) },
         worst.path,
         plain(100.0 * worst.saturated, 2)
+    ))
+}
+
+/// Images whose noise beside discs is cut off at grey level 0.
+fn too_black(r: &Record) -> Option<String> {
+    let all: Vec<_> = r.provenance.images.iter().filter(|i| i.cut_at_zero > CUT_AT_ZERO).collect();
+    let worst = all.iter().max_by(|a, b| a.cut_at_zero.total_cmp(&b.cut_at_zero))?;
+    Some(format!(
+        "In {} noise beside the contours of discs is cut off at grey level 0 ({} the most, {} % of the pixels): {TOO_BLACK}.",
+        count(all.len(), "image"),
+        worst.path,
+        plain(100.0 * worst.cut_at_zero, 2)
     ))
 }
 

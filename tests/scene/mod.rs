@@ -277,6 +277,7 @@ pub fn record() -> Record {
             camera: camera.into(),
             sha256: None,
             saturated: 0.0,
+            cut_at_zero: 0.0,
         })
     });
     let provenance = Provenance {
