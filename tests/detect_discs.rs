@@ -220,6 +220,30 @@ fn slim_discs_are_judged_by_the_ratio_of_their_axes() {
     }
 }
 
+/// Dots with eight corners are ellipses to what may be accepted, not to their noise: how much more uncertain that makes them is noted.
+#[test]
+fn dots_that_are_no_ellipses_say_by_how_much_they_were_enlarged() {
+    let pitch = 48.0;
+    let seen = |corners: usize| {
+        let clean = draw(144, 144, 0.9, |u, v, h| {
+            let near = |x: f64| x - pitch * ((x / pitch).floor() + 0.5);
+            let (x, y) = (near(u), near(v));
+            let side = |k: usize| (0.2 + std::f64::consts::TAU * k as f64 / corners as f64).sin_cos();
+            let out = (0..corners).map(side).map(|(s, c)| x * c + y * s).fold(f64::MIN, f64::max);
+            190.0 - 150.0 * (0.5 - (if corners > 0 { out } else { x.hypot(y) } - 15.0) / h).clamp(0.0, 1.0)
+        });
+        find(&clean, 1.5, 3)
+    };
+    let (round, cut) = (seen(0), seen(8));
+    assert_eq!([round.discs.len(), cut.discs.len()], [9, 9]);
+    for (round, cut) in round.discs.iter().zip(&cut.discs) {
+        assert!(round.contour.enlarged() < 1.2, "{}", round.contour.enlarged());
+        let sigma = |d: &Disc| d.covariance[(0, 0)].sqrt();
+        let (by, noted) = (sigma(cut) / sigma(round), cut.contour.enlarged());
+        assert!(noted > 4.0 && noted < by, "{noted} noted, {by} times those of round ones");
+    }
+}
+
 #[test]
 fn uneven_light_and_glare() {
     let spot = Spot { u: 75.3, v: 64.8, a: 40.0, b: 30.0, phi: 0.4 };

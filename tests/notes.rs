@@ -1,4 +1,4 @@
-//! What the program says beside its results: of images whose noise is cut off at grey level 0.
+//! What the program says beside its results: of images whose noise is cut off at grey level 0, and of dots that are no ellipses.
 
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
@@ -101,4 +101,40 @@ fn a_calibration_from_images_without_an_offset_says_so() {
     let parts: Vec<f64> = images.iter().map(|i| i["cut_at_zero"].as_f64().unwrap_or(0.0)).collect();
     println!("{parts:.3?}");
     assert!(parts.len() == 12 && parts.iter().all(|part| *part > 0.02), "{parts:?}");
+}
+
+/// Nine dark dots behind a blur of 0.9 px, with so many corners; round for none.
+fn dots(corners: usize) -> (Vec<u8>, usize) {
+    let pitch = 48.0;
+    let clean = draw(144, 144, 0.9, |u, v, h| {
+        let near = |x: f64| x - pitch * ((x / pitch).floor() + 0.5);
+        let (x, y) = (near(u), near(v));
+        let out = |k: usize| {
+            let (s, c) = (0.2 + std::f64::consts::TAU * k as f64 / corners as f64).sin_cos();
+            x * c + y * s
+        };
+        let out = if corners > 0 { (0..corners).map(out).fold(f64::MIN, f64::max) } else { x.hypot(y) };
+        190.0 - 150.0 * (0.5 - (out - 15.0) / h).clamp(0.0, 1.0)
+    });
+    (clean.noisy_u8(1.5, &mut Random(3)), 144)
+}
+
+#[test]
+fn dots_that_are_no_ellipses_are_told_once_an_image() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, corners) in [("round.png", 0), ("eight.png", 8)] {
+        let (grey, width) = dots(corners);
+        store(folder.path(), name, grey, width);
+    }
+    let (notes, images) = detect(folder.path(), &["round.png", "eight.png"]);
+    let notes: Vec<&String> = notes.iter().filter(|n| n.contains("no ellipses")).collect();
+    let [note] = notes[..] else { panic!("{notes:?}") };
+    println!("{note}");
+    for words in ["eight.png: 9 of 9 disc(s)", "up to 5 times", "see to the print"] {
+        assert!(note.contains(words), "{words} is not in: {note}");
+    }
+    let told = |k: usize| (images[k]["rough_discs"].as_u64().unwrap(), images[k]["sigmas_enlarged"].as_f64().unwrap());
+    assert!(told(0).0 == 0 && told(0).1 < 1.2 && told(1).0 == 9 && told(1).1 > 4.0, "{:?} {:?}", told(0), told(1));
+    let one: Value = serde_json::from_slice(&std::fs::read(folder.path().join("out/eight.json")).unwrap()).unwrap();
+    assert!(one["discs"].as_array().unwrap().iter().all(|d| d["sigmas_enlarged"].as_f64().unwrap() > 4.0));
 }

@@ -21,6 +21,9 @@ use std::fmt::Write;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
+/// Standard deviations that were enlarged by more than this number for what contours scatter by more than noise are told.
+const ENLARGED: f64 = 4.0;
+
 /// What was found in one image, and the files that say it.
 struct Found {
     discs: usize,
@@ -31,6 +34,8 @@ struct Found {
     /// Part of those beside their contours whose noise is cut off at 0.
     cut_at_zero: f64,
     rejected: BTreeMap<&'static str, usize>,
+    /// Discs whose standard deviations were enlarged by a lot, and the most by which any was.
+    rough: (usize, f64),
     /// The same in words; empty where none was turned down.
     words: String,
     /// The same with what to do where discs are missing.
@@ -64,6 +69,7 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
     let found = found.into_iter().collect::<Result<Vec<Found>>>()?;
     let flags = empty_images(&command.images, &found);
     let none = nothing_found(command, &found);
+    let rough = rough_words(&command.images, &found);
     if found.iter().all(|f| f.words.is_empty()) {
         none.clone()?;
     }
@@ -79,7 +85,8 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
         let files: Vec<&String> = f.files.iter().map(|(n, _)| n).collect();
         images.push(json!({
             "image": path.display().to_string(), "discs": f.discs, "rejected": f.rejected,
-            "saturated": f.saturated, "cut_at_zero": f.cut_at_zero, "files": files,
+            "saturated": f.saturated, "cut_at_zero": f.cut_at_zero,
+            "rough_discs": f.rough.0, "sigmas_enlarged": f.rough.1, "files": files,
         }));
         f.files.into_iter().for_each(|(name, bytes)| out.add(name, bytes));
     }
@@ -90,6 +97,7 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
     }
     tell_of_saturation(progress, &saturated);
     tell_of_blacks(progress, &too_black);
+    rough.iter().for_each(|words| progress.note(words));
     none?;
     let json = json!({ "output": command.output.display().to_string(), "images": images });
     Ok(Done { text, json, flags })
@@ -144,7 +152,8 @@ fn describe(path: &Path, stem: &str, image: &GrayImage, detection: &Detection) -
     let (discs, bubbles) = (detection.discs.len(), detection.possible_bubbles());
     let saturated = saturated_about(&image.view(), detection.discs.iter());
     let cut_at_zero = cut_at_zero(&image.view(), detection.discs.iter());
-    Ok(Found { discs, bubbles, saturated, cut_at_zero, rejected, words, missing, other: None, files })
+    let rough = rough(detection);
+    Ok(Found { discs, bubbles, saturated, cut_at_zero, rejected, rough, words, missing, other: None, files })
 }
 
 /// What to say of an image without discs that has some of the other polarity.
@@ -192,6 +201,27 @@ fn tell_of_blacks(to: &Bar, images: &[(&PathBuf, f64)]) {
         path.display(),
         100.0 * part
     ));
+}
+
+/// How many discs have standard deviations that were enlarged by more than [`ENLARGED`] for their contours, and the most by which any was, 1 for none.
+fn rough(detection: &Detection) -> (usize, f64) {
+    let enlarged = || detection.discs.iter().map(|disc| disc.contour.enlarged());
+    (enlarged().filter(|by| *by > ENLARGED).count(), enlarged().fold(1.0, f64::max))
+}
+
+/// Images whose discs are no ellipses for all that noise explains, each in a sentence.
+fn rough_words(images: &[PathBuf], found: &[Found]) -> Vec<String> {
+    let rough = images.iter().zip(found).filter(|(_, f)| f.rough.0 > 0);
+    let words = |(path, f): (&PathBuf, &Found)| {
+        let (n, by) = f.rough;
+        format!(
+            "{}: {n} of {} disc(s) are no ellipses: their edges scatter by more than the noise of the image, and standard deviations were enlarged for it, up to \
+             {by:.0} times; look at the overlay, and see to the print (round dots with sharp, whole rims), to dirt, and to focus",
+            path.display(),
+            f.discs
+        )
+    };
+    rough.map(words).collect()
 }
 
 /// What to look at in an image without discs.

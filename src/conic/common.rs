@@ -123,6 +123,8 @@ pub struct ContourNoise {
     followed: bool,
     /// Chi-square of the edge points with the sigmas that noise alone gives them.
     chi2: f64,
+    /// By what number standard deviations of place and axes were multiplied at most for points that scatter by more than that; 0 where none was.
+    enlarged: f64,
 }
 
 impl ContourNoise {
@@ -130,7 +132,7 @@ impl ContourNoise {
     pub(crate) fn of(normal: &Normal, covariance: &SMatrix<f64, 5, 5>, followed: bool) -> Self {
         let more = normal.matrix.component_mul(covariance).sum() > 5.0 + LEAST;
         let own = if more { inverse_of_positive(&normal.matrix) } else { None };
-        Self { excess: own.map(|own| covariance - own), followed, chi2: normal.chi2 }
+        Self { excess: own.map(|own| covariance - own), followed, chi2: normal.chi2, enlarged: 0.0 }
     }
 
     /// Adds what is uncertain of the regular coordinates by something else, px^2.
@@ -141,6 +143,16 @@ impl ContourNoise {
     /// Chi-square of the edge points by noise alone.
     pub(crate) fn chi2(&self) -> f64 {
         self.chi2
+    }
+
+    /// By what number standard deviations of place and axes were multiplied at most for edge points that scatter by more than noise; 1 where none was.
+    pub fn enlarged(&self) -> f64 {
+        self.enlarged.max(1.0)
+    }
+
+    /// Notes that they were multiplied by so much.
+    pub(crate) fn enlarge(&mut self, by: f64) {
+        self.enlarged = by;
     }
 
     /// What the points, px, of the contour `e` have in common.

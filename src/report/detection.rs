@@ -166,7 +166,7 @@ fn disc_json(disc: &Disc) -> Value {
         "ellipse": { "center_px": [u, v], "semi_major_px": a, "semi_minor_px": b, "angle_deg": angle },
         "covariance": { "names": ["u_px", "v_px", "semi_major_px", "semi_minor_px", "angle_rad"], "matrix": rows(&disc.covariance) },
         "polarity": polarity(disc.polarity), "blur_px": disc.blur_px, "contrast": disc.contrast,
-        "mark": disc.mark.map(mark),
+        "mark": disc.mark.map(mark), "sigmas_enlarged": disc.contour.enlarged(),
         "contour": { "u_px": e.u_px, "v_px": e.v_px, "sigma_px": e.sigma_px },
     })
 }

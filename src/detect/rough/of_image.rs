@@ -223,6 +223,7 @@ fn roughened(disc: &Disc, rough: Rough, options: &DetectOptions, feet: &mut Feet
     if !is_known(&covariance, shape_px.max(MOST_ROUGH * e.semi_minor_px)) {
         return Err(unknown);
     }
+    contour.enlarge((0..4).map(|i| (covariance[(i, i)] / disc.covariance[(i, i)]).sqrt()).fold(1.0, f64::max));
     if rough.long > 1.0 {
         contour.add(&(regular * (rough.long - 1.0)));
     }
