@@ -201,12 +201,10 @@ pub(super) enum Exactly {
     Smoke,
 }
 
-/// The fit to single pixels, with the sectors that the rounds kept; none where it does not hold.
-pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: &mut Scratch) -> Option<Exactly> {
-    let keep = s.sectors.keep.clone();
-    let large = is_large(&model.ellipse);
+/// The light that single pixels are fitted with, and whether nodes along the contour had followed it; none where these do better.
+fn light_to_fit(model: &EdgeModel, start: &Start, large: bool) -> Option<([Side; 2], bool)> {
     let short = model.ellipse.perimeter_px() < LONGEST_PX;
-    let (sides, nodes) = match &model.light {
+    Some(match &model.light {
         Light::Surface(sides) => (*sides, false),
         // An edge of another profile may look like light that changes along it.
         Light::Nodes(..) if start.asked_for_shape && !large => ([Side::plain(0, model.step.abs()); 2], false),
@@ -214,7 +212,14 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
         // Nodes along a long contour do as well as a field where the light changes fast, and for less.
         Light::Nodes(..) if large => (model.light.beside_slow_waves().filter(|_| short)?, true),
         Light::Nodes(..) => ([Side::plain(1, model.step.abs()), Side::plain(0, model.step.abs())], true),
-    };
+    })
+}
+
+/// The fit to single pixels, with the sectors that the rounds kept; none where it does not hold.
+pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: &mut Scratch) -> Option<Exactly> {
+    let keep = s.sectors.keep.clone();
+    let large = is_large(&model.ellipse);
+    let (sides, nodes) = light_to_fit(model, start, large)?;
     let mut state = State {
         ellipse: model.ellipse,
         blur_px: model.blur_px,
