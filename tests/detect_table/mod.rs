@@ -121,7 +121,7 @@ impl Condition {
     }
 
     /// Standard deviation of the noise where the clean image has this grey level.
-    fn sigma(&self, grey: f64) -> f64 {
+    pub fn sigma(&self, grey: f64) -> f64 {
         let (ground, disc) = self.levels();
         let light = (grey - ground.min(disc)) / self.step();
         let louder = if matches!(self.light, Light::Shot | Light::Defocus) { 1.0 + 8.0 * light } else { 1.0 };

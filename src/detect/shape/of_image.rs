@@ -28,7 +28,7 @@
 //! ```
 //!
 //! t0 being what the discs were fitted with and f by how much discs differ more than noise makes them. Discs that lie far off have dirt on them and no say, nor
-//! have those that are known to be full of smoke or feel a neighbour's light.
+//! have those that are known to be full of smoke or feel a neighbour's light. Of small bright ones that may be full of smoke four must say the same.
 //! A few are asked first, half of them of the widest blurs: where these show nothing for sure, or what would move no contour, it is a Gaussian. Fits have the shape;
 //! what p and q do to the geometry is added to what they find.
 
@@ -42,6 +42,8 @@ use nalgebra::{Matrix4, Matrix6, SMatrix, SVector, Vector4, Vector6};
 /// Discs that are asked first, and at most.
 const FIRST: usize = 8;
 const ASKED: usize = 64;
+/// Bright discs that must say the same where they may be full of smoke.
+const LEAST_SMOKY: usize = 4;
 /// So many times as many are looked at for those that say of nothing else.
 const MORE: usize = 3;
 /// Gap to a neighbour, of which a fit looks at three fifths, over the blur from which its skirt is not felt: 3.6 blurs from it.
@@ -227,6 +229,8 @@ struct Pool {
     weight: Matrix6<f64>,
     /// Mean of what the shapes move.
     felt: f64,
+    /// Discs that have a say.
+    count: usize,
 }
 
 impl Pool {
@@ -247,7 +251,7 @@ impl Pool {
             let mut all: Vec<f64> = of.iter().map(|x| off(x)).collect();
             scatter = f64::max(median(&mut all)? / MEDIAN, 1.0);
             let felt = of.iter().map(|x| x.told.moved(&(x.parts * common))).sum::<f64>() / of.len() as f64;
-            out = Some(Self { common, weight: information / scatter, felt });
+            out = Some(Self { common, weight: information / scatter, felt, count: of.len() });
             of.retain(|x| off(x) < FURTHEST * scatter);
         }
         out.filter(|_| scatter.is_finite())
@@ -288,6 +292,8 @@ pub(crate) struct Question {
     sharpest_px: f64,
     /// The discs that are asked first.
     pub(crate) first: Vec<usize>,
+    /// How many must say the same.
+    least: usize,
 }
 
 impl Question {
@@ -296,7 +302,9 @@ impl Question {
         let mut sorted = blurs_px.clone();
         sorted.sort_by(f64::total_cmp);
         let sharpest_px = sorted.get(sorted.len() / SHARPEST).copied().unwrap_or(0.0);
-        let mut out = Self { blurs_px, sharpest_px, first: vec![] };
+        // Smoke that the blur hides may look like a shape, but hardly like one and the same in several discs.
+        let smoky = starts.iter().any(|start| start.bright && start.goes_the_longer_way());
+        let mut out = Self { blurs_px, sharpest_px, first: vec![], least: if smoky { LEAST_SMOKY } else { 1 } };
         out.first = out.some(starts, FIRST);
         out
     }
@@ -313,7 +321,7 @@ impl Question {
         let shapes = Shapes { common: *common, sharpest_px: self.sharpest_px };
         let said = some.iter().zip(told);
         let said = said.filter_map(|(i, told)| Some(Said { told: told?, parts: shapes.parts(self.blurs_px[*i]) }));
-        Pool::of(&said.collect::<Vec<_>>(), common).filter(Pool::is_sure)
+        Pool::of(&said.collect::<Vec<_>>(), common).filter(|pool| pool.is_sure() && pool.count >= self.least)
     }
 
     /// Gives all discs the shape that they have at the blurs of their lines, from what the first, fitted with a Gaussian, told and from what `ask` hears of
