@@ -5,11 +5,11 @@ use crate::conic::Frame;
 use crate::detect::band::LANES;
 use crate::detect::dense::FIXED;
 use crate::detect::exact::products::CHUNK;
-use crate::detect::profile::Lanes;
+use crate::detect::profile::Profile;
 use crate::detect::rim::Rim;
 use crate::detect::shape::Shape;
-use crate::detect::shape::of_image::{Edge, Sums, Told, by_stretch};
-use nalgebra::Vector4;
+use crate::detect::shape::of_image::{Edges, Sums, Told, by_stretch};
+use crate::lanes;
 
 /// Fourth and sixth order alone.
 const ALONE: [Shape; 2] = [Shape { fourth: 1.0, sixth: 0.0 }, Shape { fourth: 0.0, sixth: 1.0 }];
@@ -31,43 +31,45 @@ impl Exact {
         });
         let mut sums = Sums::new(n);
         for i in (0..self.count).step_by(LANES) {
-            let lanes = self.profile(state, i);
             self.fill(state, &frame, i, 0);
-            let shares = match &rims {
+            let mut shares = match &rims {
                 Some(rims) => self.on_rim(state, &frame, rims, i),
-                None => self.on_edge(state, &frame, &lanes, i),
+                None => self.on_edge(state, &frame, i),
             };
             let root = self.roots(state, i, std::array::from_fn(|l| self.inside[i + l].clamp(0.0, 1.0)));
-            for (l, share) in shares.into_iter().enumerate().take(self.count - i) {
-                let step = root[l] * self.step_at(state, self.band.cos[i + l], self.band.sin[i + l]);
-                let column = |k: usize| self.columns[k * CHUNK + l];
-                let left = column(n) - (0..n).map(|k| self.found[k] * column(k)).sum::<f64>();
-                sums.add(&(share * step), left, column);
+            let mut left = super::eight(&self.columns, n * CHUNK);
+            for k in 0..n {
+                sums.columns[k] = super::eight(&self.columns, k * CHUNK);
+                (0..LANES).for_each(|l| left[l] -= self.found[k] * sums.columns[k][l]);
             }
+            for l in 0..LANES.min(self.count - i) {
+                let step = root[l] * self.step_at(state, self.band.cos[i + l], self.band.sin[i + l]);
+                shares.iter_mut().for_each(|share| share[l] *= step);
+            }
+            sums.add(shares, left, self.count - i);
         }
         Some(sums.told(&self.dense))
     }
 
     /// Derivatives of the share of [`LANES`] pixels from place `i` on, by the local profile.
-    fn on_edge(&self, state: &State, frame: &Frame, lanes: &Lanes<LANES>, i: usize) -> [Vector4<f64>; LANES] {
-        std::array::from_fn(|l| {
-            let (cos, sin) = (self.band.cos[i + l], self.band.sin[i + l]);
-            let (x, y) = (frame.b * cos, frame.a * sin);
-            let (length, kappa) = (x.hypot(y), self.band.curvature[i + l]);
-            let edge = Edge { depth: lanes.depth[l], density: lanes.density[l], slope: lanes.slope[l], kappa };
-            edge.derivatives(state.blur_px, [x / length, y / length], [frame.cos, frame.sin])
-        })
+    fn on_edge(&self, state: &State, frame: &Frame, i: usize) -> [[f64; LANES]; 4] {
+        let profile = Profile { blur_px: state.blur_px, shape: state.shape, a: frame.a, b: frame.b };
+        let [distance, cos, sin] =
+            [&self.band.distance, &self.band.cos, &self.band.sin].map(|list| super::eight(list, i));
+        lanes::run(Edges { profile, turn: [frame.cos, frame.sin], distance, cos, sin }).0
     }
 
     /// The same exactly.
-    fn on_rim(&self, state: &State, frame: &Frame, rims: &[Rim; 3], i: usize) -> [Vector4<f64>; LANES] {
+    fn on_rim(&self, state: &State, frame: &Frame, rims: &[Rim; 3], i: usize) -> [[f64; LANES]; 4] {
         let place = [&self.band.x, &self.band.y].map(|list| super::eight(list, i));
-        let [gaussian, fourth, sixth] = rims.each_ref().map(|rim| rim.seen(&place[0], &place[1]));
+        let [gaussian, fourth, sixth] = rims.each_ref().map(|rim| rim.seen(&place[0], &place[1]).inside);
         let bend = self.rim.seen(&place[0], &place[1]).bend;
-        std::array::from_fn(|l| {
-            let [p, q] = by_stretch(state.blur_px, bend.map(|lanes| lanes[l]), [frame.cos, frame.sin]);
-            let [c, e] = [fourth.inside[l], sixth.inside[l]].map(|x| x - gaussian.inside[l]);
-            Vector4::new(c, e, p, q)
-        })
+        let mut out = [fourth, sixth, [0.0; LANES], [0.0; LANES]];
+        for l in 0..LANES {
+            (out[0][l], out[1][l]) = (fourth[l] - gaussian[l], sixth[l] - gaussian[l]);
+            let second = bend.map(|lanes| lanes[l]);
+            [out[2][l], out[3][l]] = by_stretch(state.blur_px, second, [frame.cos, frame.sin]);
+        }
+        out
     }
 }

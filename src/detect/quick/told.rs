@@ -5,10 +5,9 @@ use super::few::{KEPT, ORDER};
 use super::{Clean, LIGHTS, M, N, Quick};
 use crate::conic::Frame;
 use crate::detect::band::LANES;
-use crate::detect::profile::{Profile, Profiled};
-use crate::detect::shape::of_image::{Edge, Sums, Told};
+use crate::detect::profile::Profile;
+use crate::detect::shape::of_image::{Edges, Sums, Told};
 use crate::lanes;
-use nalgebra::Vector4;
 
 impl Quick {
     /// What the fit left, the sectors being shared out, says of a shape beside the one that it was made with.
@@ -23,58 +22,53 @@ impl Quick {
         if n < KEPT || bends.is_none() && n != KEPT {
             return None;
         }
+        let order: Vec<usize> = (0..n).map(column).collect();
         let mut sums = Sums::new(n);
         for i in (0..count).step_by(LANES) {
-            let own = self.shapes(state, i);
-            for (l, own) in own.into_iter().enumerate().take(count - i) {
-                let (values, at) = (&self.columns.values[(i + l) / BLOCK], (i + l) % BLOCK);
-                let left = f64::from(self.columns.left[i + l]);
-                sums.add(&own, left, |k| f64::from(values[column(k)][at]));
+            let (values, at) = (&self.columns.values[i / BLOCK], i % BLOCK);
+            for (column, k) in sums.columns.iter_mut().zip(&order) {
+                *column = eight(&values[*k][at..]);
             }
+            sums.add(self.shapes(state, i), eight(&self.columns.left[i..]), count - i);
         }
         Some(sums.told(&self.dense))
     }
 
-    /// Derivatives of the grey values of [`LANES`] pixels from one on by what they tell, over the noise.
-    fn shapes(&self, state: &Clean, i: usize) -> [Vector4<f64>; LANES] {
-        let Frame { a, b, cos: turn_cos, sin: turn_sin, .. } = self.frame;
-        let near = &self.pixels.near;
-        let mut profiled = Profiled {
+    /// Derivatives of the grey values of [`LANES`] pixels from one on by what they tell, over the noise; without meaning where there is no pixel.
+    fn shapes(&self, state: &Clean, i: usize) -> [[f64; LANES]; 4] {
+        let Frame { a, b, cos, sin, .. } = self.frame;
+        let (values, at) = (&self.columns.values[i / BLOCK], i % BLOCK);
+        let [u, v] = [LIGHTS + 1, LIGHTS + 2].map(|k| eight(&values[k][at..]));
+        let response = eight(&self.columns.response[i..]);
+        let mut edges = Edges {
             profile: Profile { blur_px: state.blur_px, shape: state.shape, a, b },
+            turn: [cos, sin],
             distance: [0.0; LANES],
             cos: [1.0; LANES],
             sin: [0.0; LANES],
         };
-        let (mut response, mut normal, mut kappa) = ([0.0; LANES], [[0.0; 2]; LANES], [0.0; LANES]);
+        let near = &self.pixels.near;
         for l in 0..LANES.min(near.count - i) {
-            response[l] = f64::from(self.columns.response[i + l]);
-            let [nx, ny] = self.normal(i + l);
+            // The columns of the place are the normal, turned, times less the response.
+            let (nx, ny) = (-(cos * u[l] + sin * v[l]) / response[l], -(cos * v[l] - sin * u[l]) / response[l]);
             // N of `conic`: of the foot point (a cos, b sin) the normal is (b cos, a sin) / N.
-            let length = (nx / b).hypot(ny / a).recip();
-            if !length.is_finite() {
-                response[l] = 0.0;
-                continue;
+            let length = 1.0 / ((nx / b).powi(2) + (ny / a).powi(2)).sqrt();
+            if length.is_finite() {
+                let ([x, y], c, s) = (near.place(i + l), nx * length / b, ny * length / a);
+                (edges.cos[l], edges.sin[l], edges.distance[l]) = (c, s, (x - a * c) * nx + (y - b * s) * ny);
             }
-            let ([x, y], cos, sin) = (near.place(i + l), nx * length / b, ny * length / a);
-            (profiled.cos[l], profiled.sin[l]) = (cos, sin);
-            profiled.distance[l] = (x - a * cos) * nx + (y - b * sin) * ny;
-            (normal[l], kappa[l]) = ([nx, ny], a * b / length.powi(3));
         }
-        let seen = lanes::run(profiled);
-        std::array::from_fn(|l| {
-            let step = if seen.slope[l].abs() > 1e-9 { response[l] / seen.slope[l] } else { 0.0 };
-            let edge = Edge { depth: seen.depth[l], density: seen.density[l], slope: seen.slope[l], kappa: kappa[l] };
-            edge.derivatives(state.blur_px, normal[l], [turn_cos, turn_sin]) * step
-        })
+        let (mut shapes, slope) = lanes::run(edges);
+        for l in 0..LANES {
+            let step = if slope[l].abs() > 1e-9 { response[l] / slope[l] } else { 0.0 };
+            shapes.iter_mut().for_each(|shape| shape[l] *= step);
+        }
+        shapes
     }
+}
 
-    /// Outward normal at the foot point of a pixel, in the frame of the axes; no numbers where it does not respond.
-    fn normal(&self, i: usize) -> [f64; 2] {
-        let (values, at) = (&self.columns.values[i / BLOCK], i % BLOCK);
-        // The columns of the place are the normal, turned, times less the response.
-        let [u, v] = [LIGHTS + 1, LIGHTS + 2].map(|k| f64::from(values[k][at]));
-        let less = -1.0 / f64::from(self.columns.response[i]);
-        let Frame { cos, sin, .. } = self.frame;
-        [(cos * u + sin * v) * less, (cos * v - sin * u) * less]
-    }
+/// The first numbers of a list.
+#[inline(always)]
+fn eight(list: &[f32]) -> [f64; LANES] {
+    std::array::from_fn(|l| f64::from(list[l]))
 }

@@ -34,8 +34,11 @@
 
 use super::{Shape, orders_of_edge};
 use crate::conic::Frame;
+use crate::detect::band::LANES;
 use crate::detect::dense::Dense;
+use crate::detect::profile::Profile;
 use crate::detect::refine::Start;
+use crate::lanes::{self, Kernel};
 use crate::stats::median;
 use nalgebra::{Matrix4, Matrix6, SMatrix, SVector, Vector4, Vector6};
 
@@ -84,25 +87,38 @@ pub(crate) struct Told {
     pub(crate) pixels: f64,
 }
 
-/// What a pixel sees of the edge near it.
-pub(crate) struct Edge {
-    pub(crate) depth: f64,
-    pub(crate) density: f64,
-    /// 1/px, both.
-    pub(crate) slope: f64,
-    pub(crate) kappa: f64,
+/// What [`LANES`] pixels see of the edge near them: their distances from it, and the eccentric angles of their foot points.
+pub(crate) struct Edges {
+    pub(crate) profile: Profile,
+    /// Cosine and sine of the angle of the major axis.
+    pub(crate) turn: [f64; 2],
+    pub(crate) distance: [f64; LANES],
+    pub(crate) cos: [f64; LANES],
+    pub(crate) sin: [f64; LANES],
 }
 
-impl Edge {
-    /// Derivatives of the share of the disc by c, e, p and q, the normal given in a frame that is turned by the angle with this cosine and sine.
-    pub(crate) fn derivatives(&self, blur_px: f64, normal: [f64; 2], turn: [f64; 2]) -> Vector4<f64> {
-        let orders = orders_of_edge(self.depth, blur_px * self.kappa).map(|order| self.density * order.share);
-        // g_nn - g_tt, as the second derivatives of `surface`.
-        let bend = -self.slope * (self.depth / blur_px + self.kappa);
-        let [x, y] = normal;
-        let second = [bend * x * x, bend * x * y, bend * y * y];
-        let [p, q] = by_stretch(blur_px, second, turn);
-        Vector4::new(orders[0], orders[1], p, q)
+impl Kernel for Edges {
+    /// Derivatives of the share of the disc by c, e, p and q, and by the distance.
+    type Output = ([[f64; LANES]; OWN], [f64; LANES]);
+    #[inline(always)]
+    fn run<L: lanes::Lanes>(self) -> Self::Output {
+        let Profile { blur_px, a, b, .. } = self.profile;
+        let seen = self.profile.at(&self.distance, &self.cos, &self.sin);
+        let mut out = [[0.0; LANES]; OWN];
+        for l in 0..LANES {
+            let (x, y) = (b * self.cos[l], a * self.sin[l]);
+            let square = x * x + y * y;
+            let length = square.sqrt();
+            let kappa = a * b / (square * length);
+            let orders = orders_of_edge(seen.depth[l], blur_px * kappa);
+            for (k, order) in orders.iter().enumerate() {
+                out[k][l] = seen.density[l] * order.share;
+            }
+            // g_nn - g_tt, as the second derivatives of `surface`.
+            let bend = -seen.slope[l] * (seen.depth[l] / blur_px + kappa) / square;
+            [out[2][l], out[3][l]] = by_stretch(blur_px, [bend * x * x, bend * x * y, bend * y * y], self.turn);
+        }
+        (out, seen.slope)
     }
 }
 
@@ -114,49 +130,91 @@ pub(crate) fn by_stretch(blur_px: f64, [xx, xy, yy]: [f64; 3], [cos, sin]: [f64;
     [half * (along * cos2 - mixed * sin2), half * (along * sin2 + mixed * cos2)]
 }
 
-/// Sums over the pixels of one disc, from which it tells.
+/// Sums over the pixels of one disc, from which it tells: pixels that are [`LANES`] apart go into one.
 pub(crate) struct Sums {
-    mixed: Vec<[f64; OWN]>,
-    information: Matrix4<f64>,
-    right: Vector4<f64>,
-    squares: f64,
-    pixels: f64,
+    /// Of products with the columns of the unknowns.
+    mixed: Vec<[[f64; LANES]; OWN]>,
+    information: [[[f64; LANES]; OWN]; OWN],
+    right: [[f64; LANES]; OWN],
+    squares: [f64; LANES],
+    pixels: usize,
+    /// The columns of the unknowns at the pixels that are added.
+    pub(crate) columns: Vec<[f64; LANES]>,
 }
 
 impl Sums {
     /// None yet, for `n` unknowns of the disc.
     pub(crate) fn new(n: usize) -> Self {
-        let (information, right) = (Matrix4::zeros(), Vector4::zeros());
-        Self { mixed: vec![[0.0; OWN]; n], information, right, squares: 0.0, pixels: 0.0 }
+        let none = [0.0; LANES];
+        Self {
+            mixed: vec![[none; OWN]; n],
+            information: [[none; OWN]; OWN],
+            right: [none; OWN],
+            squares: none,
+            pixels: 0,
+            columns: vec![none; n],
+        }
     }
 
-    /// Adds a pixel: derivatives of its grey value by the shape and what is left of it, both over the noise, and those by the unknowns.
-    #[inline(always)]
-    pub(crate) fn add(&mut self, own: &Vector4<f64>, left: f64, column: impl Fn(usize) -> f64) {
-        self.information += own * own.transpose();
-        self.right += own * left;
-        (self.squares, self.pixels) = (self.squares + left * left, self.pixels + 1.0);
-        for (k, sums) in self.mixed.iter_mut().enumerate() {
-            let value = column(k);
-            for m in 0..OWN {
-                sums[m] += own[m] * value;
-            }
+    /// Adds the first `count` of some pixels, whose columns are set: derivatives of their grey values by what is told, and what is left of these, over the noise.
+    pub(crate) fn add(&mut self, mut own: [[f64; LANES]; OWN], mut left: [f64; LANES], count: usize) {
+        for l in count.min(LANES)..LANES {
+            own.iter_mut().for_each(|own| own[l] = 0.0);
+            left[l] = 0.0;
         }
+        self.pixels += count.min(LANES);
+        lanes::run(Add { sums: self, own: &own, left: &left });
     }
 
     /// What the disc says, given the factor of its equations, the geometry last.
     pub(crate) fn told(self, dense: &Dense) -> Told {
-        let (n, mut follows) = (self.mixed.len(), self.mixed.clone());
+        let n = self.mixed.len();
+        let mixed: Vec<[f64; OWN]> = self.mixed.iter().map(|sums| sums.map(|x| lanes::sum(&x))).collect();
+        let mut follows = mixed.clone();
         dense.solve_each(&mut follows);
-        let known = Matrix4::from_fn(|a, b| (0..n).map(|k| self.mixed[k][a] * follows[k][b]).sum());
+        let known = Matrix4::from_fn(|a, b| (0..n).map(|k| mixed[k][a] * follows[k][b]).sum());
         Told {
-            information: self.information - known,
-            right: self.right,
+            information: Matrix4::from_fn(|a, b| lanes::sum(&self.information[a.max(b)][a.min(b)])) - known,
+            right: Vector4::from_fn(|a, _| lanes::sum(&self.right[a])),
             follows: SMatrix::from_fn(|i, m| -follows[n - 5 + i][m]),
             covariance: dense.covariance,
-            squares: self.squares,
-            pixels: self.pixels,
+            squares: lanes::sum(&self.squares),
+            pixels: self.pixels as f64,
         }
+    }
+}
+
+/// [`Sums::add`] as wide as the processor is.
+struct Add<'a> {
+    sums: &'a mut Sums,
+    own: &'a [[f64; LANES]; OWN],
+    left: &'a [f64; LANES],
+}
+
+impl Kernel for Add<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: lanes::Lanes>(self) {
+        let Self { sums, own, left } = self;
+        for m in 0..OWN {
+            for k in 0..=m {
+                add_products(&mut sums.information[m][k], &own[m], &own[k]);
+            }
+            add_products(&mut sums.right[m], &own[m], left);
+        }
+        add_products(&mut sums.squares, left, left);
+        for (mixed, column) in sums.mixed.iter_mut().zip(&sums.columns) {
+            for m in 0..OWN {
+                add_products(&mut mixed[m], &own[m], column);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn add_products(sums: &mut [f64; LANES], a: &[f64; LANES], b: &[f64; LANES]) {
+    for l in 0..LANES {
+        sums[l] += a[l] * b[l];
     }
 }
 
@@ -312,7 +370,12 @@ impl Question {
     /// So many of the discs that say of the blur alone.
     fn some(&self, starts: &[Start], most: usize) -> Vec<usize> {
         let mut some = some_of(&self.blurs_px, MORE * most);
+        let asked = some.len();
         some.retain(|i| says_of_blur_alone(&starts[*i], self.blurs_px[*i]));
+        // Where most are close, what lies alone is no disc of the pattern.
+        if 2 * some.len() < asked {
+            return vec![];
+        }
         some.iter().step_by(some.len().div_ceil(most).max(1)).copied().collect()
     }
 
