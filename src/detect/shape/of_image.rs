@@ -43,14 +43,16 @@ use crate::stats::median;
 use nalgebra::{Matrix4, Matrix6, SMatrix, SVector, Vector4, Vector6};
 
 /// Discs that are asked first, and at most.
-const FIRST: usize = 8;
+const FIRST: usize = 5;
 const ASKED: usize = 64;
 /// Bright discs that must say the same where they may be full of smoke.
 const LEAST_SMOKY: usize = 4;
 /// So many times as many are looked at for those that say of nothing else.
 const MORE: usize = 3;
-/// Gap to a neighbour, of which a fit looks at three fifths, over the blur from which its skirt is not felt: 3.6 blurs from it.
+/// Gap to a neighbour, of which a fit looks at three fifths, over the blur from which its skirt is not felt: 3.6 blurs from it. A neighbour that is felt narrows
+/// the blur that a line shows, which is taken for no less than this, px.
 const CLEAR_BLURS: f64 = 9.0;
+const LEAST_BLUR_PX: f64 = 1.0;
 /// Numbers of a disc, and those that all have in common.
 const OWN: usize = 4;
 const COMMON: usize = 6;
@@ -324,7 +326,8 @@ impl Pool {
 /// Whether neither smoke that is known nor the skirt of a neighbour looks like a shape of the blur.
 fn says_of_blur_alone(start: &Start, blur_px: f64) -> bool {
     let frame = Frame::new(&start.ellipse);
-    !start.full_of_smoke && start.neighbours.iter().all(|e| frame.least_gap_px(e) > CLEAR_BLURS * blur_px)
+    !start.full_of_smoke
+        && start.neighbours.iter().all(|e| frame.least_gap_px(e) > CLEAR_BLURS * blur_px.max(LEAST_BLUR_PX))
 }
 
 /// So many of the discs: half of them from all, in order, and half from the quarter with the widest blurs.
