@@ -6,6 +6,7 @@ use crate::detect::beside::{ask_beside, refine_beside};
 use crate::detect::candidate::Candidate;
 use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::dust::refined_but_dust;
+use crate::detect::exact::is_large;
 use crate::detect::refine::{Scratch, Start, noise_told, quantisation, refine, shape_told, smoke_told};
 use crate::detect::rough::roughen_all;
 use crate::detect::shape::Shape;
@@ -109,6 +110,8 @@ fn fit_shaped<'a>(
     let refined = fit_all(view, starts, levels, options, go_on);
     let by_the_way = |start: &Start<'a>| match start.tells.and_then(OnceLock::get) {
         Some(told) => Some((**told).clone()),
+        // What the short way of a large disc comes to no end with is hardly a blur.
+        None if is_large(&start.ellipse) => None,
         None => ask(start),
     };
     let told = threads::side_by_side(&first(&before), by_the_way);
