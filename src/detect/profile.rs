@@ -80,7 +80,7 @@ impl Profile {
             y[i] = (d[i] * inverse + mean) * root[i];
         }
         normal_tails(&y, &mut out.inside, &mut out.density);
-        let shaped = !self.shape.is_gaussian();
+        let mut depth_by_blur = none;
         for i in 0..N {
             let (y, r, f) = (y[i], root[i], out.density[i]);
             let y2 = y * y;
@@ -99,16 +99,26 @@ impl Profile {
             let y_by_blur = (mean_by_blur[i] - d[i] * inverse * inverse) * r - y * widening;
             let shape_by_blur = (inverse - widening) * (-3.0 * third * he2 + 4.0 * fourth * he3 + 6.0 * sixth * he5);
             out.by_blur[i] = f * (shape_by_blur - shape * y_by_blur);
-            if shaped {
-                let added = of_edge([self.shape.fourth, self.shape.sixth], y, eps[i]);
-                out.inside[i] += f * added.share;
-                out.slope[i] += f * added.by_depth * r * inverse;
-                out.by_blur[i] += f * (added.by_depth * y_by_blur + added.by_bend * eps[i] * inverse);
-            }
             out.depth[i] = y;
             out.narrow[i] = r;
+            depth_by_blur[i] = y_by_blur;
+        }
+        if !self.shape.is_gaussian() {
+            self.add_shape(&eps, &depth_by_blur, &mut out);
         }
         out
+    }
+
+    /// What the shape adds to the profile of a Gaussian; given `eps` and the derivative of the depth by the blur.
+    #[inline(always)]
+    fn add_shape<const N: usize>(&self, eps: &[f64; N], depth_by_blur: &[f64; N], out: &mut Lanes<N>) {
+        let (shape, inverse) = ([self.shape.fourth, self.shape.sixth], 1.0 / self.blur_px);
+        for i in 0..N {
+            let (f, added) = (out.density[i], of_edge(shape, out.depth[i], eps[i]));
+            out.inside[i] += f * added.share;
+            out.slope[i] += f * added.by_depth * out.narrow[i] * inverse;
+            out.by_blur[i] += f * (added.by_depth * depth_by_blur[i] + added.by_bend * eps[i] * inverse);
+        }
     }
 }
 
