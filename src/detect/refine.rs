@@ -28,7 +28,7 @@ use crate::detect::light::{self, Light, Side};
 use crate::detect::quick::{Quick, contour_of};
 use crate::detect::sectors::{Lens, Sectors};
 use crate::detect::shape::Shape;
-use crate::detect::shape::of_image::Told;
+use crate::detect::shape::told::Told;
 use crate::detect::shot_noise::ShotNoise;
 use crate::detect::slim::is_slim;
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};

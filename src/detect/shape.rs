@@ -29,6 +29,7 @@
 pub(crate) mod of_image;
 #[cfg(test)]
 mod tests;
+pub(crate) mod told;
 
 use crate::lanes::Several;
 

@@ -8,7 +8,7 @@ use crate::detect::exact::products::CHUNK;
 use crate::detect::profile::Profile;
 use crate::detect::rim::Rim;
 use crate::detect::shape::Shape;
-use crate::detect::shape::of_image::{Edges, Sums, Told, by_stretch};
+use crate::detect::shape::told::{Edges, Sums, Told, by_stretch};
 use crate::lanes;
 
 /// Fourth and sixth order alone.

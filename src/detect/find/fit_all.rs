@@ -10,7 +10,8 @@ use crate::detect::exact::is_large;
 use crate::detect::refine::{Scratch, Start, noise_told, quantisation, refine, shape_told, smoke_told};
 use crate::detect::rough::roughen_all;
 use crate::detect::shape::Shape;
-use crate::detect::shape::of_image::{Question, Told};
+use crate::detect::shape::of_image::Question;
+use crate::detect::shape::told::Told;
 use crate::detect::shared_light::SharedLight;
 use crate::detect::shot_noise::ShotNoise;
 use crate::detect::slim::turn_down_slim;
@@ -116,6 +117,8 @@ fn fit_shaped<'a>(
     };
     let told = threads::side_by_side(&first(&before), by_the_way);
     starts.copy_from_slice(&before);
+    // They have told.
+    starts.iter_mut().for_each(|start| start.tells = None);
     if question.settle(starts, told, ask_all) { fit_all(view, starts, levels, options, go_on) } else { refined }
 }
 

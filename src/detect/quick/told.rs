@@ -6,7 +6,7 @@ use super::{Clean, LIGHTS, M, N, Quick};
 use crate::conic::Frame;
 use crate::detect::band::LANES;
 use crate::detect::profile::Profile;
-use crate::detect::shape::of_image::{Edges, Sums, Told};
+use crate::detect::shape::told::{Edges, Sums, Told};
 use crate::lanes;
 
 impl Quick {

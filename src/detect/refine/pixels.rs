@@ -7,7 +7,7 @@ use crate::detect::edge_model::{EdgeModel, LEAST_BLUR_PX};
 use crate::detect::exact::{Answer, Exact, Field, Hidden, Share, State, is_large};
 use crate::detect::light::{Light, Side};
 use crate::detect::quick::Clean;
-use crate::detect::shape::of_image::Told;
+use crate::detect::shape::told::Told;
 use crate::detect::{DetectOptions, Disc, EdgePoints, RejectionReason};
 use crate::image::GrayView;
 use crate::lanes::{self, Kernel, Lanes};
@@ -98,7 +98,7 @@ pub(super) fn clean_disc(
 }
 
 /// The fit of the short way, shared out among the sectors.
-fn fit_quickly(view: &GrayView, start: &Start, s: &mut Scratch) -> Option<Clean> {
+pub(super) fn fit_quickly(view: &GrayView, start: &Start, s: &mut Scratch) -> Option<Clean> {
     let gap_px = |e: &Ellipse| Frame::new(&start.ellipse).least_gap_px(e);
     let outer_px = start.neighbours.iter().map(gap_px).fold(f64::INFINITY, f64::min) * NEIGHBOUR;
     if start.inner_px < 0.89 * start.ellipse.semi_minor_px {

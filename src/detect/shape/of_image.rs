@@ -1,18 +1,6 @@
 //! The shape of the blur of one image, told by all of its discs together.
 //!
-//! Beside its two numbers c and e a blur may be wider along one direction of the image than across: motion, an oblique window. Its covariance is
-//! `s^2 (1 + p, q; q, 1 - p)` then, and adds to the share g of the disc in a pixel, to first order,
-//!
-//! ```text
-//! s^2/2 (p (g_uu - g_vv) + 2 q g_uv),   of which along the normal, at the angle f from u:   s^2/2 (g_nn - g_tt) (p cos 2f + q sin 2f)
-//! ```
-//!
-//! Disc i, fitted with `x0 = (c, e, 0, 0)`, says by its score `g_i` and information `S_i` where x = (c, e, p, q) is ([`Told`]): with `C_i` the
-//! derivatives of the grey values by x, over the noise, `J_i` those by all unknowns of the disc, `A_i` their equations and `r_i` what these left,
-//!
-//! ```text
-//! S_i = C^T C - C^T J A^-1 J^T C,   g_i = C^T r,   geometry follows by -A^-1 J^T C
-//! ```
+//! Each disc says by a score `g_i` and an information `S_i` where its four numbers `x = (c, e, p, q)` are ([`Told`]), fitted with `x0 = (c, e, 0, 0)`.
 //!
 //! Where focus differs over the image so does the shape. A blur of disc and Gaussian, s0 the Gaussian's, has of fourth order what goes with `x^2`, and of
 //! sixth with `x^3`, `x = 1 - (s0 / s)^2`. So disc i, whose line shows the blur s_i, has
@@ -31,16 +19,20 @@
 //! have those that are known to be full of smoke or feel a neighbour's light. Of small bright ones that may be full of smoke four must say the same.
 //! A few are asked first, half of them of the widest blurs: where these show nothing for sure, or what would move no contour, it is a Gaussian. Fits have the shape;
 //! what p and q do to the geometry is added to what they find.
+//!
+//! | symbol | identifier | shape | unit | meaning |
+//! |---|---|---|---|---|
+//! | t | `Shapes::common` | 6 | 1 | what all discs of an image have in common |
+//! | s0 | `Shapes::sharpest_px` | 1 | px | blur of the sharpest discs, as lines show it |
+//! | B_i | `Shapes::parts` | 4 x 6 | 1 | how what is common goes into the numbers of a disc |
+//! | V | inverse of `Pool::weight` | 6 x 6 | 1 | covariance of t |
 
-use super::{Shape, orders_of_edge};
+use super::Shape;
+use super::told::{OWN, Told};
 use crate::conic::Frame;
-use crate::detect::band::LANES;
-use crate::detect::dense::Dense;
-use crate::detect::profile::Profile;
 use crate::detect::refine::Start;
-use crate::lanes::{self, Kernel};
 use crate::stats::median;
-use nalgebra::{Matrix4, Matrix6, SMatrix, SVector, Vector4, Vector6};
+use nalgebra::{Matrix4, Matrix6, SMatrix, Vector6};
 
 /// Discs that are asked first, and at most.
 const FIRST: usize = 5;
@@ -53,8 +45,7 @@ const MORE: usize = 3;
 /// the blur that a line shows, which is taken for no less than this, px.
 const CLEAR_BLURS: f64 = 9.0;
 const LEAST_BLUR_PX: f64 = 1.0;
-/// Numbers of a disc, and those that all have in common.
-const OWN: usize = 4;
+/// Numbers that all discs have in common.
 const COMMON: usize = 6;
 /// Standard deviations of these before any image is seen.
 const EXPECTED: [f64; COMMON] = [0.3, 0.3, 0.1, 0.1, 0.3, 0.3];
@@ -66,189 +57,11 @@ const SHARPEST: usize = 20;
 const FELT: f64 = 0.01;
 /// Furthest a disc may be off, of what is typical or of noise.
 const FURTHEST: f64 = 30.0;
-/// What a fit may leave of the squares that noise explains, or of those that are there: at little noise a shape explains most at once, the rest later.
-const MOST_LEFT: f64 = 2.0;
-const MOSTLY: f64 = 0.25;
 /// Rounds at most, and the squared distance over V below which they end.
 const ROUNDS: usize = 5;
 const STILL: f64 = 0.1;
 /// Half of chi-square of four degrees of freedom lies below.
 const MEDIAN: f64 = 3.357;
-
-/// What one disc says.
-#[derive(Debug, Clone)]
-pub(crate) struct Told {
-    pub(crate) information: Matrix4<f64>,
-    pub(crate) right: Vector4<f64>,
-    /// Change of the geometry in regular coordinates with the shape, px.
-    pub(crate) follows: SMatrix<f64, 5, OWN>,
-    /// Covariance of the geometry, px^2.
-    pub(crate) covariance: SMatrix<f64, 5, 5>,
-    /// Squares that the fit left, over the noise, and number of pixels.
-    pub(crate) squares: f64,
-    pub(crate) pixels: f64,
-}
-
-/// What [`LANES`] pixels see of the edge near them: their distances from it, and the eccentric angles of their foot points.
-pub(crate) struct Edges {
-    pub(crate) profile: Profile,
-    /// Cosine and sine of the angle of the major axis.
-    pub(crate) turn: [f64; 2],
-    pub(crate) distance: [f64; LANES],
-    pub(crate) cos: [f64; LANES],
-    pub(crate) sin: [f64; LANES],
-}
-
-impl Kernel for Edges {
-    /// Derivatives of the share of the disc by c, e, p and q, and by the distance.
-    type Output = ([[f64; LANES]; OWN], [f64; LANES]);
-    #[inline(always)]
-    fn run<L: lanes::Lanes>(self) -> Self::Output {
-        let Profile { blur_px, a, b, .. } = self.profile;
-        let seen = self.profile.at(&self.distance, &self.cos, &self.sin);
-        let mut out = [[0.0; LANES]; OWN];
-        for l in 0..LANES {
-            let (x, y) = (b * self.cos[l], a * self.sin[l]);
-            let square = x * x + y * y;
-            let length = square.sqrt();
-            let kappa = a * b / (square * length);
-            let orders = orders_of_edge(seen.depth[l], blur_px * kappa);
-            for (k, order) in orders.iter().enumerate() {
-                out[k][l] = seen.density[l] * order.share;
-            }
-            // g_nn - g_tt, as the second derivatives of `surface`.
-            let bend = -seen.slope[l] * (seen.depth[l] / blur_px + kappa) / square;
-            [out[2][l], out[3][l]] = by_stretch(blur_px, [bend * x * x, bend * x * y, bend * y * y], self.turn);
-        }
-        (out, seen.slope)
-    }
-}
-
-/// Derivatives by p and q of what has the second derivatives xx, xy, yy (1/px^2) in a frame that is turned by the angle with this cosine and sine; what is
-/// alike in all directions says nothing.
-pub(crate) fn by_stretch(blur_px: f64, [xx, xy, yy]: [f64; 3], [cos, sin]: [f64; 2]) -> [f64; 2] {
-    let (half, along, mixed) = (0.5 * blur_px * blur_px, xx - yy, 2.0 * xy);
-    let (cos2, sin2) = ((cos - sin) * (cos + sin), 2.0 * cos * sin);
-    [half * (along * cos2 - mixed * sin2), half * (along * sin2 + mixed * cos2)]
-}
-
-/// Sums over the pixels of one disc, from which it tells: pixels that are [`LANES`] apart go into one.
-pub(crate) struct Sums {
-    /// Of products with the columns of the unknowns.
-    mixed: Vec<[[f64; LANES]; OWN]>,
-    information: [[[f64; LANES]; OWN]; OWN],
-    right: [[f64; LANES]; OWN],
-    squares: [f64; LANES],
-    pixels: usize,
-    /// The columns of the unknowns at the pixels that are added.
-    pub(crate) columns: Vec<[f64; LANES]>,
-}
-
-impl Sums {
-    /// None yet, for `n` unknowns of the disc.
-    pub(crate) fn new(n: usize) -> Self {
-        let none = [0.0; LANES];
-        Self {
-            mixed: vec![[none; OWN]; n],
-            information: [[none; OWN]; OWN],
-            right: [none; OWN],
-            squares: none,
-            pixels: 0,
-            columns: vec![none; n],
-        }
-    }
-
-    /// Adds the first `count` of some pixels, whose columns are set: derivatives of their grey values by what is told, and what is left of these, over the noise.
-    pub(crate) fn add(&mut self, mut own: [[f64; LANES]; OWN], mut left: [f64; LANES], count: usize) {
-        for l in count.min(LANES)..LANES {
-            own.iter_mut().for_each(|own| own[l] = 0.0);
-            left[l] = 0.0;
-        }
-        self.pixels += count.min(LANES);
-        lanes::run(Add { sums: self, own: &own, left: &left });
-    }
-
-    /// What the disc says, given the factor of its equations, the geometry last.
-    pub(crate) fn told(self, dense: &Dense) -> Told {
-        let n = self.mixed.len();
-        let mixed: Vec<[f64; OWN]> = self.mixed.iter().map(|sums| sums.map(|x| lanes::sum(&x))).collect();
-        let mut follows = mixed.clone();
-        dense.solve_each(&mut follows);
-        let known = Matrix4::from_fn(|a, b| (0..n).map(|k| mixed[k][a] * follows[k][b]).sum());
-        Told {
-            information: Matrix4::from_fn(|a, b| lanes::sum(&self.information[a.max(b)][a.min(b)])) - known,
-            right: Vector4::from_fn(|a, _| lanes::sum(&self.right[a])),
-            follows: SMatrix::from_fn(|i, m| -follows[n - 5 + i][m]),
-            covariance: dense.covariance,
-            squares: lanes::sum(&self.squares),
-            pixels: self.pixels as f64,
-        }
-    }
-}
-
-/// [`Sums::add`] as wide as the processor is.
-struct Add<'a> {
-    sums: &'a mut Sums,
-    own: &'a [[f64; LANES]; OWN],
-    left: &'a [f64; LANES],
-}
-
-impl Kernel for Add<'_> {
-    type Output = ();
-    #[inline(always)]
-    fn run<L: lanes::Lanes>(self) {
-        let Self { sums, own, left } = self;
-        for m in 0..OWN {
-            for k in 0..=m {
-                add_products(&mut sums.information[m][k], &own[m], &own[k]);
-            }
-            add_products(&mut sums.right[m], &own[m], left);
-        }
-        add_products(&mut sums.squares, left, left);
-        for (mixed, column) in sums.mixed.iter_mut().zip(&sums.columns) {
-            for m in 0..OWN {
-                add_products(&mut mixed[m], &own[m], column);
-            }
-        }
-    }
-}
-
-#[inline(always)]
-fn add_products(sums: &mut [f64; LANES], a: &[f64; LANES], b: &[f64; LANES]) {
-    for l in 0..LANES {
-        sums[l] += a[l] * b[l];
-    }
-}
-
-impl Told {
-    /// How far off a shape is, given as what it adds to that of the fit.
-    fn off(&self, beside: &Vector4<f64>) -> f64 {
-        let left = self.right - self.information * beside;
-        self.information.try_inverse().map_or(0.0, |inverse| left.dot(&(inverse * left)))
-    }
-
-    /// Whether noise and a shape explain what it sees.
-    fn is_clean(&self) -> bool {
-        let left = self.squares - self.off(&Vector4::zeros());
-        self.information.determinant() > 0.0 && left < f64::max(MOST_LEFT * self.pixels, MOSTLY * self.squares)
-    }
-
-    /// By how much a blur that is wider along one direction moved the geometry, which the fit did not know, px.
-    pub(crate) fn stretched(&self, [p, q]: [f64; 2]) -> SVector<f64, 5> {
-        self.follows * Vector4::new(0.0, 0.0, p, q)
-    }
-
-    /// What not knowing the shape better adds to the covariance of the geometry, px^2.
-    pub(crate) fn adds(&self, covariance: &Matrix4<f64>) -> SMatrix<f64, 5, 5> {
-        self.follows * covariance * self.follows.transpose()
-    }
-
-    /// By how much the geometry moves, squared over its covariance.
-    fn moved(&self, by: &Vector4<f64>) -> f64 {
-        let moved = self.follows * by;
-        self.covariance.cholesky().map_or(0.0, |c| moved.dot(&c.solve(&moved)))
-    }
-}
 
 /// What all discs have in common: t, and s0.
 #[derive(Debug, Clone, Copy)]
@@ -428,6 +241,7 @@ impl Question {
 mod tests {
     use super::*;
     use crate::stats::random::Random;
+    use nalgebra::Vector4;
 
     const SHAPES: Shapes = Shapes { common: Vector6::new(-0.02, -0.08, 0.0, -0.06, 0.1, -0.05), sharpest_px: 0.8 };
 

@@ -1,5 +1,5 @@
 use super::Shape;
-use crate::conic::{Ellipse, Frame, from_regular, to_regular};
+use crate::conic::{Ellipse, Frame};
 use crate::detect::band::LANES;
 use crate::detect::profile::Profile;
 use crate::detect::rim::{Rim, Seen};
@@ -32,34 +32,6 @@ fn a_shape_is_what_derivatives_by_the_variance_make_of_a_gaussian() {
             let found = seen(&e, s, shape, at).inside[0];
             assert!((found - expected).abs() < 3e-5, "{shape:?} at {at:?}: {found}, expected {expected}");
             assert!((found - by(0.0)).abs() > 1e-4, "nothing at {at:?}");
-        }
-    }
-}
-
-#[test]
-fn derivatives_of_a_shaped_disc_are_those_of_its_value() {
-    // With as many nodes for a blur that is a little wider or narrower.
-    let (e, s, h) = (ellipse(4.8, 4.0), 1.33, 1e-4);
-    for (shape, [x, y]) in [(DEFOCUS, [3.0, 2.0]), (WINGS, [5.5, 0.4]), (DEFOCUS, [0.2, -3.9])] {
-        let value = |e: &Ellipse, s: f64, x: f64, y: f64| seen(e, s, shape, [x, y]).inside[0];
-        let at = seen(&e, s, shape, [x, y]);
-        let near = |what: &str, found: f64, up: f64, down: f64| {
-            let expected = (up - down) / (2.0 * h);
-            assert!((found - expected).abs() < 1e-6, "{what}, {shape:?}: {found}, expected {expected}");
-        };
-        near("by blur", at.by_blur[0], value(&e, s + h, x, y), value(&e, s - h, x, y));
-        near("gradient", at.gradient[0][0], value(&e, s, x + h, y), value(&e, s, x - h, y));
-        let gradient = |y: f64| seen(&e, s, shape, [x, y]).gradient;
-        near("bend xy", at.bend[1][0], gradient(y + h)[0][0], gradient(y - h)[0][0]);
-        near("bend yy", at.bend[2][0], gradient(y + h)[1][0], gradient(y - h)[1][0]);
-        for i in 0..3 {
-            let moved = |d: f64| {
-                let mut q = to_regular(&e);
-                q[i] += d;
-                let m = from_regular(&q).unwrap_or(e);
-                value(&ellipse(m.semi_major_px, m.semi_minor_px), s, x - m.center_px.u_px, y - m.center_px.v_px)
-            };
-            near("by geometry", at.by_geometry[i][0], moved(h), moved(-h));
         }
     }
 }
