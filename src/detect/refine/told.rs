@@ -146,10 +146,12 @@ mod tests {
             let x = told.information.try_inverse().expect("information") * told.right;
             let off = found - to_regular(&TRUTH);
             let left = off + told.follows * x;
-            println!("told {x:.4?}, drawn {drawn:.4?}; geometry off by {off:.4?}, with it {left:.4?}");
             let beside = (x - drawn).abs();
-            assert!(beside[0] < 0.02 && beside[1] < 0.01 && beside[2] < 0.015 && beside[3] < 0.005, "{x} {drawn}");
-            assert!(off.norm() > 0.005 && left.norm() < 0.25 * off.norm(), "{off} {left}");
+            assert!(
+                beside[0] < 0.02 && beside[1] < 0.01 && beside[2] < 0.015 && beside[3] < 0.005,
+                "told {x}, drawn {drawn}"
+            );
+            assert!(off.norm() > 0.005 && left.norm() < 0.25 * off.norm(), "off by {off}, with the shape {left}");
         }
     }
 }
