@@ -30,12 +30,13 @@ pub use preset::PRESETS;
 
 use crate::error::{Invalid, Result, in_plain_types};
 use crate::image::GrayImage;
+use crate::target::TargetKind as Kind;
 use check::Lines;
 use light::{Smoke, Uneven};
 use nalgebra::Vector2;
 use particles::Particles;
 use render::Figure;
-use scene::{Kind, SceneFile, syntax};
+use scene::{SceneFile, syntax};
 use serde::Deserialize;
 use setup::Setup;
 

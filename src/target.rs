@@ -66,6 +66,45 @@ pub enum Target {
     TwoLevelPlate(Plate),
 }
 
+/// Kind of a target.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum TargetKind {
+    TwoDiscs,
+    Bubbles,
+    DotGrid,
+    TwoLevelPlate,
+}
+
+impl TargetKind {
+    /// All kinds, by the words for them in files.
+    pub(crate) const WORDS: [(&'static str, Self); 4] = [
+        ("two-discs", Self::TwoDiscs),
+        ("bubbles", Self::Bubbles),
+        ("dot-grid", Self::DotGrid),
+        ("two-level-plate", Self::TwoLevelPlate),
+    ];
+
+    pub(crate) fn word(self) -> &'static str {
+        Self::WORDS.iter().find(|(_, kind)| *kind == self).map_or("", |(word, _)| word)
+    }
+
+    /// Whether there are two discs, not a pattern.
+    pub(crate) fn is_pair(self) -> bool {
+        matches!(self, Self::TwoDiscs | Self::Bubbles)
+    }
+}
+
+impl Target {
+    pub(crate) fn kind(&self) -> TargetKind {
+        match self {
+            Self::TwoDiscs(_) => TargetKind::TwoDiscs,
+            Self::Bubbles(_) => TargetKind::Bubbles,
+            Self::DotGrid(_) => TargetKind::DotGrid,
+            Self::TwoLevelPlate(_) => TargetKind::TwoLevelPlate,
+        }
+    }
+}
+
 /// Two discs.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Pair {

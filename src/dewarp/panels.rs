@@ -1,13 +1,13 @@
 //! Positions along a row of the grid: exact at a few points of every panel of [`TOGETHER`] pixels, a polynomial between them.
 //!
 //! ```text
-//! u(t) = u_0 + sum_p c_p t^p,   c_p = sum_k W_(p k) (u_k - u_0),   k, p = 0 .. 7
+//! u(t) = u_0 + sum_j a_j T_j(t) = u_0 + sum_p c_p t^p,   c_p = sum_k W_(p k) (u_k - u_0),   k, j = 0 .. 7,   p = 0 .. 5
 //! ```
-//! through the positions u_k at Chebyshev's nodes, spread so that the first and the last are the panel's first and last pixel. As `sum_j a_j T_j` its
-//! last parts are `a_7 = c_7 / 64` and `a_6 = c_6 / 32`. The map is analytic: a_j fall off as powers of the panel's length over the
-//! distance to the nearest pole, some hundred millimetres away. Where the last two have fallen below [`FAINT`], what is left out is less still;
-//! elsewhere, and where a node is not seen, every position is computed by itself. Pixels between seen ones are seen: what lies in front of
-//! the camera and within the lens's circle is convex, and with a pole in between nothing is faint.
+//! through the positions u_k at Chebyshev's nodes, spread so that the first and the last are the panel's first and last pixel. The map is analytic:
+//! a_j fall off as powers of the panel's length over the distance to the nearest pole, some hundred millimetres away. Where a_6 and a_7 together have
+//! fallen below [`FAINT`] they are left out, and what was left out before is less still; elsewhere, and where a node is not seen, every position is
+//! computed by itself. Pixels between seen ones are seen: what lies in front of the camera and within the lens's circle is convex, and with a pole
+//! in between nothing is faint.
 
 use super::chebyshev::{node, parts, powers};
 use super::grid::SheetGrid;
@@ -18,6 +18,8 @@ use nalgebra::Vector2;
 
 /// Exact positions in each panel.
 const NODES: usize = 8;
+/// Parts that positions are the sum of.
+const PARTS: usize = 6;
 /// Neighbouring panels whose nodes are found together, enough for any width of lanes.
 const SIDE_BY_SIDE: usize = 2;
 /// px. Levels differ by less than a hundredth of the rounding of single precision.
@@ -25,7 +27,7 @@ const FAINT: f64 = 1e-9;
 
 /// Panels of the rows of a grid.
 pub(super) struct Panels {
-    /// W, node by node.
+    /// W, node by node; of the parts that are left out, which come last, what they are.
     weights: [[f64; NODES]; NODES],
     /// t of each pixel.
     t: [f64; TOGETHER],
@@ -33,7 +35,7 @@ pub(super) struct Panels {
     columns: Vec<f64>,
 }
 
-/// Positions of the nodes of a row, u and v, px, `NaN` where not seen; then c of each panel.
+/// Positions of the nodes of a row, u and v, px, `NaN` where not seen; then c of each panel, and what is left out.
 pub(super) struct Nodes([Vec<f64>; 2]);
 
 impl Panels {
@@ -41,9 +43,13 @@ impl Panels {
         let n = NODES * width_px.div_ceil(TOGETHER).next_multiple_of(SIDE_BY_SIDE);
         let (last, end) = ((TOGETHER - 1) as f64, node(0, NODES));
         let within: [f64; NODES] = std::array::from_fn(|k| 0.5 * last * (1.0 + node(k, NODES) / end));
-        let unit = |k: usize| std::array::from_fn(|i| f64::from(u8::from(i == k)));
+        let weights = |k: usize| {
+            let all = parts::<NODES>(&std::array::from_fn(|i| f64::from(u8::from(i == k))));
+            let kept = powers::<PARTS>(std::array::from_fn(|j| all[j]));
+            std::array::from_fn(|p| if p < PARTS { kept[p] } else { all[p] })
+        };
         Self {
-            weights: std::array::from_fn(|k| powers(parts(&unit(k)))),
+            weights: std::array::from_fn(weights),
             t: std::array::from_fn(|i| end * (2.0 * i as f64 / last - 1.0)),
             columns: (0..n).map(|k| (k / NODES * TOGETHER) as f64 + within[k % NODES]).collect(),
         }
@@ -109,9 +115,9 @@ impl Panels {
         let (mut c, mut between) = ([[0.0; NODES]; 2], [[0.0; 2]; 2]);
         for axis in 0..2 {
             c[axis].copy_from_slice(&nodes.0[axis][panel * NODES..][..NODES]);
-            let c = &c[axis];
+            let (c, left_out) = c[axis].split_at(PARTS);
             // False for NaN.
-            if !(c[7].abs() < 64.0 * FAINT && c[6].abs() < 32.0 * FAINT) {
+            if !(left_out[0].abs() + left_out[1].abs() < FAINT) {
                 return None;
             }
             // A margin far above rounding: no pixel may lie outside.
@@ -122,9 +128,9 @@ impl Panels {
         while i < TOGETHER {
             let t = L::load(&self.t[i..]);
             for axis in 0..2 {
-                let mut sum = L::splat(c[axis][NODES - 1]);
-                for p in 1..NODES {
-                    sum = sum.fused(t, L::splat(c[axis][NODES - 1 - p]));
+                let mut sum = L::splat(c[axis][PARTS - 1]);
+                for p in 1..PARTS {
+                    sum = sum.fused(t, L::splat(c[axis][PARTS - 1 - p]));
                 }
                 sum.store(&mut to[axis][i..]);
             }

@@ -120,8 +120,8 @@ impl Pairs<2> for Linear {
         first: usize,
         [x, y]: [G; 2],
     ) -> G {
-        let across = twice::<G>([1.0, 0.0, 1.0, 0.0]) + x.four_times::<K>() * twice([-1.0, 1.0, -1.0, 1.0]);
-        let down = twice::<G>([1.0, 1.0, 0.0, 0.0]) + y.four_times::<K>() * twice([-1.0, -1.0, 1.0, 1.0]);
+        let across = x.four_times::<K>().fused(twice([-1.0, 1.0, -1.0, 1.0]), twice([1.0, 0.0, 1.0, 0.0]));
+        let down = y.four_times::<K>().fused(twice([-1.0, -1.0, 1.0, 1.0]), twice::<G>([1.0, 1.0, 0.0, 0.0]));
         let i = first + 2 * K;
         let samples: G = raster.window(at.start(i)).greys(raster.window(at.start(i + 1)));
         samples * (across * down)
@@ -136,7 +136,7 @@ impl Cubic {
     fn weights<G: Greys>(x: G) -> G {
         let (a, b) = (twice::<G>([0.0, 1.0, 0.0, 0.0]), twice::<G>([-0.5, 0.0, 0.5, 0.0]));
         let (c, d) = (twice::<G>([1.0, -2.5, 2.0, -0.5]), twice::<G>([-0.5, 1.5, -1.5, 0.5]));
-        a + x * (b + x * (c + x * d))
+        x.fused(x.fused(x.fused(d, c), b), a)
     }
 }
 
@@ -151,9 +151,10 @@ impl Pairs<4> for Cubic {
         let (across, down) = (Self::weights(x.four_times::<K>()), Self::weights(y.four_times::<K>()));
         let i = first + 2 * K;
         let (mut a, mut b) = (raster.window(at.start(i)), raster.window(at.start(i + 1)));
-        let upper = a.greys::<G>(&mut b) * down.of_fours::<0>() + a.greys::<G>(&mut b) * down.of_fours::<1>();
-        let lower = a.greys::<G>(&mut b) * down.of_fours::<2>() + a.greys::<G>(&mut b) * down.of_fours::<3>();
-        (upper + lower) * across
+        let mut sum = a.greys::<G>(&mut b) * down.of_fours::<0>();
+        sum = a.greys::<G>(&mut b).fused(down.of_fours::<1>(), sum);
+        sum = a.greys::<G>(&mut b).fused(down.of_fours::<2>(), sum);
+        a.greys::<G>(&mut b).fused(down.of_fours::<3>(), sum) * across
     }
 }
 

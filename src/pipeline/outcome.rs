@@ -15,7 +15,7 @@ use crate::record::{
 };
 use crate::rig_file::{Adjust, Length, Loss, Observations, Scale as ScaleFact, ViewDescription};
 use crate::rigid::AxesAngle;
-use crate::target::Target as Kind;
+use crate::target::TargetKind;
 use std::collections::BTreeMap;
 
 /// Part of all discs that may be outliers before the result is flagged.
@@ -167,18 +167,13 @@ fn target(s: &Solved) -> Target {
     let shape = state.shape_mm;
     let per_view = model.per_view();
     let pair = matches!(model.shape, TargetShape::Pair { .. });
-    let kind = match s.job.target.target {
-        Kind::TwoDiscs(_) => "two-discs",
-        Kind::Bubbles(_) => "bubbles",
-        Kind::DotGrid(_) => "dot-grid",
-        Kind::TwoLevelPlate(_) => "two-level-plate",
-    };
+    let kind = s.job.target.target.kind();
     let (radii_mm, radii_sigma) = match (per_view, pair) {
         (true, _) => (vec![], vec![]),
         (false, true) => (vec![shape[1], shape[2]], vec![sigma(s, "target.radius0_mm"), sigma(s, "target.radius1_mm")]),
         (false, false) => (vec![shape[1]], vec![sigma(s, "target.radius_mm")]),
     };
-    let plate = matches!(s.job.target.target, Kind::TwoLevelPlate(_));
+    let plate = kind == TargetKind::TwoLevelPlate;
     let discs: Vec<_> = (0..model.disc_count()).map(|j| (j, model.nominal_disc(j, &shape).0)).collect();
     let mut extent = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
     for (_, p) in &discs {
@@ -195,7 +190,7 @@ fn target(s: &Solved) -> Target {
         .collect();
     let shift: f64 = state.offsets_mm.iter().map(|o| o[0] * o[0] + o[1] * o[1] + o[2] * o[2]).sum();
     Target {
-        kind: kind.into(),
+        kind: kind.word().into(),
         radii_mm,
         spacing_mm: if per_view { f64::NAN } else { shape[0] },
         sigma: TargetSigma {

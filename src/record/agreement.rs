@@ -5,6 +5,7 @@ use super::schema::{Effective, Record, Rig, Sheet};
 use crate::camera::EffectivePinhole;
 use crate::frames::{self, Cam};
 use crate::rigid::rotation_exp;
+use crate::target::TargetKind;
 use nalgebra::{Matrix3, Vector3};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
@@ -12,8 +13,8 @@ use std::collections::BTreeSet;
 /// Files written with five digits agree to this, relative to lengths and in sines and cosines of angles.
 const ROUNDING: f64 = 1e-4;
 
-/// Values of `target.kind`; the last where a calibration comes from another package.
-const KINDS: [&str; 5] = ["two-discs", "bubbles", "dot-grid", "two-level-plate", "none"];
+/// Value of `target.kind` where a calibration comes from another package.
+const NO_TARGET: &str = "none";
 
 pub(super) fn check(r: &Record) -> Check {
     let second = r.cameras.get(1).map(|c| &c.cam_from_rig).map(|p| p.motion::<Cam, frames::Rig>());
@@ -23,8 +24,10 @@ pub(super) fn check(r: &Record) -> Check {
     if let Some(sheet) = &r.sheet {
         check_angles(sheet, second.map(|m| m.inverse().translation_mm))?;
     }
-    if !KINDS.contains(&r.target.kind.as_str()) {
-        let message = format!("\"{}\" is no kind of target: expected one of {}", r.target.kind, KINDS.join(", "));
+    let kinds = TargetKind::WORDS.map(|(word, _)| word);
+    if !kinds.iter().chain([&NO_TARGET]).any(|kind| *kind == r.target.kind) {
+        let kinds = kinds.join(", ");
+        let message = format!("\"{}\" is no kind of target: expected one of {kinds}, {NO_TARGET}", r.target.kind);
         return fault("target.kind", message);
     }
     check_views(r)?;

@@ -3,22 +3,8 @@
 use super::reader::{Item, LENGTH_MM, SIGMA, Section, one_of};
 use super::{Adjust, Length, Scale, TargetDescription};
 use crate::error::Result;
-use crate::target::{DotId, Grid, Mark, MarkKind, Pair, Plate, Polarity, Target};
+use crate::target::{DotId, Grid, Mark, MarkKind, Pair, Plate, Polarity, Target, TargetKind as Kind};
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    TwoDiscs,
-    Bubbles,
-    DotGrid,
-    TwoLevelPlate,
-}
-
-const KINDS: [(&str, Kind); 4] = [
-    ("two-discs", Kind::TwoDiscs),
-    ("bubbles", Kind::Bubbles),
-    ("dot-grid", Kind::DotGrid),
-    ("two-level-plate", Kind::TwoLevelPlate),
-];
 /// Kinds of marks by their words.
 pub(crate) const MARKS: [(&str, MarkKind); 4] = [
     ("ring", MarkKind::Ring),
@@ -27,37 +13,30 @@ pub(crate) const MARKS: [(&str, MarkKind); 4] = [
     ("triangle", MarkKind::Triangle),
 ];
 
-impl Kind {
-    fn word(self) -> &'static str {
-        KINDS.iter().find(|(_, k)| *k == self).map_or("", |(w, _)| w)
-    }
-    fn keys(self) -> &'static [&'static str] {
-        match self {
-            Kind::TwoDiscs => &["kind", "polarity", "adjust", "spacing_mm", "radii_mm"],
-            Kind::Bubbles => &["kind", "polarity", "adjust"],
-            Kind::DotGrid => {
-                &["kind", "polarity", "adjust", "point_sigma_mm", "spacing_mm", "radii_mm", "columns", "rows", "marks"]
-            }
-            Kind::TwoLevelPlate => {
-                &["kind", "polarity", "adjust", "point_sigma_mm", "spacing_mm", "radii_mm", "step_mm", "marks"]
-            }
+/// Keys of `[target]` that have a meaning for a kind.
+fn keys(kind: Kind) -> &'static [&'static str] {
+    match kind {
+        Kind::TwoDiscs => &["kind", "polarity", "adjust", "spacing_mm", "radii_mm"],
+        Kind::Bubbles => &["kind", "polarity", "adjust"],
+        Kind::DotGrid => {
+            &["kind", "polarity", "adjust", "point_sigma_mm", "spacing_mm", "radii_mm", "columns", "rows", "marks"]
         }
-    }
-    fn is_pair(self) -> bool {
-        matches!(self, Kind::TwoDiscs | Kind::Bubbles)
+        Kind::TwoLevelPlate => {
+            &["kind", "polarity", "adjust", "point_sigma_mm", "spacing_mm", "radii_mm", "step_mm", "marks"]
+        }
     }
 }
 
 /// The target, and the length that it gives as the scale.
 pub(super) fn read(root: &Section<'_>) -> Result<(TargetDescription, Option<Scale>)> {
-    let kinds: Vec<&str> = KINDS.iter().map(|(w, _)| *w).collect();
+    let kinds: Vec<&str> = Kind::WORDS.iter().map(|(w, _)| *w).collect();
     let item = root.find("target").ok_or_else(|| {
         let message = format!("no [target] is described; add [target] with kind = one of {}", one_of(&kinds));
         root.source.refuse_line(1, message)
     })?;
     let section = item.section("[target] (in single brackets)")?.named("[target]");
-    let kind = section.require("kind", &format!("expected one of {}", one_of(&kinds)))?.choice(&KINDS)?;
-    section.only(kind.keys(), |key| elsewhere(kind, key))?;
+    let kind = section.require("kind", &format!("expected one of {}", one_of(&kinds)))?.choice(&Kind::WORDS)?;
+    section.only(keys(kind), |key| elsewhere(kind, key))?;
     let polarity = section.find("polarity").map_or(Ok(Polarity::Auto), |i| {
         i.choice(&[("auto", Polarity::Auto), ("bright", Polarity::Bright), ("dark", Polarity::Dark)])
     })?;
@@ -92,7 +71,7 @@ fn elsewhere(kind: Kind, key: &str) -> Option<String> {
                 .to_string(),
         );
     }
-    let owners: Vec<&str> = KINDS.iter().filter(|(_, k)| k.keys().contains(&key)).map(|(w, _)| *w).collect();
+    let owners: Vec<&str> = Kind::WORDS.iter().filter(|(_, k)| keys(*k).contains(&key)).map(|(w, _)| *w).collect();
     (!owners.is_empty())
         .then(|| format!("has no meaning for kind = \"{}\"; it belongs to {}", kind.word(), one_of(&owners)))
 }

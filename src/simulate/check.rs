@@ -1,6 +1,6 @@
 //! Limits of every value of a scene file, and what excludes what; messages carry the line of the key.
 
-use super::scene::{Kind, MarkWord, PolarityKey, ScaleKey, SceneFile, syntax};
+use super::scene::{MarkWord, PolarityKey, ScaleKey, SceneFile, syntax};
 use crate::error::Result;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -18,6 +18,7 @@ pub(super) enum Step<'a> {
     Key(&'a str),
     Item(usize),
 }
+use crate::target::TargetKind as Kind;
 use Step::{Item, Key};
 
 impl<'a> Lines<'a> {

@@ -4,8 +4,9 @@
 //! at the origin. x along columns, y along rows, z towards the viewer of the printed side.
 
 use super::random::{Stream, Use};
-use super::scene::{Kind, MarkWord, TargetKeys};
+use super::scene::{MarkWord, TargetKeys};
 use crate::target::DotId;
+use crate::target::TargetKind as Kind;
 use nalgebra::{Vector2, Vector3};
 
 /// An outline, in mm about its centre.

@@ -2,9 +2,10 @@
 //!
 //! Nothing true goes in that was not asked for: lens, pitch, kind of target, one metric fact, and which views are in the sheet.
 
-use super::scene::{Kind, PolarityKey, ScaleKey, SceneFile};
+use super::scene::{PolarityKey, ScaleKey, SceneFile};
 use super::setup::Setup;
 use crate::camera::Radial;
+use crate::target::TargetKind as Kind;
 use std::fmt::Write;
 
 /// Name of the image file of a view and camera.

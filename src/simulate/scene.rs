@@ -3,6 +3,7 @@
 //! What the keys mean is in `docs/simulate.md`. Every record refuses keys it does not know.
 
 use crate::error::{Error, Invalid};
+use crate::target::TargetKind as Kind;
 use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize, Deserializer};
 
@@ -122,27 +123,12 @@ pub(super) struct SheetKeys {
     pub(super) tilt_deg: [f64; 2],
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub(super) enum Kind {
-    TwoDiscs,
-    Bubbles,
-    DotGrid,
-    TwoLevelPlate,
-}
-
-impl Kind {
-    pub(super) fn word(self) -> &'static str {
-        match self {
-            Kind::TwoDiscs => "two-discs",
-            Kind::Bubbles => "bubbles",
-            Kind::DotGrid => "dot-grid",
-            Kind::TwoLevelPlate => "two-level-plate",
-        }
-    }
-    pub(super) fn is_pair(self) -> bool {
-        matches!(self, Kind::TwoDiscs | Kind::Bubbles)
-    }
+/// A kind of target by its word.
+fn kind<'de, D: Deserializer<'de>>(from: D) -> Result<Kind, D::Error> {
+    const WORDS: [&str; 4] = [Kind::WORDS[0].0, Kind::WORDS[1].0, Kind::WORDS[2].0, Kind::WORDS[3].0];
+    let word = String::deserialize(from)?;
+    let known = Kind::WORDS.iter().find(|(w, _)| *w == word);
+    known.map(|(_, kind)| *kind).ok_or_else(|| D::Error::unknown_variant(&word, &WORDS))
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -155,6 +141,7 @@ pub(super) enum PolarityKey {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TargetKeys {
+    #[serde(deserialize_with = "kind")]
     pub(super) kind: Kind,
     pub(super) polarity: PolarityKey,
     pub(super) spacing_mm: Option<f64>,

@@ -19,11 +19,12 @@
 use super::check::{Lines, Step};
 use super::pattern::{self, Pattern};
 use super::random::{Stream, Use};
-use super::scene::{AimKeys, CameraKeys, Kind, PoseKeys, RadialKey, RandomKeys, SceneFile, ViewKeys};
+use super::scene::{AimKeys, CameraKeys, PoseKeys, RadialKey, RandomKeys, SceneFile, ViewKeys};
 use crate::camera::{Camera, Intrinsics, Radial};
 use crate::error::{Insufficient, Result};
 use crate::frames::{Cam, Sheet, Target};
 use crate::rigid::{Motion, rotation_exp};
+use crate::target::TargetKind as Kind;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// Frame of the nominal sheet, in which a scene is written down.

@@ -11,12 +11,13 @@
 
 use super::pattern::Feature;
 use super::rig::image_name;
-use super::scene::{Kind, SceneFile};
+use super::scene::SceneFile;
 use super::setup::{Bench, PlacedCamera, PlacedView, Setup, fully_inside, rim_px};
 use crate::conic::Ellipse;
 use crate::error::{Error, Result};
 use crate::frames::{Cam, Pixel, Plane, Rig, Sheet, Target};
 use crate::rigid::{AxesAngle, Motion, PlaneAngle};
+use crate::target::TargetKind as Kind;
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use serde_json::{Map, Value, json};
 

@@ -64,9 +64,14 @@ impl Near {
         [&mut self.x, &mut self.y, &mut self.grey].map(|list| &mut list[first..first + EIGHT].as_chunks_mut().0[0])
     }
 
-    /// Place of a pixel.
-    pub(super) fn place(&self, i: usize) -> [f64; 2] {
-        [&self.x, &self.y].map(|list| f64::from(list[i]))
+    /// Places of eight pixels.
+    #[inline(always)]
+    pub(super) fn places(&self, first: usize) -> [[f64; EIGHT]; 2] {
+        [&self.x, &self.y].map(|list| {
+            let mut out = [0.0; EIGHT];
+            list[first..first + EIGHT].iter().zip(&mut out).for_each(|(x, out)| *out = f64::from(*x));
+            out
+        })
     }
 
     /// Fills up to a multiple of [`SINGLES`] with pixels on the contour at `(a, 0)`.

@@ -31,7 +31,7 @@ use crate::lanes::{self, Kernel};
 use nalgebra::{Matrix4, SMatrix, SVector, Vector4};
 
 /// Numbers of a disc.
-pub(super) const OWN: usize = 4;
+pub(crate) const OWN: usize = 4;
 /// What a fit may leave of the squares that noise explains, or of those that are there: at little noise a shape explains most at once, the rest later.
 const MOST_LEFT: f64 = 2.0;
 const MOSTLY: f64 = 0.25;
@@ -131,18 +131,49 @@ impl Sums {
 
     /// What the disc says, given the factor of its equations, the geometry last.
     pub(crate) fn told(self, dense: &Dense) -> Told {
-        let n = self.mixed.len();
-        let mixed: Vec<[f64; OWN]> = self.mixed.iter().map(|sums| sums.map(|x| lanes::sum(&x))).collect();
-        let mut follows = mixed.clone();
-        dense.solve_each(&mut follows);
-        let known = Matrix4::from_fn(|a, b| (0..n).map(|k| mixed[k][a] * follows[k][b]).sum());
-        Told {
-            information: Matrix4::from_fn(|a, b| lanes::sum(&self.information[a.max(b)][a.min(b)])) - known,
-            right: Vector4::from_fn(|a, _| lanes::sum(&self.right[a])),
-            follows: SMatrix::from_fn(|i, m| -follows[n - 5 + i][m]),
-            covariance: dense.covariance,
+        let sum = |sums: &[[f64; LANES]; OWN]| sums.map(|x| lanes::sum(&x));
+        let totals = Totals {
+            mixed: self.mixed.iter().map(sum).collect(),
+            information: self.information.each_ref().map(sum),
+            right: sum(&self.right),
             squares: lanes::sum(&self.squares),
             pixels: self.pixels as f64,
+        };
+        totals.told(dense)
+    }
+}
+
+/// The same of all pixels.
+pub(crate) struct Totals {
+    /// Products with the columns of the unknowns.
+    pub(crate) mixed: Vec<[f64; OWN]>,
+    /// Of what is told with itself; the lower triangle counts.
+    pub(crate) information: [[f64; OWN]; OWN],
+    pub(crate) right: [f64; OWN],
+    pub(crate) squares: f64,
+    pub(crate) pixels: f64,
+}
+
+impl Totals {
+    /// None yet, for `n` unknowns of the disc and so many pixels.
+    pub(crate) fn new(n: usize, pixels: usize) -> Self {
+        let none = [0.0; OWN];
+        Self { mixed: vec![none; n], information: [none; OWN], right: none, squares: 0.0, pixels: pixels as f64 }
+    }
+
+    /// What the disc says, given the factor of its equations, the geometry last.
+    pub(crate) fn told(self, dense: &Dense) -> Told {
+        let n = self.mixed.len();
+        let mut follows = self.mixed.clone();
+        dense.solve_each(&mut follows);
+        let known = Matrix4::from_fn(|a, b| (0..n).map(|k| self.mixed[k][a] * follows[k][b]).sum());
+        Told {
+            information: Matrix4::from_fn(|a, b| self.information[a.max(b)][a.min(b)]) - known,
+            right: Vector4::from(self.right),
+            follows: SMatrix::from_fn(|i, m| -follows[n - 5 + i][m]),
+            covariance: dense.covariance,
+            squares: self.squares,
+            pixels: self.pixels,
         }
     }
 }
