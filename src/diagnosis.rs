@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | priors | does what was known beforehand agree with the images? how much of a number is its prior? | [`crate::bundle::prior_checks`] |
 //! | weak directions | which numbers move together? | principal directions of the covariance, in parts of 0.5 % and 5 mrad |
-//! | model tests | is a lens term lacking? is the plate bent, are its dots displaced? | [`crate::bundle::extension_tests`] |
+//! | model tests | is a lens term lacking, a value that is held wrong? is the plate bent, are its dots displaced? | [`crate::bundle::extension_tests`] |
 //! | views | what does each view contribute, does it agree with the others, and which one does not? | [`crate::bundle::ViewsLeftOut`], and an adjustment without it |
 //! | spread | do the views scatter as their noise says? what standard deviations do they tell? | the same changes, all together |
 //! | reach | how far may a number be where equations bend? | [`crate::bundle::Reach`] |
@@ -160,6 +160,7 @@ pub fn diagnose(s: &Subject<'_>, observe: Observe<'_>) -> Result<Findings> {
     let (views, others) = threads::both(views, others);
     let (mut views, (mut tests, mapping, of_mapping, (intervals, by_likelihood))) = (views?, others?);
     let of_wrong = explained::explained(s, &names, (&mut priors, &mut tests, &mut views), &watch)?;
+    model_tests::priors_go_after(s, &tests, &mut priors.asked);
     out.diagnosis.key_quantities = quantities(&keys, &sigmas, &views.spreads, &intervals);
     out.mapping = mapping.map(|m| MappingUncertainty { by_views: views.felt, by_likelihood, ..m });
     let [first, of_tests] = tests.flags();

@@ -110,7 +110,7 @@ mod tests {
         for free_f in [true, false] {
             let mut free = [true; INTRINSICS];
             free[0] = free_f;
-            let model = CameraModel { name: "c".into(), free, window: None };
+            let model = CameraModel { name: "c".into(), free, window: None, axis_frame: false };
             let mut i = Intrinsics::pinhole(8000.0, 500.0, 390.0);
             (i.alpha_rad, i.beta_rad, i.aspect, i.k) = (0.2, -0.35, 1.02, [0.1, -0.2, 0.3]);
             let here = SolverCamera::of(&model, &i).unwrap();

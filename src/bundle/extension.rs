@@ -2,8 +2,9 @@
 //!
 //! | question | further unknowns | degrees of freedom |
 //! |---|---|---|
-//! | a lens term, pixel aspect, pupil ratio | one intrinsic of one camera | 1 |
+//! | a lens term, pixel aspect, pupil ratio; is a value right that is held? | one intrinsic of one camera | 1 |
 //! | k3, where the images ask for k2 | k3 beside k2: what both explain less what k2 does | 1 |
+//! | is a radius right that is held? | that radius | 1 |
 //! | is the plate bent? | `dz = (a x^2 + b x y + c y^2) / L^2`, L half the extent, common to all views | 3 |
 //! | are the dots displaced? | (dx, dy) of every disc, common to all views | 2 per disc less what a shift, turn and scale take up |
 //!
@@ -14,6 +15,7 @@ use super::adjust::{Adjustment, problem};
 use super::layout::Places;
 use super::model::{Model, TargetShape};
 use super::state::State;
+use crate::camera::INTRINSICS;
 use crate::solve::{Problem, Score, ScoreTests};
 use crate::stats::chi_square_above;
 use nalgebra::{DMatrix, DVector, Vector2};
@@ -39,6 +41,11 @@ pub enum Extension {
         /// Index in [`crate::camera::INTRINSIC_NAMES`].
         parameter: usize,
     },
+    /// A radius of the target that is held.
+    Radius {
+        /// Its place in the shape of the target.
+        parameter: usize,
+    },
     /// The plate is bent.
     BentTarget,
     /// The dots are not at their nominal places.
@@ -54,7 +61,7 @@ pub struct ExtensionTest {
     pub statistic: f64,
     /// Its degrees of freedom.
     pub degrees: usize,
-    /// Estimate: change of the intrinsic (its unit); peak to valley of the bend beside a plane, mm; root mean square displacement of
+    /// Estimate: change of the intrinsic (its unit) or radius, mm; peak to valley of the bend beside a plane, mm; root mean square displacement of
     /// the dots beside noise and any smooth stretch of the whole, mm.
     pub size: f64,
     /// Its standard deviation; `NaN` where it has none in this form.
@@ -120,9 +127,16 @@ pub fn extension_tests(adjustment: &Adjustment) -> Option<ExtensionTests> {
                 None => tests.test(&[at], &DMatrix::identity(1, 1)),
             };
             let Some(score) = tested else { continue };
-            list.push(of_intrinsic(Extension::Intrinsic { camera, parameter }, score));
+            let parameter = model.cameras[camera].intrinsic_of(parameter);
+            list.push(of_one(Extension::Intrinsic { camera, parameter }, score));
             freed.push(Freed { tested: vec![at], basis: DMatrix::identity(1, 1) });
         }
+    }
+    for (parameter, (old, new)) in base.shape.iter().zip(&places.shape).enumerate() {
+        let (None, Some(at)) = (old, *new) else { continue };
+        let Some(score) = tests.test(&[at], &DMatrix::identity(1, 1)) else { continue };
+        list.push(of_one(Extension::Radius { parameter }, score));
+        freed.push(Freed { tested: vec![at], basis: DMatrix::identity(1, 1) });
     }
     if let (None, Some(first)) = (base.offsets, places.offsets) {
         for (test, own) in
@@ -136,7 +150,7 @@ pub fn extension_tests(adjustment: &Adjustment) -> Option<ExtensionTests> {
 }
 
 /// The last of what is tested, alone or beside others.
-fn of_intrinsic(extension: Extension, score: Score) -> ExtensionTest {
+fn of_one(extension: Extension, score: Score) -> ExtensionTest {
     let last = score.estimate.len() - 1;
     ExtensionTest {
         extension,
@@ -162,12 +176,11 @@ fn beside(tests: &ScoreTests, first: usize, second: usize) -> Option<Score> {
 /// Model and state with everything that is tested made free.
 fn extended(adjustment: &Adjustment) -> (Model, State) {
     let (mut model, mut state) = (adjustment.model.clone(), adjustment.state.clone());
-    for camera in &mut model.cameras {
-        for parameter in [1, 6, K2, K3, 9] {
-            camera.free[parameter] = true;
-        }
-    }
+    model.cameras.iter_mut().for_each(|camera| *camera = camera.clone().freed(0..INTRINSICS));
     let lattice = matches!(model.target.shape, TargetShape::Lattice(_));
+    if !model.target.per_view() {
+        model.target.free[1..if lattice { 2 } else { 3 }].fill(true);
+    }
     let contours = model.images.iter().all(|i| i.pairs.is_empty());
     let discs = model.target.disc_count();
     if lattice && contours && model.target.offset_sigma_mm.is_none() && (4..=MOST_DISCS).contains(&discs) {

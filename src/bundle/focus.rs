@@ -165,7 +165,7 @@ mod tests {
     fn residuals(m: f64, turn: Vector3<f64>, shift_mm: f64) -> Vec<f64> {
         let mut intrinsics = Intrinsics::pinhole(8889.0, 520.0, 380.0);
         (intrinsics.alpha_rad, intrinsics.beta_rad, intrinsics.pupil_ratio) = (0.05, -0.11, m);
-        let model = CameraModel { name: "c".into(), free: [true; INTRINSICS], window: None };
+        let model = CameraModel { name: "c".into(), free: [true; INTRINSICS], window: None, axis_frame: false };
         let seen = SolverCamera::of(&model, &intrinsics).unwrap();
         // Behind the rear principal plane: the exit pupil and the axis point of the sensor.
         let exit_pupil = LENS_MM * (1.0 - m);

@@ -16,6 +16,8 @@ pub struct CameraModel {
     pub free: [bool; INTRINSICS],
     /// The window before it.
     pub window: Option<WindowModel>,
+    /// Adjusted along these intrinsics themselves, even where the pinhole chart could be used: what is held in one is not held in the other.
+    pub axis_frame: bool,
 }
 
 /// The flat window before a camera (see [`crate::camera::Window`]); its direction is always adjusted.
@@ -28,9 +30,21 @@ pub struct WindowModel {
 }
 
 impl CameraModel {
-    /// True where the pinhole chart can be used: f and both tilts are free.
+    /// True where the pinhole chart is used: f and both tilts are free.
     pub(crate) fn uses_pinhole_frame(&self) -> bool {
-        self.free[0] && self.free[4] && self.free[5]
+        !self.axis_frame && self.free[0] && self.free[4] && self.free[5]
+    }
+
+    /// The same camera with further intrinsics free, in the frame that it has.
+    pub(crate) fn freed(mut self, parameters: impl IntoIterator<Item = usize>) -> Self {
+        self.axis_frame = !self.uses_pinhole_frame();
+        parameters.into_iter().for_each(|p| self.free[p] = true);
+        self
+    }
+
+    /// The intrinsic that a coordinate of the chart stands for, where it does for one that may be held.
+    pub(crate) fn intrinsic_of(&self, coordinate: usize) -> usize {
+        if self.uses_pinhole_frame() && matches!(coordinate, 4 | 5) { coordinate - 2 } else { coordinate }
     }
 }
 

@@ -1,15 +1,16 @@
 //! Whether the model lacks something, in words.
 
+use super::culprit::TOLD_APART;
 use super::enlarged::ENLARGED;
 use super::keys::{Keys, intrinsic_unit};
 use super::moved;
 use super::probes::Probes;
 use super::{Asked, FALSE_ALARMS, FELT_SIGMAS, Subject, Watch, digits, measured};
 use crate::bundle::{
-    CameraModel, Extension, ExtensionTest, ExtensionTests, Model, Moved, extension_tests, intrinsic_words, moved_test,
-    named_rows,
+    CameraModel, Extension, ExtensionTest, ExtensionTests, Model, Moved, TargetShape, extension_tests, intrinsic_words,
+    moved_test, named_rows,
 };
-use crate::record::ModelTest;
+use crate::record::{ModelTest, Prior};
 use crate::stats::chi_square_above;
 use nalgebra::{DMatrix, DVector};
 
@@ -71,7 +72,7 @@ impl ModelTests {
         let before = model.cameras.clone();
         for (of, _) in self.of.iter().zip(&self.asked).filter(|(_, asked)| asked.flagged) {
             if let Extension::Intrinsic { parameter, .. } = *of {
-                model.cameras.iter_mut().for_each(|c| c.free[parameter] = true);
+                model.cameras.iter_mut().for_each(|c| *c = c.clone().freed([parameter]));
             }
         }
         let free = |cameras: &[CameraModel]| cameras.iter().flat_map(|c| c.free).filter(|free| *free).count();
@@ -151,14 +152,40 @@ fn what_others_explain(
     }
 }
 
+/// Whether a number is one that every lens and sensor has, and held because the rig file says so.
+fn is_stated(parameter: usize) -> bool {
+    matches!(parameter, 0 | 2..=5)
+}
+
+/// Priors that the images contradict by less than a lacking term explains: it is what bends the estimate there, as no prior explains more than what it
+/// is off by.
+pub(super) fn priors_go_after(s: &Subject<'_>, tests: &ModelTests, priors: &mut [Asked<Prior>]) {
+    let flagged = tests.asked.iter().zip(&tests.of).filter(|(one, _)| one.flagged);
+    let excess = |row: &ModelTest| row.statistic - row.degrees_of_freedom as f64;
+    let Some((most, of)) = flagged.max_by(|a, b| excess(&a.0.row).total_cmp(&excess(&b.0.row))) else { return };
+    for prior in priors.iter_mut().filter(|p| p.flagged && p.row.z.powi(2) + TOLD_APART < excess(&most.row)) {
+        prior.goes_after(&format!("{} explains more, and goes first", what(s, *of)));
+    }
+}
+
 /// What is lacking, in words.
 fn what(s: &Subject<'_>, e: Extension) -> String {
     match e {
         Extension::Intrinsic { camera, parameter } => {
-            format!("{} of camera {}", intrinsic_words(parameter), s.adjustment.model.cameras[camera].name)
+            let fixed = if is_stated(parameter) { "fixed " } else { "" };
+            format!("{fixed}{} of camera {}", intrinsic_words(parameter), s.adjustment.model.cameras[camera].name)
         }
+        Extension::Radius { parameter } => radius(s, parameter),
         Extension::BentTarget => "the bend of the plate".into(),
         Extension::DisplacedDiscs => "the displaced dots".into(),
+    }
+}
+
+/// A radius of the target.
+fn radius(s: &Subject<'_>, parameter: usize) -> String {
+    match s.adjustment.model.target.shape {
+        TargetShape::Pair { .. } => format!("the stated radius of disc {}", parameter - 1),
+        TargetShape::Lattice(_) => "the stated radius of the dots".into(),
     }
 }
 
@@ -218,17 +245,19 @@ fn no_lens_has(s: &Subject<'_>, t: &ExtensionTest) -> bool {
 fn shown(e: Extension) -> (f64, &'static str) {
     match e {
         Extension::Intrinsic { parameter, .. } => intrinsic_unit(parameter),
-        Extension::BentTarget | Extension::DisplacedDiscs => (1.0, "mm"),
+        Extension::Radius { .. } | Extension::BentTarget | Extension::DisplacedDiscs => (1.0, "mm"),
     }
 }
 
 fn question(s: &Subject<'_>, e: Extension) -> String {
     match e {
+        Extension::Intrinsic { parameter, .. } if is_stated(parameter) => format!("is the {} right?", what(s, e)),
         Extension::Intrinsic { camera, parameter } => {
             let camera = &s.adjustment.model.cameras[camera];
             let beside = if parameter == 8 && !camera.free[7] { " beside k2" } else { "" };
             format!("is {} of camera {} needed{beside}?", intrinsic_words(parameter), camera.name)
         }
+        Extension::Radius { parameter } => format!("is {} right?", radius(s, parameter)),
         Extension::BentTarget => "is the plate bent?".into(),
         Extension::DisplacedDiscs => "are the dots displaced?".into(),
     }
@@ -239,12 +268,26 @@ fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f
     let (factor, unit) = shown(t.extension);
     let found = measured(t.size * factor, t.sigma * factor, unit);
     let (yes, no) = match t.extension {
+        Extension::Intrinsic { parameter, .. } if is_stated(parameter) => {
+            let what = what(s, t.extension);
+            (
+                format!("the {what} contradicts the images: they ask for a change by {found}"),
+                format!("the {what} is that of the images"),
+            )
+        }
         Extension::Intrinsic { parameter, .. } => {
             let what = what(s, t.extension);
             let change = if matches!(parameter, 1 | 9) { "a change by" } else { "" };
             (
                 format!("the images ask for {what}: {} {found}", if change.is_empty() { "about" } else { change }),
                 format!("{what} is not needed"),
+            )
+        }
+        Extension::Radius { parameter } => {
+            let what = radius(s, parameter);
+            (
+                format!("{what} contradicts the images: they ask for a change by {found}"),
+                format!("{what} is that of the images"),
             )
         }
         Extension::BentTarget => (
@@ -272,12 +315,16 @@ fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f
         Extension::Intrinsic { parameter: parameter @ 6..=8, .. } => {
             format!("add \"{}\" to estimate in [solve]", crate::camera::INTRINSIC_NAMES[parameter])
         }
+        Extension::Intrinsic { parameter, .. } if is_stated(parameter) => {
+            "correct it in [camera.known], or write { value = ..., sigma = ... } with what is known of it".into()
+        }
         Extension::Intrinsic { parameter, .. } => {
             let key = crate::camera::INTRINSIC_NAMES[parameter];
             format!(
                 "if lens or sensor give a reason, estimate it: {key} = {{ value = 1.0, sigma = ... }} in [camera.known]"
             )
         }
+        Extension::Radius { .. } => "correct radii_mm, or write adjust = \"shape\" in [target]".into(),
         Extension::BentTarget | Extension::DisplacedDiscs => "write adjust = \"points\" in [target]".into(),
     };
     let then =

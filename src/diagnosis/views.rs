@@ -258,7 +258,7 @@ fn hidden_contradiction(v: &ViewInfluence, wrong: usize, fell: f64) -> String {
 }
 
 /// What to do about a view that contradicts.
-const LOOK: &str = "look at its images, and leave it out if the target moved, was bent, or is not the same";
+const LOOK: &str = "look at its images, and leave it out if the target moved, was bent, or is not the same (record it again where no other one is in the sheet)";
 
 fn contradiction(v: &ViewInfluence) -> String {
     let z = digits(v.z.abs(), 2);

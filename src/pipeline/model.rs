@@ -241,7 +241,7 @@ fn camera(job: &RigDescription, d: &CameraDescription, size_px: [f64; 2]) -> (Ca
     let nominal_f_px = values[0].or(d.design.map(|d| d.f_px)).or(from_lens);
     let design = d.design.map(|d| [d.f_px, d.alpha_rad, d.beta_rad]);
     (
-        CameraModel { name: d.name.clone(), free, window: d.window.map(|w| window(&w)) },
+        CameraModel { name: d.name.clone(), free, window: d.window.map(|w| window(&w)), axis_frame: false },
         CameraStart { size_px, nominal_f_px, values, design, radial: d.radial },
     )
 }

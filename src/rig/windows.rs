@@ -133,7 +133,7 @@ mod tests {
         let window = WindowModel { free: [false; 5], layers: [330.0, 6.0, 1.0, 1.49, 1.333] };
         let place = ViewPlace::InPlane { z_mm: 0.0, known: PlanePosition::Exact };
         let model = Model {
-            cameras: vec![CameraModel { name: "left".into(), free, window: Some(window) }],
+            cameras: vec![CameraModel { name: "left".into(), free, window: Some(window), axis_frame: false }],
             target: TargetModel {
                 shape: TargetShape::Pair { per_view: false },
                 free: [false, true, true],

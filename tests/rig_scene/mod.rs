@@ -218,7 +218,9 @@ impl Parts {
     /// The same with so many edge points per disc.
     fn scene_of(&self, edge_points: i32) -> Scene {
         let model = Model {
-            cameras: ["left", "right"].map(|n| CameraModel { name: n.into(), free: self.free, window: None }).into(),
+            cameras: ["left", "right"]
+                .map(|n| CameraModel { name: n.into(), free: self.free, window: None, axis_frame: false })
+                .into(),
             target: self.target.clone(),
             views: self.views.iter().map(|v| ViewModel { place: v.place }).collect(),
             facts: self.facts.clone(),
