@@ -48,6 +48,7 @@ mod by_disc;
 mod chart;
 mod conflict;
 mod contour;
+mod dots_plane;
 mod edges;
 mod extension;
 mod facts;

@@ -12,6 +12,7 @@
 use super::Fact;
 use super::adjust::Adjustment;
 use super::chart::{self, ChartDerivative, SolverCamera};
+use super::dots_plane::DotsPlane;
 use super::layout::Places;
 use super::model::{Model, TargetShape};
 use super::state::State;
@@ -74,7 +75,7 @@ pub struct Natural {
     pub cameras: Vec<Camera>,
     /// Motion of each camera against the first.
     pub cam_from_rig: Vec<Motion<Cam, Rig>>,
-    /// The common plane, where there is one; z towards the viewer of the target.
+    /// The common plane, where there is one, through the dots as they are found; z towards the viewer of the target.
     pub rig_from_plane: Option<Motion<Rig, Sheet>>,
     /// Pose of each view.
     pub rig_from_target: Vec<Motion<Rig, Target>>,
@@ -202,7 +203,10 @@ pub(super) fn natural(model: &Model, state: &State) -> Option<Natural> {
     Some(Natural {
         cameras: solver.iter().map(|s| s.camera).collect(),
         cam_from_rig: (0..solver.len()).map(|c| if c == 0 { Motion::identity() } else { motion(c) }).collect(),
-        rig_from_plane: state.first_from_plane.map(|p| rig_from_first * p),
+        rig_from_plane: state.first_from_plane.map(|p| {
+            let of_dots = DotsPlane::of(model, state).map_or_else(Motion::identity, |dots| dots.motion());
+            rig_from_first * p * of_dots
+        }),
         rig_from_target: state.views.iter().map(|v| rig_from_first * v.first_from_target).collect(),
     })
 }
@@ -261,9 +265,7 @@ pub(super) fn rows(model: &Model, places: &Places, state: &State, natural: &Natu
     let turn0: Motion<Rig, Rig> = Motion::new(solver0.cam_from_solver, Vector3::zeros());
     let plane_ad = state.first_from_plane.map(|p| (turn0 * p).adjoint());
     if let (Some(ad), Some(first)) = (&plane_ad, places.plane) {
-        for r in 0..6 {
-            let mut terms: Vec<(usize, f64)> =
-                [0, 1, 5].iter().enumerate().map(|(n, &k)| (first + n, ad[(r, k)])).collect();
+        for (r, mut terms) in sheet_terms(model, (places, first), state, ad).into_iter().enumerate() {
             terms.extend(turn_terms(0, &identity, r, 1.0));
             out.push(Row { name: format!("{SHEET}{}", STEP_NAMES[r]), terms });
         }
@@ -300,6 +302,23 @@ pub(super) fn rows(model: &Model, places: &Places, state: &State, natural: &Natu
         at += places.layout().blocks[v];
     }
     Some(out)
+}
+
+/// Steps of the sheet by those of the plane, whose first is given, and by the heights of its dots; `ad` takes steps about the plane to steps of the sheet.
+fn sheet_terms(
+    model: &Model,
+    (places, first): (&Places, usize),
+    state: &State,
+    ad: &SMatrix<f64, 6, 6>,
+) -> [Vec<(usize, f64)>; 6] {
+    let dots = places.offsets.zip(DotsPlane::of(model, state));
+    std::array::from_fn(|r| {
+        let of_plane = [0, 1, 5].iter().enumerate().map(|(n, &k)| (first + n, ad[(r, k)]));
+        let of_dots = dots
+            .iter()
+            .flat_map(|(at, dots)| dots.steps().map(move |(j, step)| (at + 4 * j + 2, ad.row(r).tr_dot(&step))));
+        of_plane.chain(of_dots).collect()
+    })
 }
 
 fn shape_names(model: &Model) -> [&'static str; 3] {
