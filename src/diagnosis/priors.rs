@@ -60,7 +60,10 @@ pub(super) fn priors(s: &Subject<'_>) -> Priors {
         .collect();
     let tested = own.iter().filter(|(c, ..)| c.z().is_some()).count().max(1) as f64;
     let each = own.iter().map(|(check, known, stated)| prior(known, check, *stated, tested));
-    Priors { asked: each.chain(dots(s, &checks)).collect(), of: own.iter().map(|(check, ..)| check.of).collect() }
+    Priors {
+        asked: each.chain(OF_DOTS.iter().filter_map(|of| dots(s, &checks, of))).collect(),
+        of: own.iter().map(|(check, ..)| check.of).collect(),
+    }
 }
 
 fn prior(k: &Known, check: &PriorCheck, stated: bool, tested: f64) -> Asked<Prior> {
@@ -206,21 +209,35 @@ fn position(s: &Subject<'_>, view: usize) -> Option<Known> {
     })
 }
 
-/// The places of all dots together: departures in prior sigmas are a chi-square with as many degrees of freedom as the images decide.
-fn dots(s: &Subject<'_>, checks: &[PriorCheck]) -> Option<Asked<Prior>> {
-    let sigma = s.adjustment.model.target.offset_sigma_mm?[0];
-    let own: Vec<&PriorCheck> = checks.iter().filter(|c| matches!(c.of, PriorOf::Disc { part: 0 | 1, .. })).collect();
+/// What is asked of all dots together: the name, what they are off, the parts of an offset.
+struct OfDots {
+    name: &'static str,
+    off: &'static str,
+    parts: &'static [usize],
+}
+
+const OF_DOTS: [OfDots; 2] = [
+    OfDots { name: "places of the printed dots", off: "their nominal places", parts: &[0, 1] },
+    OfDots { name: "heights of the printed dots", off: "the plane of the plate", parts: &[2] },
+];
+
+/// All dots together: departures in prior sigmas are a chi-square with as many degrees of freedom as the images decide.
+fn dots(s: &Subject<'_>, checks: &[PriorCheck], of: &OfDots) -> Option<Asked<Prior>> {
+    let sigma = s.adjustment.model.target.offset_sigma_mm?[of.parts[0]];
+    let is_own = |c: &&PriorCheck| matches!(c.of, PriorOf::Disc { part, .. } if of.parts.contains(&part));
+    let own: Vec<&PriorCheck> = checks.iter().filter(is_own).collect();
     let chi2: f64 = own.iter().map(|c| c.residual * c.residual).sum();
     let degrees: f64 = own.iter().map(|c| 1.0 - c.share).sum();
     let rms = sigma * (chi2 / own.len().max(1) as f64).sqrt();
     let testable = degrees >= 1.0;
     // A plate better than it was said to be is no contradiction.
     let z = if testable { ((chi2 - degrees) / (2.0 * degrees).sqrt()).max(0.0) } else { f64::NAN };
-    let conflict = z > 0.0 && chi_square_above(chi2, degrees) < FALSE_ALARMS;
-    let name = "places of the printed dots".to_string();
+    let conflict = z > 0.0 && chi_square_above(chi2, degrees) * (OF_DOTS.len() as f64) < FALSE_ALARMS;
+    let name = of.name.to_string();
     let what = format!(
-        "the dots lie {} um (rms) off their nominal places; {} um were allowed",
+        "the dots lie {} um (rms) off {}; {} um were allowed",
         digits(1e3 * rms, 2),
+        of.off,
         digits(1e3 * sigma, 2)
     );
     let found = format!("{name}: {what}");
