@@ -18,9 +18,8 @@ const GROWTH_LEAST: f64 = 0.07;
 const MOST_SPREAD: f64 = 2.5;
 /// A dot of the finished lattice is off if it misses its neighbours' prediction by more robust sigmas than this ...
 const OFF_SIGMAS: f64 = 6.0;
-/// ... but never if by less than the first, always if by more than the second, in pitches. A dot that is printed in a wrong place is a dot: the
-/// adjustment sets it aside with a reason, or finds where it lies.
-const OFF_LIMITS: (f64, f64) = (0.05, 0.15);
+/// ... but never if by less than the first, always if by more than the second, in pitches.
+const OFF_LIMITS: (f64, f64) = (0.006, 0.15);
 /// Largest robust miss of a lattice of real dots, in pitches; chance alignments of blobs miss by about 0.1.
 const CHANCE_MISS: f64 = 0.05;
 /// A dot's semi-axes with the foreshortening taken out, over the typical dot's: outside of this it is no dot of the lattice.

@@ -293,28 +293,6 @@ fn without_marks_the_truth_is_among_the_stated_alternatives() {
     }
 }
 
-/// Dots that are printed 1 to 4 hundredths of a pitch off their places keep their labels: the adjustment says what is wrong with them.
-#[test]
-fn misprinted_dots_stay_on_the_grid() {
-    let mut r = Random(23);
-    for run in 0..20 {
-        let (oblique, roll) = (r.in_range(0.0, 1.0), r.in_range(0.0, 6.2));
-        let view = View::new(&mut r, oblique, roll, 0.0, Vector2::new(45.0, 35.0), 140.0);
-        let mut scene = grid_scene(&mut r, (10, 8), &view, 0.0, |_, _| None, (0, 0));
-        let place = |scene: &Scene, wanted: DotId| {
-            let k = scene.truth.iter().position(|id| *id == Some(wanted)).expect("a dot");
-            (k, scene.detection.discs[k].ellipse.center_px)
-        };
-        for (column, row, off) in [(2, 1, 0.01), (5, 4, -0.02), (7, 6, 0.04)] {
-            let ((k, own), (_, next)) = (place(&scene, id(column, row, 0)), place(&scene, id(column + 1, row, 0)));
-            let moved = Pixel::new(own.u_px + off * (next.u_px - own.u_px), own.v_px + off * (next.v_px - own.v_px));
-            scene.detection.discs[k].ellipse.center_px = moved;
-        }
-        let l = label_discs("image", &scene.detection, &grid_target(Some(10), Some(8), vec![])).unwrap();
-        assert_eq!(l.discs.len(), 80, "run {run}");
-    }
-}
-
 #[test]
 fn part_of_an_unmarked_grid_has_an_arbitrary_origin() {
     let mut r = Random(14);
