@@ -4,7 +4,7 @@
 mod rig_scene;
 
 use nalgebra::{SMatrix, SVector, Vector3};
-use rig_scene::{Scene, adjusted, drawn};
+use rig_scene::{Scene, adjusted, diagnosed, drawn};
 use spivcal::bundle::named_covariance;
 use spivcal::frames::{Rig, Sheet};
 use spivcal::rigid::{Motion, rotation_exp};
@@ -47,6 +47,23 @@ fn the_sheet_leans_with_the_dots() {
     println!("z^2 {squares:.2}; the slope is {leans:.0} sigmas");
     // 24 numbers: the mean square of normal ones lies between 0.45 and 1.8 in 999 of 1000 cases.
     assert!((0.3..1.9).contains(&squares) && leans > 8.0, "{squares} {leans}");
+}
+
+/// Heights as large as allowed agree; of five times as much it is told, with what to do. Allowed are 20 um.
+#[test]
+fn heights_are_held_against_what_is_allowed() {
+    let scene = Scene::build(5, false, true, true);
+    for (times, conflict) in [(1.0, false), (5.0, true)] {
+        // Without a slope: up and down by turns.
+        let rough = |(j, o): (usize, &[f64; 4])| [o[0], o[1], 0.02 * times * if j % 2 == 0 { 0.9 } else { -1.1 }, 0.0];
+        let heights: Vec<[f64; 4]> = scene.truth.offsets_mm.iter().enumerate().map(rough).collect();
+        let found = diagnosed(&adjusted(&drawn(&scene.with_offsets(&heights), 60)));
+        let row = found.diagnosis.priors.iter().find(|p| p.name == "heights of the printed dots").expect("a row");
+        println!("{times} times: {}, z {:.2}", row.words, row.z);
+        assert_eq!(row.conflict, conflict, "{}", row.words);
+        assert_eq!(found.flags.contains(&row.words), conflict, "{:?}", found.flags);
+        assert_eq!(row.words.contains("point_sigma_mm"), conflict, "{}", row.words);
+    }
 }
 
 /// The plane of least squares through the dots of the views in the sheet, by their places in space.

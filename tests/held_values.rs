@@ -4,7 +4,7 @@
 mod rig_scene;
 
 use rig_scene::{Parts, Scene, adjusted, diagnosed, drawn, given_sigmas, tilted_camera};
-use spivcal::bundle::{Adjustment, Extension, ExtensionTest, Fact, State, adjust, extension_tests};
+use spivcal::bundle::{AdjustOptions, Adjustment, Extension, ExtensionTest, Fact, State, adjust, extension_tests};
 use spivcal::stats::chi_square_above;
 
 fn parts() -> Parts {
@@ -56,6 +56,20 @@ fn a_fixed_focal_length_is_tested() {
     assert!(first.contains("the fixed focal length f of camera left contradicts the images"), "{flags:?}");
 }
 
+/// A focal length that is held far off draws axis points to where they were not expected: it goes first, and their rows say so.
+#[test]
+fn priors_go_after_the_value_that_bends_them() {
+    let mut parts = parts();
+    parts.free[0] = false;
+    let off_px = 0.05 * parts.cameras[0].intrinsics().f_px;
+    let found = diagnosed(&held(&parts, 3, |s| s.cameras.iter_mut().for_each(|c| c.f_px += off_px)));
+    let after = |words: &String| words.contains("focal length f of camera") && words.contains("goes first");
+    let conflicts: Vec<_> = found.diagnosis.priors.iter().filter(|p| p.conflict).collect();
+    println!("{:?}\n{:#?}", found.flags, conflicts.iter().map(|p| (&p.words, p.z)).collect::<Vec<_>>());
+    assert!(!conflicts.is_empty() && conflicts.iter().all(|p| after(&p.words)), "{conflicts:?}");
+    assert!(found.flags.first().is_some_and(|f| f.starts_with("the fixed focal length")), "{:?}", found.flags);
+}
+
 /// In the pinhole frame, of which the axis point is two coordinates of its own.
 #[test]
 fn a_fixed_axis_point_is_tested() {
@@ -88,6 +102,15 @@ fn a_stated_radius_is_tested() {
     assert!((t.size / (-0.02 * parts.shape_mm[1]) - 1.0).abs() < 0.1, "{}", t.size);
     let flags = diagnosed(&wrong).flags;
     assert!(flags.iter().any(|f| f.contains("the stated radius of the dots contradicts the images")), "{flags:?}");
+    // Sigmas that follow the scatter of discs are enlarged for it, and hide what it moves.
+    let scene = drawn(&parts.scene(), 7);
+    let mut start = scene.truth.clone();
+    start.shape_mm[1] *= 1.02;
+    let scattered = adjust(&scene.model, start, &AdjustOptions::default(), &mut |_| true);
+    let enlarged = scattered.model.images.iter().map(|i| i.sigma_scale).fold(1.0, f64::max);
+    let flags = diagnosed(&scattered).flags;
+    println!("enlarged {enlarged:.1} times: {flags:?}");
+    assert!(enlarged > 10.0 && flags.iter().any(|f| f.contains("the stated radius of the dots contradicts")));
     // Free, it has nothing to be tested.
     parts.target.free[1] = true;
     let free = adjusted(&drawn(&parts.scene(), 7));

@@ -45,7 +45,9 @@ impl DotsPlane {
                 continue;
             };
             let images = model.images.iter().filter(|image| image.view == v);
-            let discs: BTreeSet<usize> = images.flat_map(|image| image.discs.iter().map(|d| d.disc)).collect();
+            let discs: BTreeSet<usize> = images
+                .flat_map(|i| i.discs.iter().map(|d| d.disc).chain(i.points.disc.iter().map(|j| *j as usize)))
+                .collect();
             seen.extend(discs.into_iter().map(|j| {
                 let at = planar.apply(&model.target.nominal_disc(j, &state.shape_mm).0);
                 (j, Vector3::new(1.0, at.x, at.y))

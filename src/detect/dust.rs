@@ -136,34 +136,16 @@ fn may_shine_into(speck: &Start, disc: &Start) -> bool {
 mod tests {
     use super::*;
     use crate::conic::Ellipse;
-    use crate::detect::correlation::NoiseCorrelation;
     use crate::detect::pattern::tests::disc;
-    use crate::detect::shape::Shape;
     use std::sync::Mutex;
 
     fn start(at: [f64; 2], radius_px: f64) -> Start<'static> {
         let center_px = Pixel::new(at[0], at[1]);
         Start {
-            ellipse: Ellipse { center_px, semi_major_px: radius_px, semi_minor_px: radius_px, angle_rad: 0.0 },
-            blur_px: 1.0,
-            bright: false,
-            contrast: 100.0,
-            inner_px: radius_px,
-            neighbours: &[],
-            slopes: [[0.0; 2]; 2],
-            noise: &NoiseCorrelation::NONE,
-            level: 0,
-            variance: 1.0,
-            quantisation: 0.0,
             clear: true,
-            shot_noise: None,
             smoke: true,
             full_of_smoke: true,
-            shape: Shape::GAUSSIAN,
-            stretch: [0.0; 2],
-            shape_covariance: nalgebra::Matrix4::zeros(),
-            asked_for_shape: false,
-            tells: None,
+            ..Start::alone(Ellipse { center_px, semi_major_px: radius_px, semi_minor_px: radius_px, angle_rad: 0.0 })
         }
     }
 

@@ -536,6 +536,35 @@ fn accept(
 }
 
 #[cfg(test)]
+impl Start<'static> {
+    /// A dark disc alone in white noise of one grey level, one hundred above it, for tests.
+    pub(crate) fn alone(ellipse: Ellipse) -> Self {
+        Self {
+            ellipse,
+            blur_px: 1.0,
+            bright: false,
+            contrast: 100.0,
+            inner_px: ellipse.semi_minor_px,
+            neighbours: &[],
+            slopes: [[0.0; 2]; 2],
+            noise: &NoiseCorrelation::NONE,
+            level: 0,
+            variance: 1.0,
+            quantisation: 0.0,
+            clear: false,
+            shot_noise: None,
+            smoke: false,
+            full_of_smoke: false,
+            shape: Shape::GAUSSIAN,
+            stretch: [0.0; 2],
+            shape_covariance: Matrix4::zeros(),
+            asked_for_shape: false,
+            tells: None,
+        }
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::frames::Pixel;
@@ -545,29 +574,7 @@ mod tests {
     fn what_strays_far_is_given_up() {
         let ellipse =
             Ellipse { center_px: Pixel::new(50.0, 60.0), semi_major_px: 5.0, semi_minor_px: 4.0, angle_rad: 0.2 };
-        let noise = NoiseCorrelation::NONE;
-        let start = Start {
-            ellipse,
-            blur_px: 1.0,
-            bright: true,
-            contrast: 50.0,
-            inner_px: 4.0,
-            neighbours: &[],
-            slopes: [[0.0; 2]; 2],
-            noise: &noise,
-            level: 0,
-            variance: 1.0,
-            quantisation: 0.0,
-            clear: true,
-            shot_noise: None,
-            smoke: false,
-            full_of_smoke: false,
-            shape: Shape::GAUSSIAN,
-            stretch: [0.0; 2],
-            shape_covariance: Matrix4::zeros(),
-            asked_for_shape: false,
-            tells: None,
-        };
+        let start = Start { bright: true, contrast: 50.0, clear: true, ..Start::alone(ellipse) };
         let course = |shift_px: f64, semi_minor_px: f64, blur_px: f64| {
             let center_px = Pixel::new(50.0 + shift_px, 60.0);
             let light = Light::Surface([Side::plain(1, 50.0); 2]);

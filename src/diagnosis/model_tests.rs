@@ -152,9 +152,9 @@ fn what_others_explain(
     }
 }
 
-/// Whether a number is one that every lens and sensor has, and held because the rig file says so.
-fn is_stated(parameter: usize) -> bool {
-    matches!(parameter, 0 | 2..=5)
+/// Whether it is a number that every lens, sensor or disc has, and held because the rig file says so.
+fn is_held(e: Extension) -> bool {
+    matches!(e, Extension::Intrinsic { parameter: 0 | 2..=5, .. } | Extension::Radius { .. })
 }
 
 /// Priors that the images contradict by less than a lacking term explains: it is what bends the estimate there, as no prior explains more than what it
@@ -172,20 +172,15 @@ pub(super) fn priors_go_after(s: &Subject<'_>, tests: &ModelTests, priors: &mut 
 fn what(s: &Subject<'_>, e: Extension) -> String {
     match e {
         Extension::Intrinsic { camera, parameter } => {
-            let fixed = if is_stated(parameter) { "fixed " } else { "" };
+            let fixed = if is_held(e) { "the fixed " } else { "" };
             format!("{fixed}{} of camera {}", intrinsic_words(parameter), s.adjustment.model.cameras[camera].name)
         }
-        Extension::Radius { parameter } => radius(s, parameter),
+        Extension::Radius { parameter } => match s.adjustment.model.target.shape {
+            TargetShape::Pair { .. } => format!("the stated radius of disc {}", parameter - 1),
+            TargetShape::Lattice(_) => "the stated radius of the dots".into(),
+        },
         Extension::BentTarget => "the bend of the plate".into(),
         Extension::DisplacedDiscs => "the displaced dots".into(),
-    }
-}
-
-/// A radius of the target.
-fn radius(s: &Subject<'_>, parameter: usize) -> String {
-    match s.adjustment.model.target.shape {
-        TargetShape::Pair { .. } => format!("the stated radius of disc {}", parameter - 1),
-        TargetShape::Lattice(_) => "the stated radius of the dots".into(),
     }
 }
 
@@ -197,9 +192,12 @@ fn of_extension(
     bias: (f64, String),
 ) -> Asked<ModelTest> {
     let enlarged = enlarged(s);
-    let alike = needed && test.extension == Extension::DisplacedDiscs && enlarged > ENLARGED;
+    let displaced = test.extension == Extension::DisplacedDiscs;
+    // What is the same in all images passes for scatter where sigmas were enlarged for it.
+    let alike = needed && enlarged > ENLARGED && (displaced || is_held(test.extension));
     let felt = needed && (bias.0 > FELT_SIGMAS || alike);
-    let [found, then] = if alike { misprinted(test, enlarged) } else { words(s, test, needed, felt, &bias) };
+    let [found, then] =
+        if alike && displaced { misprinted(test, enlarged) } else { words(s, test, needed, felt, &bias) };
     let row = ModelTest {
         question: question(s, test.extension),
         statistic: test.statistic,
@@ -251,13 +249,14 @@ fn shown(e: Extension) -> (f64, &'static str) {
 
 fn question(s: &Subject<'_>, e: Extension) -> String {
     match e {
-        Extension::Intrinsic { parameter, .. } if is_stated(parameter) => format!("is the {} right?", what(s, e)),
+        Extension::Intrinsic { parameter: 0 | 2..=5, .. } | Extension::Radius { .. } => {
+            format!("is {} right?", what(s, e))
+        }
         Extension::Intrinsic { camera, parameter } => {
             let camera = &s.adjustment.model.cameras[camera];
             let beside = if parameter == 8 && !camera.free[7] { " beside k2" } else { "" };
             format!("is {} of camera {} needed{beside}?", intrinsic_words(parameter), camera.name)
         }
-        Extension::Radius { parameter } => format!("is {} right?", radius(s, parameter)),
         Extension::BentTarget => "is the plate bent?".into(),
         Extension::DisplacedDiscs => "are the dots displaced?".into(),
     }
@@ -268,11 +267,11 @@ fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f
     let (factor, unit) = shown(t.extension);
     let found = measured(t.size * factor, t.sigma * factor, unit);
     let (yes, no) = match t.extension {
-        Extension::Intrinsic { parameter, .. } if is_stated(parameter) => {
+        Extension::Intrinsic { parameter: 0 | 2..=5, .. } | Extension::Radius { .. } => {
             let what = what(s, t.extension);
             (
-                format!("the {what} contradicts the images: they ask for a change by {found}"),
-                format!("the {what} is that of the images"),
+                format!("{what} contradicts the images: they ask for a change by {found}"),
+                format!("{what} is that of the images"),
             )
         }
         Extension::Intrinsic { parameter, .. } => {
@@ -281,13 +280,6 @@ fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f
             (
                 format!("the images ask for {what}: {} {found}", if change.is_empty() { "about" } else { change }),
                 format!("{what} is not needed"),
-            )
-        }
-        Extension::Radius { parameter } => {
-            let what = radius(s, parameter);
-            (
-                format!("{what} contradicts the images: they ask for a change by {found}"),
-                format!("{what} is that of the images"),
             )
         }
         Extension::BentTarget => (
@@ -315,7 +307,7 @@ fn words(s: &Subject<'_>, t: &ExtensionTest, needed: bool, felt: bool, bias: &(f
         Extension::Intrinsic { parameter: parameter @ 6..=8, .. } => {
             format!("add \"{}\" to estimate in [solve]", crate::camera::INTRINSIC_NAMES[parameter])
         }
-        Extension::Intrinsic { parameter, .. } if is_stated(parameter) => {
+        Extension::Intrinsic { .. } if is_held(t.extension) => {
             "correct it in [camera.known], or write { value = ..., sigma = ... } with what is known of it".into()
         }
         Extension::Intrinsic { parameter, .. } => {

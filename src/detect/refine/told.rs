@@ -64,13 +64,12 @@ mod tests {
     use super::*;
     use crate::conic::{Ellipse, Frame, to_regular};
     use crate::detect::band::LANES;
-    use crate::detect::correlation::NoiseCorrelation;
     use crate::detect::rim::Rim;
     use crate::detect::shape::Shape;
     use crate::frames::Pixel;
     use crate::image::Samples;
     use crate::stats::random::Random;
-    use nalgebra::{Matrix4, Vector4};
+    use nalgebra::Vector4;
 
     const SIZE: usize = 72;
     const STEP: f64 = 100.0;
@@ -110,29 +109,14 @@ mod tests {
     /// Both ways tell what was drawn, to the second order of it, and the geometry follows.
     #[test]
     fn a_disc_tells_the_blur_that_it_is_seen_through() {
-        let (grey, noise) = (image(), NoiseCorrelation::NONE);
+        let grey = image();
         let view = GrayView::new(Samples::F32(&grey), SIZE, SIZE, SIZE).expect("an image");
         let start = Start {
-            ellipse: TRUTH,
             blur_px: 1.5,
-            bright: false,
             contrast: STEP,
-            inner_px: TRUTH.semi_minor_px,
-            neighbours: &[],
-            slopes: [[0.0; 2]; 2],
-            noise: &noise,
-            level: 0,
             variance: NOISE * NOISE,
-            quantisation: 0.0,
-            clear: false,
-            shot_noise: None,
-            smoke: false,
-            full_of_smoke: false,
-            shape: Shape::GAUSSIAN,
-            stretch: [0.0; 2],
-            shape_covariance: Matrix4::zeros(),
             asked_for_shape: true,
-            tells: None,
+            ..Start::alone(TRUTH)
         };
         let (options, mut s) = (DetectOptions::default(), Scratch::default());
         let clean = pixels::fit_quickly(&view, &start, &mut s).expect("a clean disc");

@@ -3,7 +3,6 @@
 use super::*;
 use crate::conic::{Ellipse, Frame, to_regular};
 use crate::detect::contour::Contour;
-use crate::detect::correlation::NoiseCorrelation;
 use crate::detect::exact::{Exact, State};
 use crate::detect::quick::pixels::{Collect, Rings};
 use crate::detect::quick::{Clean, Quick};
@@ -201,28 +200,7 @@ fn bent_light_is_fitted_as_the_longer_way_does() {
         let sides = quick.bent.as_ref().expect("light that bends").each_ref().map(|b| b.side);
         assert!(sides.iter().all(|s| s.degree == 2));
 
-        let start = Start {
-            level: 1,
-            variance: 1.0,
-            quantisation: 0.0,
-            clear: false,
-            ellipse: LARGE,
-            blur_px,
-            bright: false,
-            contrast: -step,
-            inner_px: LARGE.semi_minor_px,
-            neighbours: &[],
-            slopes: [[0.0; 2]; 2],
-            noise: &NoiseCorrelation::NONE,
-            shot_noise: None,
-            smoke: false,
-            full_of_smoke: false,
-            shape: Shape::GAUSSIAN,
-            stretch: [0.0; 2],
-            shape_covariance: nalgebra::Matrix4::zeros(),
-            asked_for_shape: false,
-            tells: None,
-        };
+        let start = Start { level: 1, blur_px, contrast: -step, ..Start::alone(LARGE) };
         let (variance, field) = (state.variance, None);
         let mut plain = State {
             ellipse: LARGE,
