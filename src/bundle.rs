@@ -73,6 +73,7 @@ mod retraction;
 mod same_light;
 mod state;
 mod steps;
+mod surface;
 mod tangent;
 mod tie;
 mod typical;

@@ -6,6 +6,7 @@ mod detect_table;
 mod disc_errors;
 mod program;
 mod render;
+mod share;
 
 use bubbles_in::{bubbles_in, bubbles_text};
 use detect_table::{Condition, Light, off};
@@ -14,6 +15,7 @@ use program::spivcal;
 use rayon::prelude::*;
 use render::accuracy::{Case, bound, cases};
 use render::{Random, Spot, draw};
+use share::share;
 use spivcal::detect::{DetectOptions, find_discs};
 use spivcal::image::{GrayView, Samples};
 use spivcal::simulate::Scene;
@@ -24,11 +26,6 @@ struct Score {
     nees: f64,
     nees_sigma: f64,
     bound: [f64; 4],
-}
-
-/// Scenes of a slow set: a third of them, or all with `./check --accuracy`.
-fn share(all: usize) -> usize {
-    if std::env::var_os("SPIVCAL_ALL_SCENES").is_some() { all } else { all.div_ceil(3) }
 }
 
 /// What is known of the root mean square of so many errors, and of the mean square, as a part of it.
@@ -112,7 +109,7 @@ fn the_table_of_conditions_in_short() {
     ];
     for (k, (light, semi_minor_px, bits, bright)) in rows.into_iter().enumerate() {
         let c = Condition { semi_minor_px, ratio: 1.2, blur_px: 0.8, light, bits, noise: 0.015, bright };
-        let (scenes, shots) = (share(8), 10);
+        let (scenes, shots) = (share(8, 3), 10);
         let row = c.run(scenes, shots, 40 + k as u64);
         println!("row {k}: ratio {:.2?} bias {:.4?} z^2 {:.2}", row.ratio, row.bias_px, row.z2);
         assert_eq!(row.found, scenes * shots);
@@ -197,7 +194,7 @@ fn the_smallest_discs_full_of_smoke_are_as_accurate_as_can_be() {
     let smoke = Light::Smoke;
     let c =
         Condition { semi_minor_px: 4.0, ratio: 1.2, blur_px: 0.8, light: smoke, bits: 16, noise: 0.015, bright: true };
-    let scenes = share(24);
+    let scenes = share(24, 3);
     let row = c.run(scenes, 1, 8);
     println!("smoke: ratio {:.2?} bias {:.4?} z^2 {:.2}", row.ratio, row.bias_px, row.z2);
     assert_eq!(row.found, scenes);
@@ -313,7 +310,7 @@ fn sigmas_are_true_in_large_discs_full_of_haze() {
     for (noise, most) in [(0.0015, 2.3), (0.015, 1.35)] {
         let (semi_minor_px, light) = (40.0, Light::Haze);
         let c = Condition { semi_minor_px, ratio: 1.2, blur_px: 0.8, light, bits: 16, noise, bright: true };
-        let (scenes, shots) = (share(16), 2);
+        let (scenes, shots) = (share(16, 4), 2);
         let row = c.run(scenes, shots, 20);
         println!("noise {noise}: ratio {:.2?} bias {:.5?} z^2 {:.2}", row.ratio, row.bias_px, row.z2);
         assert_eq!(row.found, scenes * shots);
@@ -328,7 +325,7 @@ fn sigmas_are_true_in_large_discs_full_of_haze() {
 fn large_discs_full_of_slow_smoke_are_as_accurate_as_can_be() {
     let (semi_minor_px, light) = (40.0, Light::Smoke);
     let c = Condition { semi_minor_px, ratio: 1.2, blur_px: 0.8, light, bits: 16, noise: 0.015, bright: true };
-    let scenes = share(16);
+    let scenes = share(16, 4);
     let row = c.run(scenes, 1, 30);
     println!("smoke: ratio {:.2?} bias {:.4?} z^2 {:.2}", row.ratio, row.bias_px, row.z2);
     assert_eq!(row.found, scenes);
@@ -339,7 +336,8 @@ fn large_discs_full_of_slow_smoke_are_as_accurate_as_can_be() {
 /// Bubbles of 5 to 15 px (`divisor` 12), or of 60 to 180 px, full of smoke, as the simulator renders them: light carries shot noise that the ground does not
 /// show, and smoke has waves of all lengths.
 fn sigmas_of_bubbles_are_true(divisor: f64, length_mm: f64) {
-    let errors = errors_of_discs(&smaller_bubbles(divisor, length_mm), 1);
+    // Eight views, the first of a printed plate.
+    let errors = errors_of_discs(&smaller_bubbles(divisor, length_mm), 8 - share(7, 2));
     let count = errors.len() as f64;
     let z2: [f64; 4] = std::array::from_fn(|k| errors.iter().map(|e| (e[k].0 / e[k].1).powi(2)).sum::<f64>() / count);
     println!("radii over {divisor}, smoke of {length_mm} mm: mean z^2 of {count} discs {z2:.2?}");
@@ -375,7 +373,7 @@ fn sigmas_are_true_in_large_bubbles_full_of_quick_smoke() {
 /// 9.4 +- 1.3 mpx too long.
 #[test]
 fn bright_smoke_draws_no_contour_outwards() {
-    let scene = random_bubbles(7, 8, [8.0, 14.0], 0.9, (0.3, 0.7));
+    let scene = random_bubbles(7, share(8, 2), [8.0, 14.0], 0.9, (0.3, 0.7));
     let errors = errors_of_discs(&scene, 0);
     let mean = |k: usize| errors.iter().map(|e| e[k].0).sum::<f64>() / errors.len() as f64;
     println!("axes of {} discs too long by {:.4} and {:.4} px", errors.len(), mean(2), mean(3));
@@ -416,13 +414,13 @@ fn telling_of_smoke_helps(scene: &Scene, most_left: f64) {
 /// Where smoke is known slopes are held more loosely, and errors are smaller, too.
 #[test]
 fn known_smoke_that_changes_fast_is_held_loosely() {
-    telling_of_smoke_helps(&random_bubbles(500, 6, [2.4, 4.5], 1.68, (0.37, 1.3)), 0.95);
+    telling_of_smoke_helps(&random_bubbles(500, share(6, 2), [2.4, 4.5], 1.68, (0.37, 1.3)), 0.95);
 }
 
 /// The same in smoke with waves of 2 to 30 semi-axes: noise hides from a polynomial what it leaves, and contours moved by more than their sigmas.
 #[test]
 fn known_smoke_that_changes_slowly_is_no_polynomial() {
-    telling_of_smoke_helps(&random_bubbles(600, 6, [2.4, 4.5], 1.68, (0.3, 20.0)), 0.8);
+    telling_of_smoke_helps(&random_bubbles(600, share(6, 2), [2.4, 4.5], 1.68, (0.3, 20.0)), 0.8);
 }
 
 /// Bubbles of 3 to 10 px in smoke with waves longer than they are wide, and in weak smoke of which a disc shows little more than a slope: such light was taken
@@ -430,7 +428,7 @@ fn known_smoke_that_changes_slowly_is_no_polynomial() {
 #[test]
 fn sigmas_are_true_in_the_smallest_bubbles() {
     for smoke in [(0.3, 1.0), (0.15, 2.0)] {
-        let errors = errors_of_discs(&random_bubbles(52, share(10), [0.3, 0.7], 0.9, smoke), 0);
+        let errors = errors_of_discs(&random_bubbles(52, share(10, 3), [0.3, 0.7], 0.9, smoke), 0);
         let z = |e: &[(f64, f64); 4], k: usize| (e[k].0 / e[k].1).abs();
         let z2: [f64; 4] =
             std::array::from_fn(|k| errors.iter().map(|e| z(e, k).powi(2)).sum::<f64>() / errors.len() as f64);
@@ -471,8 +469,9 @@ fn weak_smoke_behind_a_blur_is_no_plain_light() {
 /// ends of the contour, and the mean z^2 of the semi-major axis was 1.5.
 #[test]
 fn light_that_hardly_bends_moves_no_contour() {
-    let errors: Vec<[(f64, f64); 4]> =
-        (100..100 + share(6) as u64).flat_map(|seed| errors_of_discs(&bubbles_in(seed, [0.0, 6.0, 0.05]), 0)).collect();
+    let errors: Vec<[(f64, f64); 4]> = (100..100 + share(6, 3) as u64)
+        .flat_map(|seed| errors_of_discs(&bubbles_in(seed, [0.0, 6.0, 0.05]), 0))
+        .collect();
     let count = errors.len() as f64;
     let z2: [f64; 4] = std::array::from_fn(|k| errors.iter().map(|e| (e[k].0 / e[k].1).powi(2)).sum::<f64>() / count);
     println!("mean z^2 of {count} discs {z2:.2?}");

@@ -4,9 +4,11 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
 mod rig_scene;
+mod share;
 
 use nalgebra::SVector;
 use rig_scene::{Grid, Noise, Parts, Problem, Scene, adjusted, diagnosed, drawn, tilted_camera};
+use share::share;
 use spivcal::bundle::{AdjustOptions, Moved, MovedTest, moved_test};
 use spivcal::camera::Camera;
 use spivcal::rig::calibrate_rig;
@@ -90,7 +92,7 @@ fn a_camera_that_was_moved_is_found_with_the_view_and_by_how_much() {
 /// Where nothing moved, as many are said to have been as chance allows; asked of many steps together, no more, and not none at all.
 #[test]
 fn cameras_that_stood_still_are_said_to() {
-    let runs = 300;
+    let runs = share(300, 3) as u64;
     for (name, parts) in [("plate", plate()), ("D10", Problem::of("D10").unwrap().parts)] {
         let scene = parts.scene();
         let p: Vec<f64> = (0..runs).map(|seed| test_of(&scene, 500 + seed).p_value).collect();

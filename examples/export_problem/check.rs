@@ -61,6 +61,7 @@ fn state(model: &Model, start: &State, n: &mut Numbers) -> State {
         shape_mm,
         offsets_mm,
         ovals_mm: vec![],
+        slopes: vec![],
         windows: vec![],
     }
 }

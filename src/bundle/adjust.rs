@@ -18,6 +18,7 @@ use super::residuals::{self, DiscResidual, ImageResiduals};
 use super::retraction;
 use super::same_light;
 use super::state::State;
+use super::surface;
 use super::tie::Alike;
 use crate::solve::{self, Gradient, Iteration, NormalEquations, Posterior, Problem, Step, Termination};
 use crate::stats::chi_square_above;
@@ -264,6 +265,9 @@ fn first_start(
     }
 }
 
+/// How often the surface of a bent plate is found anew; each time it is five times nearer.
+const FOLLOWED: usize = 8;
+
 /// Adjusts everything from a start. `observe` sees each iteration, also those of a start from a part of the observations, and returns false
 /// to cancel. The threads are those of the pool that the caller runs in, without one there is one; results do not depend on their number.
 pub fn adjust(
@@ -299,7 +303,7 @@ pub fn adjust_owned(
     let mut iterations = 0;
     let mut outliers = vec![];
     let (mut outlines, mut same_light) = (Outlines::default(), None);
-    let mut round = 0;
+    let (mut round, mut followed) = (0, 0);
     loop {
         let bundle = Bundle::of(&model);
         let first = damping.take().unwrap_or(solve::FIRST_DAMPING);
@@ -307,7 +311,14 @@ pub fn adjust_owned(
         out.equations = out.equations.map(|e| bundle.by_view(e));
         iterations += out.iterations;
         let stopped = matches!(out.termination, Termination::Cancelled | Termination::BadStart);
-        let changed = round < options.rounds && !stopped && {
+        let goes_on = round < options.rounds && !stopped;
+        // Before all else: outlines in a surface that is not known yet would pass for ovals, and enlarge sigmas.
+        if goes_on && followed < FOLLOWED && surface::follow(&model, &mut out.state) {
+            state = out.state;
+            followed += 1;
+            continue;
+        }
+        let changed = goes_on && {
             let mut all = residuals::of_each_image(&model, &out.state);
             let set_aside = set_outliers_aside(&mut model, &mut all, options, &mut outliers);
             if round == 0 {

@@ -80,6 +80,7 @@ pub(super) struct SeenImage<'a> {
     pub(super) shape_mm: [f64; 3],
     pub(super) offsets_mm: &'a [[f64; 4]],
     ovals_mm: &'a [[f64; 2]],
+    slopes: &'a [[f64; 2]],
     /// Whether it stands beside the other camera's image, so that ties to that hold.
     pub(super) paired: bool,
 }
@@ -97,8 +98,8 @@ impl<'a> SeenImage<'a> {
         let turn: Motion<Cam, Cam> = Motion::new(camera.cam_from_solver, Vector3::zeros());
         let cam_from_target = turn * state.camera_from_first[c] * view.first_from_target;
         let shape_mm = if model.target.per_view() { view.shape_mm } else { state.shape_mm };
-        let (offsets_mm, ovals_mm) = (&state.offsets_mm[..], &state.ovals_mm[..]);
-        Self { model, observations, camera, cam_from_target, shape_mm, offsets_mm, ovals_mm, paired: true }
+        let (offsets_mm, ovals_mm, slopes) = (&state.offsets_mm[..], &state.ovals_mm[..], &state.slopes[..]);
+        Self { model, observations, camera, cam_from_target, shape_mm, offsets_mm, ovals_mm, slopes, paired: true }
     }
 
     /// Centre and radius of disc `j`, offsets included, mm.
@@ -113,7 +114,8 @@ impl<'a> SeenImage<'a> {
 
     pub(super) fn circle(&self, j: usize) -> SeenCircle<'_> {
         let (center, radius) = self.disc(j);
-        SeenCircle { camera: &self.camera.camera, cam_from_target: &self.cam_from_target, center, radius }
+        let flat = SeenCircle { camera: &self.camera.camera, cam_from_target: self.cam_from_target, center, radius };
+        self.slopes.get(j).map_or(flat, |slope| flat.leaning(*slope))
     }
 
     /// The tie of one of its contours.

@@ -2,7 +2,7 @@
 //!
 //! | symbol | identifier | shape | unit | meaning |
 //! |---|---|---|---|---|
-//! | C, R | `center`, `radius` | 3, 1 | mm | circle in the target frame, parallel to z = 0 |
+//! | C, R | `center`, `radius` | 3, 1 | mm | circle in the target frame, parallel to z = 0, or in a bent surface ([`super::surface`]) |
 //! | phi | `phi` | 1 | rad | foot on the circle |
 //! | q(phi) | `pixel` | 2 | px | its image |
 //! | n | `normal` | 2 | 1 | unit normal of the imaged circle, outwards |
@@ -16,7 +16,7 @@ use super::model::{DiscObservation, Loss};
 use super::tie::Tied;
 use crate::camera::{Camera, INTRINSICS, ProjectionJet, WINDOW_STEPS};
 use crate::frames::{Cam, Target};
-use crate::rigid::Motion;
+use crate::rigid::{Motion, rotation_exp};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2, Vector3};
 
 /// Unknowns of one edge point: intrinsics, turn, shift, radius.
@@ -28,7 +28,8 @@ pub(super) const EDGE_BEHIND: usize = EDGE + WINDOW_STEPS;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SeenCircle<'a> {
     pub(super) camera: &'a Camera,
-    pub(super) cam_from_target: &'a Motion<Cam, Target>,
+    /// Of the target, turned about the centre where the circle lies in a surface that is bent.
+    pub(super) cam_from_target: Motion<Cam, Target>,
     pub(super) center: Vector3<f64>,
     pub(super) radius: f64,
 }
@@ -65,6 +66,14 @@ impl Start {
 }
 
 impl SeenCircle<'_> {
+    /// In a surface of the slopes (sx, sy) at its centre: the target turned about that by (sy, -sx, 0).
+    pub(super) fn leaning(self, [sx, sy]: [f64; 2]) -> Self {
+        let flat = &self.cam_from_target;
+        let rotation = flat.rotation * rotation_exp(&Vector3::new(sy, -sx, 0.0));
+        let translation_mm = flat.apply(&self.center) - rotation * self.center;
+        Self { cam_from_target: Motion::new(rotation, translation_mm), ..self }
+    }
+
     pub(super) fn start(&self) -> Option<Start> {
         let rotation = &self.cam_from_target.rotation;
         let p = self.cam_from_target.apply(&self.center);

@@ -214,7 +214,7 @@ fn shared(base: &Places, places: &Places) -> Vec<usize> {
 }
 
 fn bent(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> Option<(ExtensionTest, Freed)> {
-    let at = spread(model, state);
+    let (at, _) = model.target.spread(&state.shape_mm);
     let n = at.len();
     let basis = DMatrix::from_fn(n, 3, |j, k| {
         let p = at[j];
@@ -246,7 +246,7 @@ fn displaced(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> 
     let tested: Vec<usize> = (0..discs).flat_map(|j| [first + 4 * j, first + 4 * j + 1]).collect();
     // What a stretch or a bend of the whole field of dots explains, cameras and poses explain as well: it is not said to
     // be the dots'. The rest is tested, in an orthonormal basis.
-    let eigen = beside_smooth(&spread(model, state)).symmetric_eigen();
+    let eigen = beside_smooth(&model.target.spread(&state.shape_mm).0).symmetric_eigen();
     let rough: Vec<usize> = (0..discs).filter(|&k| eigen.eigenvalues[k] > 0.5).collect();
     let basis = DMatrix::from_fn(2 * discs, 2 * rough.len(), |i, k| {
         if i % 2 == k % 2 { eigen.eigenvectors[(i / 2, rough[k / 2])] } else { 0.0 }
@@ -262,15 +262,6 @@ fn displaced(tests: &ScoreTests, model: &Model, state: &State, first: usize) -> 
         shift: score.shift,
     };
     Some((test, Freed { tested, basis }))
-}
-
-/// Nominal places of the discs about their middle, over the largest coordinate.
-fn spread(model: &Model, state: &State) -> Vec<Vector2<f64>> {
-    let discs = model.target.disc_count();
-    let at: Vec<_> = (0..discs).map(|j| model.target.nominal_disc(j, &state.shape_mm).0.xy()).collect();
-    let middle = at.iter().sum::<Vector2<f64>>() / discs as f64;
-    let half_mm = at.iter().map(|p| (p - middle).amax()).fold(1e-9, f64::max);
-    at.iter().map(|p| (p - middle) / half_mm).collect()
 }
 
 /// Projector that takes a quadratic field out of one number per disc (a linear one where the discs are few).

@@ -5,7 +5,7 @@ use super::tie::Tie;
 use crate::camera::{INTRINSICS, LAYERS};
 use crate::conic::CommonNoise;
 use crate::detect::{Disc, EdgePoints};
-use nalgebra::{DMatrix, Vector3};
+use nalgebra::{DMatrix, Vector2, Vector3};
 
 /// One camera of the adjustment.
 #[derive(Debug, Clone, PartialEq)]
@@ -111,6 +111,13 @@ impl TargetModel {
                 (Vector3::new(n.x * tau[0], n.y * tau[0], -n.level * tau[2]), tau[1])
             }
         }
+    }
+    /// Nominal places of all discs about their middle, over the largest coordinate, and that, mm.
+    pub(super) fn spread(&self, tau: &[f64; 3]) -> (Vec<Vector2<f64>>, f64) {
+        let at: Vec<_> = (0..self.disc_count()).map(|j| self.nominal_disc(j, tau).0.xy()).collect();
+        let middle = at.iter().sum::<Vector2<f64>>() / at.len() as f64;
+        let half_mm = at.iter().map(|p| (p - middle).amax()).fold(1e-9, f64::max);
+        (at.iter().map(|p| (p - middle) / half_mm).collect(), half_mm)
     }
     /// Derivative of (X, Y, Z, R) of disc `j` by the shape parameters, one row of three each.
     pub(super) fn disc_derivative(&self, j: usize) -> [[f64; 3]; 4] {

@@ -35,6 +35,8 @@ pub struct State {
     pub offsets_mm: Vec<[f64; 4]>,
     /// Ovality of each printed disc, mm `(a, b)`: its radius grows by `a cos 2 phi + b sin 2 phi`; empty where it is not estimated.
     pub ovals_mm: Vec<[f64; 2]>,
+    /// Slopes `(d z / d x, d z / d y)` of the surface at each disc in the target frame; empty where it is flat. Held during a solve.
+    pub slopes: Vec<[f64; 2]>,
     /// Window of each camera in its solver frame; empty where no camera has one.
     pub windows: Vec<Option<Window>>,
 }

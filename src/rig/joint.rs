@@ -413,6 +413,7 @@ fn pair_start(problem: &RigProblem, monos: &[Mono], agreed: &Agreed) -> Result<S
         shape_mm: shape0.map(|s| s * scale),
         offsets_mm: model.target.offset_sigma_mm.map_or(vec![], |_| vec![[0.0; 4]; model.target.disc_count()]),
         ovals_mm: vec![],
+        slopes: vec![],
         windows: vec![],
     };
     if !model.target.free[0] && !per_view {

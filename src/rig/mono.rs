@@ -334,6 +334,7 @@ fn mono_start(problem: &RigProblem, c: usize, seeds: &[SeededImage], pinhole: &E
         shape_mm,
         offsets_mm: vec![],
         ovals_mm: vec![],
+        slopes: vec![],
         windows: vec![],
     })
 }

@@ -181,6 +181,7 @@ mod tests {
             shape_mm: [13.0, 6.0, 4.7],
             offsets_mm: vec![],
             ovals_mm: vec![],
+            slopes: vec![],
             windows: vec![],
         };
         (problem, state)

@@ -246,6 +246,7 @@ impl Parts {
             shape_mm: self.shape_mm,
             offsets_mm: self.offsets_mm.clone(),
             ovals_mm: vec![],
+            slopes: vec![],
             windows: vec![],
         };
         let mut scene = Scene { model, cameras: self.cameras.clone(), truth };
@@ -256,7 +257,7 @@ impl Parts {
                     _ => self.cam_from_rig * view.rig_from_target,
                 };
                 let own = if self.target.per_view() { view.shape_mm } else { self.shape_mm };
-                let shape = (&own, &self.offsets_mm[..]);
+                let shape = (&own, &self.offsets_mm[..], &[][..]);
                 scene.model.images.push(image(&self.target, camera, &cam_from_target, shape, (v, c), edge_points));
             }
         }
@@ -327,6 +328,20 @@ impl Scene {
         self.seen_anew(&self.truth.offsets_mm, points)
     }
 
+    /// Its plate bent: `surface` gives height (mm) and slopes at a place of the target (mm). Discs are circles in the surface.
+    pub(crate) fn bent(&self, surface: &dyn Fn(f64, f64) -> [f64; 3]) -> Self {
+        let at = |j: usize| self.model.target.nominal_disc(j, &self.truth.shape_mm).0;
+        let bent: Vec<[f64; 3]> = (0..self.model.target.disc_count()).map(|j| surface(at(j).x, at(j).y)).collect();
+        let heights: Vec<[f64; 4]> =
+            bent.iter().zip(&self.truth.offsets_mm).map(|(b, o)| [o[0], o[1], o[2] + b[0], o[3]]).collect();
+        let mut out = self.clone();
+        out.truth.slopes = bent.iter().map(|b| [b[1], b[2]]).collect();
+        let mut out = out.seen_anew(&heights, EDGE_POINTS);
+        // Not for the adjustment, which starts here.
+        out.truth.slopes.clear();
+        out
+    }
+
     fn seen_anew(&self, offsets: &[[f64; 4]], points: i32) -> Self {
         let mut out = self.clone();
         out.truth.offsets_mm = offsets.to_vec();
@@ -337,7 +352,8 @@ impl Scene {
             let view = &self.truth.views[v];
             let cam_from_target = e[c] * self.truth.camera_from_first[c] * view.first_from_target;
             let own = if self.model.target.per_view() { view.shape_mm } else { self.truth.shape_mm };
-            *seen = image(&self.model.target, &self.cameras[c], &cam_from_target, (&own, offsets), (v, c), points);
+            let discs = (&own, offsets, &self.truth.slopes[..]);
+            *seen = image(&self.model.target, &self.cameras[c], &cam_from_target, discs, (v, c), points);
         }
         out
     }
@@ -461,7 +477,7 @@ fn image(
     target: &TargetModel,
     camera: &Camera,
     cam_from_target: &Motion<Cam, Target>,
-    (shape, offsets): (&[f64; 3], &[[f64; 4]]),
+    (shape, offsets, slopes): (&[f64; 3], &[[f64; 4]], &[[f64; 2]]),
     (view, index): (usize, usize),
     points: i32,
 ) -> ImageObservations {
@@ -471,11 +487,15 @@ fn image(
             center += Vector3::new(o[0], o[1], o[2]);
             radius += o[3];
         }
+        // Tangents of the surface, orthonormal.
+        let [sx, sy] = slopes.get(j).copied().unwrap_or_default();
+        let ex = Vector3::new(1.0, 0.0, sx).normalize();
+        let ey = Vector3::new(-sx, -sy, 1.0).normalize().cross(&ex);
         let mut edge = EdgePoints::default();
         for k in 0..points {
             let (s, c) = (std::f64::consts::TAU * f64::from(k) / f64::from(points)).sin_cos();
             let q: Vector2<f64> =
-                camera.project_xyz(&cam_from_target.apply(&(center + Vector3::new(c, s, 0.0) * radius))).unwrap();
+                camera.project_xyz(&cam_from_target.apply(&(center + (ex * c + ey * s) * radius))).unwrap();
             edge.u_px.push(q.x);
             edge.v_px.push(q.y);
             edge.sigma_px.push(SIGMA_PX);

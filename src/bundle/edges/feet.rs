@@ -22,7 +22,7 @@ impl<L: Lanes> LaneCircle<L> {
     #[inline(always)]
     pub(super) fn of(circle: &SeenCircle) -> Option<Self> {
         let start = circle.start()?;
-        let motion = circle.cam_from_target;
+        let motion = &circle.cam_from_target;
         let axes = motion.rotation * circle.radius;
         let (center, plane) = (motion.apply(&circle.center), start.plane_from_image());
         Some(Self {
