@@ -13,7 +13,7 @@ use share::share;
 /// chi-square to each degree of freedom in short smoke and 0.7 in plain uneven light.
 #[test]
 fn sigmas_of_calibrations_from_pictures_are_true() {
-    for (light, count) in [("uneven", share(8, 2)), ("short-smoke", share(4, 2))] {
+    for (light, count) in [("uneven", share(8, 2)), ("short-smoke", 4)] {
         let s = Summary::of(&runs(light, count));
         let z2 = s.quantities.iter().map(|q| q[2]).sum::<f64>() / QUANTITIES.len() as f64;
         println!("{light}: fits {:.3}, mean z^2 {z2:.2}, all numbers together {:.3}", s.fit, s.joint);
