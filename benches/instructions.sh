@@ -5,7 +5,8 @@
 #
 # A row is NAME COUNT; `export_problem --once NAME` makes the call inside of a function `measured`, where alone callgrind counts. A new
 # row needs a name in examples/export_problem/once.rs, a line with count 0 in the file, and --renew. valgrind shows
-# processors with AVX2 but without AVX-512, so that counts are alike on all machines that have AVX2.
+# processors with AVX2 but without AVX-512, so that counts are alike on all machines that have AVX2. They are those of the development profile, in which the
+# tests are built: what grows there grows in what ships, and a build for release takes longer than all counts.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -19,7 +20,7 @@ if ! grep -qw avx2 /proc/cpuinfo 2>/dev/null; then
     exit 0
 fi
 benches/programs.sh
-program=${CARGO_TARGET_DIR:-target}/release/examples/export_problem
+program=${CARGO_TARGET_DIR:-target}/debug/examples/export_problem
 
 out=$(mktemp)
 trap 'rm -f "$out"' EXIT

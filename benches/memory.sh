@@ -11,7 +11,7 @@ cd "$(dirname "$0")/.."
 
 list=benches/memory.txt
 # As the tests are built: allocations do not depend on optimisation.
-cargo build --quiet --example peak_memory
+benches/programs.sh
 program=${CARGO_TARGET_DIR:-target}/debug/examples/peak_memory
 
 work=$(mktemp -d)

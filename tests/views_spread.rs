@@ -4,9 +4,11 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
 mod rig_scene;
+mod share;
 
 use nalgebra::Matrix3;
 use rig_scene::{Grid, Problem, Scene, adjusted, diagnosed, drawn, tilted_camera};
+use share::share;
 use spivcal::bundle::{Adjustment, Fact, named_covariance, natural_of};
 use spivcal::camera::{Camera, Intrinsics};
 use spivcal::diagnosis::Findings;
@@ -73,6 +75,12 @@ fn squared_factors(all: &[Findings]) -> Vec<(String, f64)> {
     each[0].iter().filter_map(|(name, _)| Some((name.clone(), number(name)?))).collect()
 }
 
+/// Most alarms of so many rigs where one in a hundred is expected: more of 300 (nine) by chance once in 900, of 100 (four) once in 270.
+fn most(rigs: usize) -> usize {
+    let expected = 0.01 * rigs as f64;
+    (expected + 3.5 * expected.sqrt()) as usize
+}
+
 /// Noise alone: the views tell what is stated, and nothing is found.
 #[test]
 fn views_with_noise_alone_scatter_as_stated() {
@@ -82,15 +90,16 @@ fn views_with_noise_alone_scatter_as_stated() {
         (by_hand(5), "plate", 7),
         (Scene::with_grid_in_sheet(6, cameras(), PLATE), "plate in the sheet", 20),
     ] {
-        let all: Vec<Findings> = (0..300).map(|seed| diagnosed(&adjusted(&drawn(&scene, 900 + seed)))).collect();
+        let rigs = share(300, 3);
+        let all: Vec<Findings> =
+            (0..rigs as u64).map(|seed| diagnosed(&adjusted(&drawn(&scene, 900 + seed)))).collect();
         let alarms = all.iter().filter(|f| told(f)).count();
         let factors = squared_factors(&all);
-        println!("{name}: {alarms} alarms in 300 rigs where 3 are expected; squared factors {factors:.2?}");
-        // More than nine by chance once in 900.
-        assert!(alarms <= 9, "{name}: {alarms}");
+        println!("{name}: {alarms} alarms in {rigs} rigs, one in a hundred expected; squared factors {factors:.2?}");
+        assert!(alarms <= most(rigs), "{name}: {alarms}");
         assert!(factors.len() >= least, "{name}: {factors:?}");
         for (key, factor) in factors {
-            // Two to five degrees of freedom a rig: known to a sixteenth or better.
+            // Two to five degrees of freedom a rig: of 300 rigs known to a sixteenth or better.
             assert!((0.8..1.3).contains(&factor), "{name}, {key}: {factor}");
         }
     }
@@ -103,9 +112,9 @@ fn views_of_a_lens_that_is_hardly_bent_do_not_contradict() {
     let mut lens = Intrinsics::pinhole(17_300.0, 520.0, 380.0);
     lens.k[0] = HARDLY_BENT;
     let camera = Camera::new(lens).unwrap();
-    let rigs = 200;
+    let rigs = share(200, 2);
     let (mut alarms, mut contradictions) = (0, 0);
-    for seed in 0..rigs {
+    for seed in 0..rigs as u64 {
         let mut parts = Scene::parts(40 + seed, vec![camera, camera], true, true, false);
         for fact in &mut parts.facts {
             if let Fact::Intrinsic { sigma, .. } = fact {
@@ -117,10 +126,9 @@ fn views_of_a_lens_that_is_hardly_bent_do_not_contradict() {
         contradictions += usize::from(f.diagnosis.views.iter().any(|v| v.contradicts));
     }
     println!(
-        "{alarms} alarms, {contradictions} with views that contradict, in {rigs} rigs where 2 of each are expected"
+        "{alarms} alarms, {contradictions} with views that contradict, in {rigs} rigs, of each one in a hundred expected"
     );
-    // More than seven by chance once in 900.
-    assert!(alarms <= 7 && contradictions <= 7, "{alarms} {contradictions}");
+    assert!(alarms.max(contradictions) <= most(rigs), "{alarms} {contradictions}");
 }
 
 /// k1 of a lens whose distortion moves the rims of discs by some hundredths of a pixel.
