@@ -297,6 +297,9 @@ pub fn adjust_owned(
         Some(_) => start.ovals_mm.resize(model.target.disc_count(), [0.0; 2]),
         None => start.ovals_mm.clear(),
     }
+    if model.target.offset_sigma_mm.is_none() {
+        start.slopes.clear();
+    }
     let (mut state, damping, wanted) = first_start(&model, start, options, observe);
     let mut observe = |i: &Iteration| wanted && observe(i);
     let mut damping = Some(damping);
@@ -313,10 +316,14 @@ pub fn adjust_owned(
         let stopped = matches!(out.termination, Termination::Cancelled | Termination::BadStart);
         let goes_on = round < options.rounds && !stopped;
         // Before all else: outlines in a surface that is not known yet would pass for ovals, and enlarge sigmas.
-        if goes_on && followed < FOLLOWED && surface::follow(&model, &mut out.state) {
-            state = out.state;
-            followed += 1;
-            continue;
+        if goes_on && followed < FOLLOWED {
+            if surface::follow(&model, &mut out.state) {
+                state = out.state;
+                followed += 1;
+                continue;
+            }
+            // What is flat once is not asked again.
+            followed = if followed == 0 { FOLLOWED } else { followed };
         }
         let changed = goes_on && {
             let mut all = residuals::of_each_image(&model, &out.state);
