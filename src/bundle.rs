@@ -101,7 +101,7 @@ pub use open::{Released, open_rows, released};
 pub use posterior::{NamedCovariance, Natural, ParameterKnowledge, named_covariance};
 pub use reach::{FURTHEST, Numbers, Observe, Reach};
 pub use refit::{TangentAdjustment, adjust_tangents, pair_features};
-pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, residuals};
+pub use residuals::{DiscResidual, EdgeResidual, ImageResiduals, PredictedPlace, predicted_places, residuals};
 pub use state::{State, ViewState};
 pub(crate) use steps::{Parameter, ParameterSteps, SHEET};
 pub use tie::Alike;

@@ -9,6 +9,7 @@ mod leftovers;
 mod load;
 mod model;
 mod nominal;
+mod off_grid;
 mod outcome;
 mod png;
 mod residual_rows;

@@ -11,7 +11,7 @@ use super::model::{DiscObservation, ImageObservations, Model};
 use super::outline;
 use super::state::State;
 use crate::threads::gathered;
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 /// Residuals of the edge points of one disc, structure of arrays.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -66,6 +66,25 @@ pub fn residuals(model: &Model, state: &State, observations: &ImageObservations)
     let discs: Option<Vec<DiscResidual>> =
         observations.discs.iter().map(|seen| disc_residual(&image, seen, observations.sigma_scale)).collect();
     Some(ImageResiduals { discs: discs? })
+}
+
+/// Where an image shows a disc of the target.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PredictedPlace {
+    /// Image of its centre, px.
+    pub center_px: Vector2<f64>,
+    /// Affine map from the image to the target's plane about it, mm per px.
+    pub plane_from_image: Matrix2<f64>,
+}
+
+/// Where an image of a view and a camera shows each disc of the target; `None` for a disc that has no image in this state.
+pub fn predicted_places(model: &Model, state: &State, image: &ImageObservations) -> Vec<Option<PredictedPlace>> {
+    let Some(seen) = SeenImage::of(model, state, image) else { return vec![None; model.target.disc_count()] };
+    let place = |j: usize| {
+        let start = seen.circle(j).start()?;
+        Some(PredictedPlace { center_px: start.center_px(), plane_from_image: *start.plane_from_image() })
+    };
+    (0..model.target.disc_count()).map(place).collect()
 }
 
 /// [`residuals`] of every image.

@@ -81,6 +81,8 @@ impl Relabelling {
 pub struct Labelling {
     /// Discs that belong to the pattern, ordered by label.
     pub discs: Vec<LabelledDisc>,
+    /// Indices of accepted discs that are marks of the pattern.
+    pub marks: Vec<usize>,
     /// Indices of accepted discs that do not belong to the pattern.
     pub left_over: Vec<usize>,
     /// Other labellings that the image alone allows as well; empty where marks decide. The other camera, or the cost
@@ -104,7 +106,7 @@ impl Labelling {
     fn finish(mut self, detection: &Detection) -> Self {
         self.discs.sort_by_key(|d| d.id);
         let mut used = vec![false; detection.discs.len()];
-        self.discs.iter().for_each(|d| used[d.disc] = true);
+        self.discs.iter().map(|d| d.disc).chain(self.marks.iter().copied()).for_each(|i| used[i] = true);
         self.left_over = (0..used.len()).filter(|i| !used[*i]).collect();
         self
     }

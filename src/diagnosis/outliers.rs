@@ -3,6 +3,7 @@
 use super::{Subject, digits};
 use crate::bundle::Outlier;
 use crate::record::OutlierReason;
+use std::collections::BTreeSet;
 
 /// `lacking`: whether the images ask for something that the model does not have.
 pub(super) fn outliers(s: &Subject<'_>, lacking: bool) -> Vec<OutlierReason> {
@@ -25,7 +26,8 @@ pub(super) fn outliers(s: &Subject<'_>, lacking: bool) -> Vec<OutlierReason> {
 fn reason(o: &Outlier, all: &[Outlier], shared: bool, lacking: bool) -> String {
     let same_disc = |other: &&Outlier| other.disc == o.disc;
     let here = all.iter().filter(same_disc).filter(|x| x.view == o.view && x.camera != o.camera).count();
-    let elsewhere = all.iter().filter(same_disc).filter(|x| x.view != o.view).count();
+    let elsewhere = all.iter().filter(same_disc).filter(|x| x.view != o.view).map(|x| x.view);
+    let elsewhere = elsewhere.collect::<BTreeSet<usize>>().len();
     let in_image = all.iter().filter(|x| x.view == o.view && x.camera == o.camera).count();
     let off = format!("{} px from where the other discs expect it", digits(o.distance_px, 2));
     // That may be all that is wrong with a disc.
@@ -56,16 +58,25 @@ mod tests {
     /// Where the model lacks something no dot is called damaged for it.
     #[test]
     fn each_reason_where_it_belongs() {
-        let all = [off(0, 0, 7), off(3, 1, 7), off(1, 0, 4), off(1, 1, 4), off(2, 0, 1), off(2, 0, 2), off(2, 0, 3)];
+        let all = [
+            off(0, 0, 7),
+            off(3, 1, 7),
+            off(3, 0, 7),
+            off(1, 0, 4),
+            off(1, 1, 4),
+            off(2, 0, 1),
+            off(2, 0, 2),
+            off(2, 0, 3),
+        ];
         let of = |k: usize, shared: bool, lacking: bool| reason(&all[k], &all, shared, lacking);
         assert!(of(0, true, false).starts_with("0.53 px from where"));
         for (k, shared, lacking, words) in [
             (0, true, false, "off in 1 more view(s): the dot itself is misplaced or damaged"),
             (0, false, false, "in this image only"),
-            (2, true, false, "in both cameras"),
-            (4, true, false, "with 2 more in this image"),
+            (3, true, false, "in both cameras"),
+            (5, true, false, "with 2 more in this image"),
             (0, true, true, "nothing but what the model lacks"),
-            (4, true, true, "nothing but what the model lacks"),
+            (5, true, true, "nothing but what the model lacks"),
         ] {
             assert!(of(k, shared, lacking).contains(words), "{}", of(k, shared, lacking));
         }

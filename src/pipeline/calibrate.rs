@@ -2,6 +2,7 @@
 
 use super::images::{SeenImage, see_all};
 use super::model::{Built, build};
+use super::off_grid;
 use super::outcome::record;
 use super::residual_rows::residual_rows;
 use super::sheet_part::{sheet_part, stated_frame};
@@ -92,7 +93,7 @@ fn run(
     let solution = calibrate_rig(&built.problem, &options.adjust, &mut observe).map_err(|e| explained(e, &images))?;
     take_labels(&mut built, &mut images, &solution);
     let RigSolution { mut adjustment, undecided, .. } = solution;
-    let contours = adjustment.model.clone();
+    let mut contours = adjustment.model.clone();
     let mut refits = None;
     if job.solve.observations == Observations::Bitangent {
         let outliers = std::mem::take(&mut adjustment.outliers);
@@ -105,6 +106,7 @@ fn run(
         adjustment = Adjustment { outliers, ovality_mm, ovality_assumed_mm, ..tangents.adjustment };
         refits = Some((tangents.rounds, tangents.left_out));
     }
+    off_grid::set_aside(job, &mut built, &mut images, &mut contours, &mut adjustment);
     let covariance =
         named_covariance(&adjustment).ok_or_else(|| Error::Bug("the adjustment gave no covariance".into()))?;
     let solved = Solved {

@@ -30,6 +30,8 @@ pub struct SeenImage {
     pub detection: Detection,
     /// Discs of the target.
     pub discs: Vec<LabelledDisc>,
+    /// Indices of discs found that are neither of the target nor marks of it.
+    pub left_over: Vec<usize>,
     /// What the labelling assumed, in words.
     pub warnings: Vec<String>,
     /// Labels that the image alone leaves open.
@@ -174,11 +176,12 @@ fn see(
             Insufficient::Pattern { image: name.into(), message: "no disc of the target was found".into() }.into()
         );
     }
-    let Labelling { discs, warnings, alternatives, origin_is_arbitrary, .. } = labelling;
+    let Labelling { discs, left_over, warnings, alternatives, origin_is_arbitrary, .. } = labelling;
     let open = OpenImage { alternatives, any_origin: origin_is_arbitrary };
     let own = || discs.iter().map(|d| &detection.discs[d.disc]);
     let (saturated, cut_at_zero) = (saturated_about(&image.view(), own()), cut_at_zero(&image.view(), own()));
-    Ok(SeenImage { view, camera, name: name.into(), image, detection, discs, warnings, open, saturated, cut_at_zero })
+    let name = name.into();
+    Ok(SeenImage { view, camera, name, image, detection, discs, left_over, warnings, open, saturated, cut_at_zero })
 }
 
 fn check_sizes(job: &RigDescription, images: &[SeenImage]) -> Result<()> {

@@ -130,6 +130,10 @@ pub(super) fn found_shapes(image: &SeenImage, labels: &[DotId]) -> OverlayShapes
         let at_px = [r.center_px.u_px, r.center_px.v_px];
         shapes.rejected.push(RejectedMark { at_px, radius_px: r.radius_px, reason: r.reason.kind().into() });
     }
+    for e in image.left_over.iter().map(|i| &image.detection.discs[*i].ellipse) {
+        let (at_px, radius_px) = ([e.center_px.u_px, e.center_px.v_px], e.mean_radius_px());
+        shapes.rejected.push(RejectedMark { at_px, radius_px, reason: "not in the pattern".into() });
+    }
     shapes
 }
 

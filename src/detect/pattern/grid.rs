@@ -86,9 +86,12 @@ pub(super) fn label(image: &str, detection: &Detection, target: &Grid) -> Result
     out.alternatives = placements[1..].iter().map(|p| best.to(*p)).collect();
     // What makes a dot a mark, its size or the hole in it, makes its contour another than that of the others.
     let marked = |cell: &Cell| sightings.iter().any(|s| s.cell == *cell);
-    for (cell, k) in lattice.nodes.iter().filter(|(cell, _)| !marked(cell)) {
+    for (cell, k) in &lattice.nodes {
         let (column, row) = best.id(*cell);
-        out.discs.push(LabelledDisc { disc: *k, id: DotId { column, row, level: 0 } });
+        match marked(cell) {
+            true => out.marks.push(*k),
+            false => out.discs.push(LabelledDisc { disc: *k, id: DotId { column, row, level: 0 } }),
+        }
     }
     Ok(out)
 }
