@@ -31,7 +31,7 @@ mod target;
 pub(crate) use diagnosis::SHEET_QUANTITIES;
 pub use diagnosis::{
     Diagnosis, EXACT, Interval, KeyQuantity, MappingByLikelihood, MappingByViews, MappingMap, MappingSigma,
-    MappingTold, MappingUncertainty, ModelTest, OutlierReason, Prior, ViewInfluence,
+    MappingTold, MappingUncertainty, ModelTest, OFF_ITSELF, OutlierReason, Prior, ViewInfluence,
 };
 pub use geometry::PlacedCamera;
 pub use provenance::{ImageFile, Provenance};

@@ -9,7 +9,8 @@ use roxmltree::{Document, ParsingOptions};
 use scene::pictures;
 use spivcal::image::GrayImage;
 use spivcal::record::{
-    Diagnosis, KeyQuantity, Known, MappingByLikelihood, OutlierReason, Prior, Record, ResidualTable, ViewInfluence,
+    Diagnosis, KeyQuantity, Known, MappingByLikelihood, OFF_ITSELF, OutlierReason, Prior, Record, ResidualTable,
+    ViewInfluence,
 };
 use spivcal::report::{self, Level, OverlayInput, OverlayShapes};
 
@@ -278,13 +279,24 @@ fn what_the_views_tell_is_told_and_long_lists_say_that_they_go_on() {
         distance_px: 0.5,
         reason: "0.5 px from where the other discs expect it".into(),
     };
+    let off_itself = |view: usize| OutlierReason {
+        view,
+        camera: "right".into(),
+        disc: [1, 2, 0],
+        distance_px: [0.7, 0.9, 0.8, 0.6][view],
+        reason: format!(
+            "{} px from where the other discs expect it, and off in 3 more view(s): {OFF_ITSELF}",
+            [0.7, 0.9, 0.8, 0.6][view]
+        ),
+    };
     record.fit.diagnosis = Some(Diagnosis {
         key_quantities: vec![
             key("effective focal length", "px", 0.442),
             key("angle between the lens axes", "deg", 0.117),
             key("effective principal point", "px", f64::NAN),
         ],
-        outliers: (0..43).map(aside).collect(),
+        // A dot that is off in every view has one line.
+        outliers: (0..4).map(off_itself).chain((0..42).map(aside)).collect(),
         ..Diagnosis::default()
     });
     let html = report::write_html(&record, &[], &ResidualTable::default()).unwrap();
@@ -292,7 +304,12 @@ fn what_the_views_tell_is_told_and_long_lists_say_that_they_go_on() {
         assert!(text.contains("(1474.310 ± 0.085) px 0.44 px × 5.2"), "{text}");
         assert!(text.contains("1474.310° ± 0.085° 0.12° × 1.4"), "{text}");
         assert!(!text.contains("effective principal point"), "{text}");
-        assert!(text.contains("disc 9, 39, 0: 0.5 px") && !text.contains("disc 9, 40, 0"), "{text}");
+        assert!(text.contains("disc 9, 38, 0: 0.5 px") && !text.contains("disc 9, 39, 0"), "{text}");
+        assert!(
+            text.contains("isc 1, 2, 0 in 4 images, furthest in view 1, camera right: 0.9 px from where"),
+            "{text}"
+        );
+        assert_eq!(text.matches("isc 1, 2, 0").count(), 1, "{text}");
         assert!(text.contains("nd 3 more: all are in calibration.json"), "{text}");
     }
 }

@@ -7,6 +7,7 @@
 //! e_i = misplacement of point i in a camera,  e' = e - (shift, turn) fitted to all points of both cameras,  C' = P D C D^T P^T
 //! ```
 
+use super::digits;
 use super::field::{Field, SeenSheet};
 use crate::bundle::NamedCovariance;
 use crate::record::{MappingMap, MappingSigma, MappingTold, MappingUncertainty, Record};
@@ -20,6 +21,8 @@ pub(super) const PLACES: usize = 2;
 const ONE_LINE: f64 = 10.0;
 /// Relative out-of-plane gain that is worth a warning: 2 % of w.
 const GAIN_LIMIT: f64 = 0.02;
+/// Disparity that is worth a warning, px: vectors of both cameras would be of places that far apart, a few of them in a window.
+const DISPARITY_LIMIT_PX: f64 = 0.5;
 
 /// What a record says of it anew, after its sheet, its frame or its cameras were changed, with what must be told; `beside` is what else is told of it.
 /// `None` where its covariance does not name the sheet, or does not determine cameras and sheet.
@@ -57,13 +60,7 @@ pub(super) fn mapping_uncertainty(
     let undetermined = undetermined(&over);
     flags.extend(undetermined.iter().cloned());
     let largest = largest(&over)?;
-    if largest.out_of_plane_gain > GAIN_LIMIT {
-        flags.push(format!(
-            "the out-of-plane component w is only known to {:.1} % (one standard deviation): record a target that is tilted against the sheet by a \
-             few degrees, or state the lens ([focus], [camera.design])",
-            100.0 * largest.out_of_plane_gain
-        ));
-    }
+    flags.extend(hardly_known(&largest));
     let ratio = |p: &[f64; 2]| stereo.noise_ratio(*p).unwrap_or(f64::INFINITY);
     let worst = field.points.iter().map(ratio).fold(0.0, f64::max);
     if worst > ONE_LINE {
@@ -193,6 +190,26 @@ fn map(field: &Field, all: &[&MappingSigma]) -> MappingMap {
     }
 }
 
+/// What is determined, but not as well as measurements need.
+fn hardly_known(largest: &MappingSigma) -> Vec<String> {
+    let mut out = vec![];
+    if largest.disparity_px > DISPARITY_LIMIT_PX {
+        out.push(format!(
+            "the two cameras' images lie on each other in the sheet to {} px only (one standard deviation): vectors would be put together from places that \
+             far apart; correct the sheet on particle images (spivcal check), or record the target in the sheet with both cameras",
+            digits(largest.disparity_px, 2)
+        ));
+    }
+    if largest.out_of_plane_gain > GAIN_LIMIT {
+        out.push(format!(
+            "the out-of-plane component w is only known to {:.1} % (one standard deviation): record a target that is tilted against the sheet by a \
+             few degrees, or state the lens ([focus], [camera.design])",
+            100.0 * largest.out_of_plane_gain
+        ));
+    }
+    out
+}
+
 fn undetermined(all: &[&MappingSigma]) -> Vec<String> {
     let lost = |get: &dyn Fn(&MappingSigma) -> f64| all.iter().any(|m| get(m).is_nan());
     let mut out = vec![];
@@ -212,4 +229,33 @@ fn undetermined(all: &[&MappingSigma]) -> Vec<String> {
         );
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_hardly_known_is_told_with_its_number() {
+        let of = |disparity_px: f64, out_of_plane_gain: f64| {
+            let displacement = vec![vec![0.0; 3]; 3];
+            let (point_mm, in_plane_px, in_plane_mm, in_plane_scale) = ([0.0; 2], 0.1, 0.01, 0.001);
+            hardly_known(&MappingSigma {
+                point_mm,
+                in_plane_px,
+                in_plane_mm,
+                disparity_px,
+                in_plane_scale,
+                out_of_plane_gain,
+                displacement,
+            })
+        };
+        assert!(of(0.49, 0.019).is_empty());
+        // What nothing determines has words of its own.
+        assert!(of(f64::NAN, f64::NAN).is_empty());
+        let both = of(1.26, 0.034);
+        assert!(both[0].contains("1.3 px only") && both[0].contains("spivcal check"), "{}", both[0]);
+        assert!(both[1].contains("only known to 3.4 %"), "{}", both[1]);
+        assert_eq!(both.len(), 2);
+    }
 }

@@ -2,7 +2,7 @@
 
 use super::{Subject, digits};
 use crate::bundle::Outlier;
-use crate::record::OutlierReason;
+use crate::record::{OFF_ITSELF, OutlierReason};
 use std::collections::BTreeSet;
 
 /// `lacking`: whether the images ask for something that the model does not have.
@@ -34,7 +34,7 @@ fn reason(o: &Outlier, all: &[Outlier], shared: bool, lacking: bool) -> String {
     if lacking {
         format!("{off}: perhaps by nothing but what the model lacks (see what the images ask for)")
     } else if shared && elsewhere > 0 {
-        format!("{off}, and off in {elsewhere} more view(s): the dot itself is misplaced or damaged on the target")
+        format!("{off}, and off in {elsewhere} more view(s): {OFF_ITSELF}")
     } else if here > 0 {
         format!("{off}, in both cameras: the dot is misplaced on the target, or the target is bent there")
     } else if in_image > 2 {

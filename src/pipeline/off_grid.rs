@@ -12,7 +12,7 @@ use crate::bundle::{
 };
 use crate::detect::LabelledDisc;
 use crate::rig_file::RigDescription;
-use crate::target::DotId;
+use crate::target::{DotId, Target};
 use nalgebra::Vector2;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -47,7 +47,8 @@ pub(super) fn set_aside(
         return;
     }
     let mut labels = built.labels.clone();
-    labels.extend(missing(&built.labels));
+    let two_levels = matches!(job.target.target, Target::TwoLevelPlate(_));
+    labels.extend(missing(&built.labels, two_levels));
     let mut wide = contours.clone();
     let nodes = |labels: &[DotId]| TargetShape::Lattice(labels.iter().map(|l| node(&job.target.target, l)).collect());
     wide.target.shape = nodes(&labels);
@@ -92,10 +93,8 @@ fn beside_in_most(
     of_place.into_iter().filter_map(most).collect()
 }
 
-/// Labels between those of a grid that no image has.
-fn missing(labels: &[DotId]) -> Vec<DotId> {
-    let kind = |l: &DotId| (l.column.rem_euclid(2), l.row.rem_euclid(2), l.level);
-    let (seen, kinds): (BTreeSet<&DotId>, BTreeSet<_>) = (labels.iter().collect(), labels.iter().map(kind).collect());
+/// Labels between those of a grid that no image has; dots of a two-level plate alternate between its levels.
+fn missing(labels: &[DotId], two_levels: bool) -> Vec<DotId> {
     let range = |of: fn(&DotId) -> i32| {
         let ends = labels.iter().map(of).min().zip(labels.iter().map(of).max());
         ends.map_or(0..0, |(low, high)| low..high.saturating_add(1))
@@ -104,10 +103,15 @@ fn missing(labels: &[DotId]) -> Vec<DotId> {
     if columns.len().saturating_mul(rows.len()) > PLACES * labels.len() {
         return vec![];
     }
+    let odd = |x: i32| x.rem_euclid(2);
+    let level = |column: i32, row: i32| match two_levels {
+        true => (odd(column) == odd(row)).then_some(odd(column) as u8),
+        false => Some(0),
+    };
+    let seen: BTreeSet<&DotId> = labels.iter().collect();
     let all = columns.flat_map(|column| rows.clone().map(move |row| (column, row)));
-    let all = all.flat_map(|(column, row)| kinds.iter().map(move |(.., level)| DotId { column, row, level: *level }));
-    let all: BTreeSet<DotId> = all.filter(|l| kinds.contains(&kind(l)) && !seen.contains(l)).collect();
-    all.into_iter().collect()
+    let all = all.filter_map(|(column, row)| Some(DotId { column, row, level: level(column, row)? }));
+    all.filter(|l| !seen.contains(l)).collect()
 }
 
 /// Discs left over in an image beside places where it shows none, the nearest of each place.
@@ -166,14 +170,14 @@ mod tests {
     #[test]
     fn places_between_the_labels_are_those_of_the_kind_of_target() {
         let grid: Vec<DotId> = [(0, 0), (2, 0), (0, 1), (1, 1), (2, 1)].map(|(c, r)| label(c, r, 0)).into();
-        assert_eq!(missing(&grid), [label(1, 0, 0)]);
+        assert_eq!(missing(&grid, false), [label(1, 0, 0)]);
         let front = [(0, 0), (2, 0), (4, 0), (0, 2), (4, 2)].map(|(c, r)| label(c, r, 0));
         let back = [(1, 1)].map(|(c, r)| label(c, r, 1));
         let plate: Vec<DotId> = front.into_iter().chain(back).collect();
-        assert_eq!(missing(&plate), [label(2, 2, 0), label(3, 1, 1)]);
-        assert!(missing(&[]).is_empty());
+        assert_eq!(missing(&plate, true), [label(2, 2, 0), label(3, 1, 1)]);
+        assert!(missing(&[], false).is_empty());
         // Labels far apart are no grid that says where its dots are.
-        assert!(missing(&[label(0, 0, 0), label(i32::MAX, 3, 0)]).is_empty());
+        assert!(missing(&[label(0, 0, 0), label(i32::MAX, 3, 0)], false).is_empty());
     }
 
     #[test]

@@ -188,6 +188,9 @@ pub struct ViewInfluence {
     pub words: String,
 }
 
+/// End of the reason of a disc that is off in several views.
+pub const OFF_ITSELF: &str = "the dot itself is misplaced or damaged on the target";
+
 /// A disc that was set aside.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OutlierReason {

@@ -1,9 +1,10 @@
 //! The diagnosis as tables, for the text and for the HTML alike.
 
-use super::number::{as_precise, measured, plain, with_unit};
+use super::number::{as_precise, count, measured, plain, with_unit};
 use super::tables::{Cell, LONGEST_LIST, Row, Table};
-use crate::record::{Interval, MappingByViews, MappingSigma, Record};
+use crate::record::{Interval, MappingByViews, MappingSigma, OFF_ITSELF, OutlierReason, Record};
 use crate::stats::NORMAL_95;
+use std::collections::BTreeMap;
 
 fn cells(texts: impl IntoIterator<Item = String>) -> Vec<Cell> {
     texts.into_iter().map(|text| Cell { text, ..Cell::default() }).collect()
@@ -160,19 +161,34 @@ pub(super) fn bent(record: &Record) -> Table {
     table(&heads, d.key_quantities.iter().filter(|k| k.bends()).map(row).collect())
 }
 
-/// Discs that were set aside, each with its reason; of a long list the first.
+/// Discs that were set aside, each with its reason; of a long list the first. A dot that is off itself has one line, of the image where it is furthest off.
 pub(super) fn set_aside(record: &Record) -> Vec<String> {
     let all: Vec<_> = record.fit.diagnosis.iter().flat_map(|d| &d.outliers).collect();
-    let mut out: Vec<String> = all
-        .iter()
-        .take(LONGEST_LIST)
-        .map(|o| {
-            let [column, row, level] = o.disc;
-            format!("view {}, camera {}, disc {column}, {row}, {level}: {}", o.view, o.camera, o.reason)
-        })
-        .collect();
-    if all.len() > LONGEST_LIST {
-        out.push(format!("and {} more: all are in calibration.json", all.len() - LONGEST_LIST));
+    let mut of_itself: BTreeMap<[i32; 3], Vec<&OutlierReason>> = BTreeMap::new();
+    for o in all.iter().filter(|o| o.reason.ends_with(OFF_ITSELF)) {
+        of_itself.entry(o.disc).or_default().push(o);
     }
-    out
+    let mut lines = vec![];
+    for o in all {
+        let [column, row, level] = o.disc;
+        if !o.reason.ends_with(OFF_ITSELF) {
+            lines.push(format!("view {}, camera {}, disc {column}, {row}, {level}: {}", o.view, o.camera, o.reason));
+            continue;
+        }
+        // Told where it is first met.
+        let images = of_itself.remove(&o.disc).unwrap_or_default();
+        lines.extend(images.iter().max_by(|a, b| a.distance_px.total_cmp(&b.distance_px)).map(|most| {
+            let (count, view, camera) = (count(images.len(), "image"), most.view, &most.camera);
+            format!(
+                "disc {column}, {row}, {level} in {count}, furthest in view {view}, camera {camera}: {}",
+                most.reason
+            )
+        }));
+    }
+    if lines.len() > LONGEST_LIST {
+        let more = lines.len() - LONGEST_LIST;
+        lines.truncate(LONGEST_LIST);
+        lines.push(format!("and {more} more: all are in calibration.json"));
+    }
+    lines
 }

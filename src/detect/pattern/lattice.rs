@@ -165,23 +165,22 @@ fn between_score(strays: &[Vector2<f64>]) -> i32 {
 impl Lattice {
     /// The cell `cell` as its labelled neighbourhood (without itself) predicts it.
     pub(super) fn predict(&self, dots: &Dots, cell: Cell) -> Option<Prediction> {
-        let near = |reach: i32| -> Vec<(Vector2<f64>, Vector2<f64>)> {
-            let mut out = Vec::new();
-            for i in cell.0 - reach..=cell.0 + reach {
-                for (c, k) in self.nodes.range((i, cell.1 - reach)..=(i, cell.1 + reach)) {
-                    if *c != cell {
-                        let step = Vector2::new(f64::from(c.0 - cell.0), f64::from(c.1 - cell.1));
-                        out.push((step, dots.at[*k]));
-                    }
-                }
-            }
-            out
+        let point = |(c, k): (&Cell, &usize)| {
+            let step = Vector2::new(f64::from(c.0 - cell.0), f64::from(c.1 - cell.1));
+            (step, dots.at[*k])
         };
-        let mut points = near(2);
-        if points.len() < 12 {
-            points = near(3);
-        }
-        fitted(&points)
+        fitted(&self.around(cell, self.reach(cell)).map(point).collect::<Vec<_>>())
+    }
+
+    /// The nodes within so many cells of one, without itself.
+    fn around(&self, cell: Cell, reach: i32) -> impl Iterator<Item = (&Cell, &usize)> {
+        let column = move |i: i32| self.nodes.range((i, cell.1 - reach)..=(i, cell.1 + reach));
+        (cell.0 - reach..=cell.0 + reach).flat_map(column).filter(move |(c, _)| **c != cell)
+    }
+
+    /// How far the neighbourhood of a cell goes that predicts it.
+    fn reach(&self, cell: Cell) -> i32 {
+        if self.around(cell, 2).count() < 12 { 3 } else { 2 }
     }
 
     /// Cells next to the lattice (up to two steps: one dot may be missing) that hold no dot.
@@ -269,10 +268,8 @@ impl Lattice {
             let sigma = median(misses.values().copied().collect()) / 1.18;
             let limit = (OFF_SIGMAS * sigma).clamp(OFF_LIMITS.0, OFF_LIMITS.1);
             let worst_around = |cell: &Cell| {
-                (cell.0 - 2..=cell.0 + 2)
-                    .flat_map(|i| misses.range((i, cell.1 - 2)..=(i, cell.1 + 2)))
-                    .map(|(_, m)| *m)
-                    .fold(0.0, f64::max)
+                let around = self.around(*cell, self.reach(*cell));
+                around.filter_map(|(c, _)| misses.get(c)).copied().fold(0.0, f64::max)
             };
             let off: Vec<Cell> =
                 misses.iter().filter(|(c, m)| **m > limit && **m >= worst_around(c)).map(|(c, _)| *c).collect();
