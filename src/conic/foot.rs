@@ -78,6 +78,17 @@ impl Frame {
         (self.cos * du + self.sin * dv, self.cos * dv - self.sin * du)
     }
 
+    /// First and last column of row `v` inside the ellipse that is `times` as large.
+    pub(crate) fn crossed(&self, v: f64, times: f64) -> Option<[f64; 2]> {
+        let dv = v - self.v0;
+        let (along, across) =
+            ([self.cos / self.a, -self.sin / self.b], [self.sin / self.a * dv, self.cos / self.b * dv]);
+        let dot = |p: [f64; 2], q: [f64; 2]| p[0] * q[0] + p[1] * q[1];
+        let (square, mixed) = (dot(along, along), dot(along, across));
+        let root = (mixed * mixed - square * (dot(across, across) - times * times)).sqrt();
+        (root >= 0.0).then(|| [-1.0, 1.0].map(|sign| self.u0 + (sign * root - mixed) / square))
+    }
+
     /// Closest point by Newton steps on the eccentric angle, held as a unit vector: no trigonometry in the loop. `near` is the answer
     /// for an ellipse close by.
     #[inline]

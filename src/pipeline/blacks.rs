@@ -19,8 +19,9 @@
 use super::exposure::{ROW_STEP, span};
 use crate::conic::Frame;
 use crate::detect::Disc;
-use crate::image::GrayView;
+use crate::image::{GrayView, Samples};
 use crate::stats::{median, normal_below, sigmas_below};
+use std::ops::Range;
 
 /// From so many blurs and px beside the contour the edge is not seen; so many px further are looked at.
 const CLEAR_BLURS: f64 = 2.5;
@@ -33,33 +34,87 @@ const LEAST: usize = 100;
 ///
 /// Every fourth row is looked at. Where grey levels are below 0 nothing is.
 pub fn cut_at_zero<'a>(view: &GrayView<'_>, discs: impl Iterator<Item = &'a Disc>) -> f64 {
+    let bands: Vec<Band> = discs.map(Band::beside).collect();
+    let looked_at =
+        bands.iter().flat_map(|band| band.rows(view).flat_map(|v| band.stretches(v, view.width()).map(|u| (v, u))));
+    // Most cameras have an offset, and none.
+    if !looked_at.clone().any(|(v, columns)| any_zero(view, v, columns)) {
+        return 0.0;
+    }
     let mut sides = [Side::default(), Side::default()];
-    for disc in discs {
-        let (e, frame) = (&disc.ellipse, Frame::new(&disc.ellipse));
-        let near = CLEAR_BLURS * disc.blur_px + CLEAR_PX;
-        let reach = e.semi_major_px + near + WIDE_PX;
-        for v in span(e.center_px.v_px, reach, view.height()).step_by(ROW_STEP) {
-            let mut last = None;
-            for u in span(e.center_px.u_px, reach, view.width()) {
-                let out = first_order(&frame, u as f64, v as f64);
-                let seen = (near..near + WIDE_PX).contains(&out.abs()).then(|| (out > 0.0, view.get(u, v)));
-                if let Some((outside, grey)) = seen {
-                    let before = last.filter(|(side, _)| *side == outside).map(|(_, grey)| grey);
-                    sides[usize::from(outside)].take(grey, before);
+    for band in &bands {
+        for v in band.rows(view) {
+            for columns in band.stretches(v, view.width()) {
+                let mut last = None;
+                for u in columns {
+                    let seen = band.side(u, v).map(|outside| (outside, view.get(u, v)));
+                    if let Some((outside, grey)) = seen {
+                        let before = last.filter(|(side, _)| *side == outside).map(|(_, grey)| grey);
+                        sides[usize::from(outside)].take(grey, before);
+                    }
+                    last = seen;
                 }
-                last = seen;
             }
         }
     }
     sides.iter_mut().map(Side::cut_off).fold(0.0, f64::max)
 }
 
+/// Pixels on either side of a contour, clear of its edge.
+struct Band {
+    frame: Frame,
+    /// Distances from the contour, px.
+    nearest: f64,
+    furthest: f64,
+}
+
+impl Band {
+    fn beside(disc: &Disc) -> Self {
+        let nearest = CLEAR_BLURS * disc.blur_px + CLEAR_PX;
+        Self { frame: Frame::new(&disc.ellipse), nearest, furthest: nearest + WIDE_PX }
+    }
+
+    fn rows(&self, view: &GrayView<'_>) -> impl Iterator<Item = usize> + Clone + use<> {
+        span(self.frame.v0, self.frame.a + self.furthest, view.height()).step_by(ROW_STEP)
+    }
+
+    /// Columns of a row, of so many, beyond which none lies near enough: to first order points of `q = |(x/a, y/b)|` are `|q - 1| b` from the
+    /// contour or further.
+    fn stretches(&self, v: usize, width: usize) -> [Range<usize>; 2] {
+        let share = self.furthest / self.frame.b;
+        let Some([from, to]) = self.frame.crossed(v as f64, 1.0 + share) else { return [0..0, 0..0] };
+        let columns = |from: f64, to: f64| span(0.5 * (from + to), 0.5 * (to - from) + 1.0, width);
+        let middle = if share < 1.0 { self.frame.crossed(v as f64, 1.0 - share) } else { None };
+        match middle.filter(|[left, right]| right - left > 4.0) {
+            Some([left, right]) => [columns(from, left), columns(right, to)],
+            None => [columns(from, to), 0..0],
+        }
+    }
+
+    /// Whether a pixel of the band lies outside of the contour.
+    fn side(&self, u: usize, v: usize) -> Option<bool> {
+        let out = first_order(&self.frame, u as f64, v as f64);
+        (self.nearest..self.furthest).contains(&out.abs()).then_some(out > 0.0)
+    }
+}
+
+/// Whether one of the grey levels is 0.
+fn any_zero(view: &GrayView<'_>, v: usize, columns: Range<usize>) -> bool {
+    let at = v * view.stride() + columns.start..v * view.stride() + columns.end;
+    match view.samples() {
+        Samples::U8(s) => s[at].contains(&0),
+        Samples::U16(s) => s[at].contains(&0),
+        Samples::F32(s) => s[at].contains(&0.0),
+    }
+}
+
 /// Distance from an ellipse to first order, px, positive outside; not a number in its middle.
 fn first_order(frame: &Frame, u: f64, v: f64) -> f64 {
     let (x, y) = frame.inside(u, v);
     let (x, y) = (x / frame.a, y / frame.b);
-    let q = x.hypot(y);
-    (q - 1.0) * q / (x / frame.a).hypot(y / frame.b)
+    let length = |x: f64, y: f64| (x * x + y * y).sqrt();
+    let q = length(x, y);
+    (q - 1.0) * q / length(x / frame.a, y / frame.b)
 }
 
 /// Pixels on one side of contours.
@@ -155,6 +210,31 @@ mod tests {
                     );
                 }
             }
+        }
+    }
+
+    /// What is left out of a row is too far from the contour.
+    #[test]
+    fn no_pixel_of_a_band_is_left_out() {
+        let mut random = Random(3);
+        for k in 0..40 {
+            let semi_minor_px = 3.0 + 30.0 * random.in_range(0.0, 1.0);
+            let e = Ellipse {
+                center_px: Pixel::new(90.0 * random.in_range(0.0, 1.0), 90.0 * random.in_range(0.0, 1.0)),
+                semi_major_px: semi_minor_px * (1.0 + 2.0 * random.in_range(0.0, 1.0)),
+                semi_minor_px,
+                angle_rad: f64::from(k),
+            };
+            let band = Band { frame: Frame::new(&e), nearest: 2.0, furthest: 2.0 + WIDE_PX };
+            let mut seen = 0;
+            for v in 0..SIZE {
+                let [left, right] = band.stretches(v, SIZE);
+                for u in (0..SIZE).filter(|u| band.side(*u, v).is_some()) {
+                    assert!(left.contains(&u) != right.contains(&u), "{u}, {v} of {e:?}");
+                    seen += 1;
+                }
+            }
+            assert!(seen > 20, "{e:?}");
         }
     }
 
