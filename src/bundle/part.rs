@@ -7,7 +7,7 @@
 //! Whole groups of [`GROUP`] points are taken, spread evenly over the image, and of each contour (of every second, third, ... where they are many)
 //! the same share of its edge points, spread evenly along it. Nothing depends on chance.
 
-use super::model::{DiscObservation, ImageObservations, Model, PointObservations};
+use super::model::{DiscObservation, ImageObservations, Loss, Model, PointObservations};
 use crate::detect::EdgePoints;
 use crate::lanes::GROUP;
 
@@ -33,29 +33,32 @@ pub(super) fn part(model: &Model) -> Option<Model> {
     (sum(&out) as f64 <= WORTH * sum(model) as f64).then_some(out)
 }
 
-/// The model with no more than some hundred observations of each image, all of them where images share the ovality of their few discs; `None` where
-/// tangents are among them.
+/// The model with no more than some hundred observations of each image; `None` where tangents are among them.
 pub(super) fn with_few_observations(model: &Model) -> Option<Model> {
     if model.images.iter().any(|i| !i.pairs.is_empty()) {
         return None;
     }
-    // What an ovality takes from the cameras is as much with some points of a contour as with all.
-    if model.target.oval_sigma_mm.is_some() {
-        return Some(model.clone());
-    }
-    let images = model.images.iter().map(thinned).collect();
+    // What an ovality takes from the cameras is as much with some points of a contour as with all, so that some must stand for all. Larger
+    // than they are, no loss may be asked of them.
+    let ovals = model.target.oval_sigma_mm.is_some();
+    let images = model.images.iter().map(if ovals { standing_for_all } else { thinned }).collect();
     let Model { cameras, target, views, facts, loss, .. } = model;
     let (cameras, mut target, views) = (cameras.clone(), target.clone(), views.clone());
     // Discs stay where the start has them: few of them are seen, and views are eliminated sooner than discs.
     target.offset_sigma_mm = None;
-    Some(Model { cameras, target, views, facts: facts.clone(), images, loss: *loss })
+    let loss = if ovals { Loss::None } else { *loss };
+    Some(Model { cameras, target, views, facts: facts.clone(), images, loss })
+}
+
+fn share(image: &ImageObservations) -> f64 {
+    ENOUGH as f64 / observed(image).max(1) as f64
 }
 
 fn thinned(image: &ImageObservations) -> ImageObservations {
-    let share = ENOUGH as f64 / observed(image).max(1) as f64;
+    let share = share(image);
     let disc = |d: &DiscObservation| {
         // What whitens a contour holds for all its points together.
-        DiscObservation::new(d.disc, some_edge(&d.edge, share))
+        DiscObservation::new(d.disc, some_edge(&d.edge, &evenly(d.edge.u_px.len(), share)))
     };
     ImageObservations {
         view: image.view,
@@ -67,6 +70,22 @@ fn thinned(image: &ImageObservations) -> ImageObservations {
     }
 }
 
+/// With some points of each contour that say as much as all of them.
+fn standing_for_all(image: &ImageObservations) -> ImageObservations {
+    let share = share(image);
+    let disc = |d: &DiscObservation| {
+        let all = d.edge.u_px.len();
+        let at = evenly(all, share);
+        let Some(tie) = d.tie.as_deref().map(|tie| tie.of_some(&at, all)) else { return d.clone() };
+        let mut edge = some_edge(&d.edge, &at);
+        let part = (at.len() as f64 / all as f64).sqrt();
+        edge.sigma_px.iter_mut().for_each(|sigma| *sigma *= part);
+        let [common, outline] = [&d.common, &d.outline].map(|noise| noise.of_some(&at, all));
+        DiscObservation { common, outline, tie: tie.map(Box::new), ..DiscObservation::new(d.disc, edge) }
+    };
+    ImageObservations { discs: image.discs.iter().map(disc).collect(), pairs: vec![], ..image.clone() }
+}
+
 /// Of how many discs one is taken, since less than a group of a contour saves no time.
 fn one_of(discs: &[DiscObservation], share: f64) -> usize {
     let points = discs.iter().map(|d| d.edge.u_px.len()).sum::<usize>() as f64;
@@ -75,11 +94,14 @@ fn one_of(discs: &[DiscObservation], share: f64) -> usize {
     ((GROUP as f64 / mean) as usize).clamp(1, discs.len().div_ceil(SEVERAL).max(1))
 }
 
-/// A share of a contour, one group at least.
-fn some_edge(edge: &EdgePoints, share: f64) -> EdgePoints {
-    let all = edge.u_px.len();
+/// A share of the points of a contour, spread evenly along it, one group at least.
+fn evenly(all: usize, share: f64) -> Vec<usize> {
     let wanted = ((all as f64 * share).ceil() as usize).next_multiple_of(GROUP).min(all);
-    let pick = |x: &[f64]| (0..wanted).map(|k| x[k * all / wanted]).collect();
+    (0..wanted).map(|k| k * all / wanted).collect()
+}
+
+fn some_edge(edge: &EdgePoints, at: &[usize]) -> EdgePoints {
+    let pick = |x: &[f64]| at.iter().map(|i| x[*i]).collect();
     EdgePoints { u_px: pick(&edge.u_px), v_px: pick(&edge.v_px), sigma_px: pick(&edge.sigma_px) }
 }
 

@@ -19,8 +19,8 @@
 //! | C | [`Near::factor`] | - | covariance of what all views share |
 //! | bend | [`Reach::bend`] | 1 | how uncertain a standard deviation is, as a part of it |
 //!
-//! The bend needs no residuals, and standard deviations one beside the other: a hundred observations of each image tell it (all where two discs
-//! have an ovality), printed discs held where they are estimated. Profiles take all observations, since what bends a cost are its residuals, too. q is held by a row of a thousandth of sigma; r is told at
+//! The bend needs no residuals, and standard deviations one beside the other: a hundred observations of each image tell it, printed discs held
+//! where they are estimated. Profiles take all observations, since what bends a cost are its residuals, too. q is held by a row of a thousandth of sigma; r is told at
 //! a few places and goes straight between them.
 //!
 //! Ends where r is 1.96 either way would be those of the likelihood ratio. Where equations bend most they leave out the true number more often than 5 times in 100, as does
@@ -119,8 +119,12 @@ impl<'a> Reach<'a> {
 
     /// How much the standard deviation of each number changes within that of all unknowns; `None` where nothing can be said.
     pub fn bend(&self) -> Option<Vec<f64>> {
-        let model = part::with_few_observations(&self.adjustment.model)?;
-        let near = Near::of(&model, &self.adjustment.state, &self.numbers)?;
+        self.bend_by(&part::with_few_observations(&self.adjustment.model)?)
+    }
+
+    /// The same by the observations of a model.
+    fn bend_by(&self, model: &Model) -> Option<Vec<f64>> {
+        let near = Near::of(model, &self.adjustment.state, &self.numbers)?;
         let sides: Vec<(usize, f64)> = (0..PATTERNS).flat_map(|p| [(p, 1.0), (p, -1.0)]).collect();
         let all: Option<Vec<Vec<f64>>> = threads::gathered(true, &sides, |(p, side)| near.logarithms(*p, *side));
         let all = all?;

@@ -80,6 +80,20 @@ impl Tie {
         Some(Self { columns: CommonNoise::of_orthonormal(&columns), link: Link::Oval { root, loss: false } })
     }
 
+    /// Of some of so many points, spread evenly along the contour, that stand for all of them: that of an ovality; `None` where they do not fix it.
+    pub(super) fn of_some(&self, at: &[usize], all: usize) -> Option<Self> {
+        let Link::Oval { root, loss } = self.link else { return None };
+        let columns = self.columns.of_some(at, all);
+        let columns: Vec<&[f64]> = columns.columns().map(|(column, _)| column).collect();
+        let row = |i: usize| [0, 1].map(|k| columns.iter().zip(root).map(|(column, root)| column[i] * root[k]).sum());
+        let rows: Vec<[f64; 2]> = (0..at.len()).map(row).collect();
+        let mut out = Self::of_oval(&rows)?;
+        if loss {
+            out.ask_loss();
+        }
+        Some(out)
+    }
+
     /// How it goes together with the other camera's; `None` where it is not tied to that.
     pub(super) fn alike(&self) -> Option<Alike> {
         match self.link {

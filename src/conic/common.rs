@@ -83,6 +83,17 @@ impl CommonNoise {
         }
     }
 
+    /// That of some of so many points, spread evenly along the contour, that stand for all of them.
+    pub(crate) fn of_some(&self, at: &[usize], all: usize) -> Self {
+        let grown = (all as f64 / at.len().max(1) as f64).sqrt();
+        let mut out = Self { columns: vec![], shrink: self.shrink.clone() };
+        for (column, _) in self.columns() {
+            out.columns.extend(at.iter().map(|i| grown * column[*i]));
+            out.columns.resize(out.columns.len().next_multiple_of(GROUP), 0.0);
+        }
+        out
+    }
+
     /// Number of directions in which the points say nothing.
     pub(crate) fn forgotten(&self) -> usize {
         self.shrink.iter().filter(|s| **s >= 1.0).count()

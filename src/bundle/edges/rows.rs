@@ -157,39 +157,56 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// The same of `C` columns. One part is taken out while the next is summed up.
+    /// The same of `C` columns.
     #[inline(always)]
     fn whiten_some<L: Lanes, const C: usize>(&mut self, at: (usize, usize), seen: &DiscObservation) {
-        let mut before: Option<(&[[f64; GROUP]], [f64; C])> = None;
-        for (basis, shrink) in seen.common.columns().chain(seen.outline.columns()) {
-            let (basis, _) = basis.as_chunks::<GROUP>();
-            let sums = self.take_and_sum::<L, C>(at, before, Some(basis));
-            let mut parts = [0.0; C];
-            for c in 0..C {
-                parts[c] = shrink * lanes::sum(&sums[c]);
-            }
-            before = Some((basis, parts));
-        }
-        if before.is_some() {
-            self.take_and_sum::<L, C>(at, before, None);
-        }
+        self.take_out::<L, C>(at, seen.common.columns().chain(seen.outline.columns()), |_, _| ());
     }
 
     /// Products of what a tie holds with the first `used` columns, from which it is taken.
     #[inline(always)]
     pub(super) fn take_tie<L: Lanes>(&mut self, first: usize, tie: &Tie, used: usize) -> Vec<Vec<f64>> {
-        let mut out = vec![];
-        for basis in tie.columns() {
-            let (basis, _) = basis.as_chunks::<GROUP>();
-            let mut products = vec![0.0; used];
-            for (column, product) in products.iter_mut().enumerate() {
-                let [sums] = self.take_and_sum::<L, 1>((first, column), None, Some(basis));
-                *product = lanes::sum(&sums);
-                self.take_and_sum::<L, 1>((first, column), Some((basis, [*product])), None);
-            }
-            out.push(products);
+        let mut out = vec![vec![0.0; used]; tie.columns().count()];
+        let whole = used / TILE * TILE;
+        for column in (0..whole).step_by(TILE) {
+            self.take_tie_from::<L, TILE>((first, column), tie, &mut out);
+        }
+        for column in whole..used {
+            self.take_tie_from::<L, 1>((first, column), tie, &mut out);
         }
         out
+    }
+
+    /// The same of `C` columns.
+    #[inline(always)]
+    fn take_tie_from<L: Lanes, const C: usize>(&mut self, at: (usize, usize), tie: &Tie, out: &mut [Vec<f64>]) {
+        let whole = tie.columns().map(|column| (column, 1.0));
+        self.take_out::<L, C>(at, whole, |k, products| out[k][at.1..at.1 + C].copy_from_slice(&products));
+    }
+
+    /// Takes lists of numbers, one per point, times a part of their products with `C` columns from these, one list while the next is summed up;
+    /// tells each list's parts.
+    #[inline(always)]
+    fn take_out<'l, L: Lanes, const C: usize>(
+        &mut self,
+        at: (usize, usize),
+        lists: impl Iterator<Item = (&'l [f64], f64)>,
+        mut told: impl FnMut(usize, [f64; C]),
+    ) {
+        let mut before: Option<(&[[f64; GROUP]], [f64; C])> = None;
+        for (k, (list, part)) in lists.enumerate() {
+            let (list, _) = list.as_chunks::<GROUP>();
+            let sums = self.take_and_sum::<L, C>(at, before, Some(list));
+            let mut parts = [0.0; C];
+            for c in 0..C {
+                parts[c] = part * lanes::sum(&sums[c]);
+            }
+            told(k, parts);
+            before = Some((list, parts));
+        }
+        if before.is_some() {
+            self.take_and_sum::<L, C>(at, before, None);
+        }
     }
 
     /// Takes a list of numbers, one per point, times a part of each from `C` columns, and returns the sums of these columns times another list.

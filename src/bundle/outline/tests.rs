@@ -2,12 +2,13 @@
 
 use super::*;
 use crate::bundle::list::List;
+use crate::bundle::part;
 use crate::bundle::rig_scene::{
     Noise, Problem as Reference, SIGMA_PX, Scene, TWO_SIDED_995, band, camera_covariance, camera_numbers, nees,
 };
 use crate::bundle::{AdjustOptions, Loss, Termination, adjust, adjust_tangents, named_covariance, problem, residuals};
 use crate::camera::Camera;
-use crate::solve::Step;
+use crate::solve::{self, Step};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// Two printed discs off round by so much, mm, as every image shows them.
@@ -32,7 +33,10 @@ fn drawn(scene: &Scene, ovals_mm: &[[f64; 2]], seed: u64) -> Model {
 
 /// Contours that have something in common, sigmas of different size, ovals as unknowns; and a state that is no minimum.
 fn shared() -> (Model, State) {
-    let scene = Scene::build(4, false, true, false);
+    shared_by(Scene::build(4, false, true, false))
+}
+
+fn shared_by(scene: Scene) -> (Model, State) {
     let mut model = drawn(&scene, &[[2e-3, -1e-3], [-1e-3, 3e-3]], 4);
     for (k, image) in model.images.iter_mut().enumerate() {
         image.sigma_scale = 1.0 + 0.1 * k as f64;
@@ -163,6 +167,24 @@ fn the_gradient_is_that_of_the_cost() {
     let (mut model, state) = shared();
     model.loss = Loss::Huber(2.0);
     gradient_is_that_of_the_cost(&model, &state);
+}
+
+/// Some points of each contour stand for all: standard deviations of what views share are the same.
+#[test]
+fn some_points_stand_for_all() {
+    let (model, state) = shared_by(Scene::build(4, false, true, false).with_edge_points(600));
+    let some = part::with_few_observations(&model).unwrap();
+    let points =
+        |model: &Model| -> usize { model.images.iter().flat_map(|i| &i.discs).map(|d| d.edge.u_px.len()).sum() };
+    assert!(8 * points(&some) < points(&model), "{} of {}", points(&some), points(&model));
+    let square = Model { loss: Loss::None, ..model };
+    let known = |model: &Model| {
+        let posterior = solve::posterior(&Bundle::with_views(model).linearise(&state).unwrap());
+        assert_eq!(posterior.nullity, 0);
+        posterior.global.diagonal().map(f64::sqrt)
+    };
+    let ratio = known(&some).component_div(&known(&square));
+    assert!(ratio.iter().all(|r| (r - 1.0).abs() < 0.02), "{ratio}");
 }
 
 /// What bends along a step moves ovals as the whitened distances say that every image of a disc has them.
