@@ -3,7 +3,8 @@
 #   benches/instructions.sh            compares
 #   benches/instructions.sh --renew    records anew: after a change that is worth its price, or of the compiler
 #
-# A row is NAME COUNT; `export_problem --once NAME` makes the call inside of a function `measured`, where alone callgrind counts. A new
+# A row is NAME COUNT; `export_problem --once NAME` makes the call inside of a function `measured`, where alone callgrind counts; of a calibration
+# from images (calibrate_*), which has a thread of its own, the whole program counts. A new
 # row needs a name in examples/export_problem/once.rs, a line with count 0 in the file, and --renew. valgrind shows
 # processors with AVX2 but without AVX-512, so that counts are alike on all machines that have AVX2. They are those of the development profile, in which the
 # tests are built: what grows there grows in what ships, and a build for release takes longer than all counts.
@@ -25,7 +26,9 @@ program=${CARGO_TARGET_DIR:-target}/debug/examples/export_problem
 out=$(mktemp)
 trap 'rm -f "$out"' EXIT
 count() {
-    valgrind --tool=callgrind --callgrind-out-file="$out" --toggle-collect='*measured*' "$program" --once "$1" >/dev/null 2>&1
+    local counted='--toggle-collect=*measured*'
+    case $1 in calibrate_*) counted=--collect-atstart=yes ;; esac
+    valgrind --tool=callgrind --callgrind-out-file="$out" "$counted" "$program" --once "$1" >/dev/null 2>&1
     sed -n 's/^totals: *//p' "$out"
 }
 
