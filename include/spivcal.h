@@ -217,7 +217,8 @@
 
 /**
  * 1: bright discs are known to be full of smoke (bubbles cut by the sheet, up to 24 in an image), so that sigmas hold for weak smoke behind a blur
- * and for fast or slow smoke in large discs; 0: each disc is asked (default).
+ * and for fast or slow smoke in large discs; 2: they are known to be printed, without any, so that few of them tell a blur that is no Gaussian's;
+ * 0: each disc is asked (default).
  */
 #define SPIVCAL_DETECT_FULL_OF_SMOKE 7
 

@@ -42,18 +42,30 @@ use crate::frames::Pixel;
 use crate::target::{DotId, MarkKind, Polarity};
 use nalgebra::SMatrix;
 
-/// What to look for. The defaults serve any target; only [`DetectOptions::polarity`] and [`DetectOptions::full_of_smoke`] are worth knowing in advance.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct DetectOptions {
-    /// Bright or dark discs; `Auto` keeps the polarity whose contours weigh more (length times contrast).
-    pub polarity: Polarity,
-    /// Whether bright discs are known to be full of smoke, as bubbles cut by a laser sheet are. Behind a blur a small disc in weak smoke looks as in even
+/// What is known of the light of bright discs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Smoke {
+    /// Nothing: each of them is asked whether it is full of smoke.
+    #[default]
+    Maybe,
+    /// They are full of smoke, as bubbles cut by a laser sheet are. Behind a blur a small disc in weak smoke looks as in even
     /// light, and may lie two to five sigmas from where that would put it: only who knows of the smoke can tell. Even light is then one chance in
     /// eleven, and discs that have it pay: sigmas are a tenth larger for 4 to 11 px behind 1.5 px, those of a centre twice for 4 px behind 1.7 px.
     /// On contours above 130 px no polynomial is asked whether it suffices: of slow smoke noise hides what it leaves, which moves contours by two of their
     /// sigmas, and even light pays a fifth. Smoke that changes fast has its slopes held more loosely, whose sigmas were a tenth to a third too small
     /// otherwise. Of no effect in images of more than 24 candidates, wisps of smoke apart, whose discs are fitted without fields.
-    pub full_of_smoke: bool,
+    Full,
+    /// They are printed, and have none: louder noise is the light's own, and few of them, or one, tell the shape of a blur.
+    None,
+}
+
+/// What to look for. The defaults serve any target; only [`DetectOptions::polarity`] and [`DetectOptions::smoke`] are worth knowing in advance.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DetectOptions {
+    /// Bright or dark discs; `Auto` keeps the polarity whose contours weigh more (length times contrast).
+    pub polarity: Polarity,
+    /// What is known of the light of bright discs.
+    pub smoke: Smoke,
     /// Smallest minor semi-axis, px.
     pub min_semi_minor_px: f64,
     /// Largest major semi-axis, px.
@@ -81,7 +93,7 @@ impl Default for DetectOptions {
     fn default() -> Self {
         Self {
             polarity: Polarity::Auto,
-            full_of_smoke: false,
+            smoke: Smoke::Maybe,
             min_semi_minor_px: 1.5,
             max_semi_major_px: 2000.0,
             min_axis_ratio: 0.2,

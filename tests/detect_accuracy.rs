@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use render::accuracy::{Case, bound, cases};
 use render::{Random, Spot, draw};
 use share::share;
-use spivcal::detect::{DetectOptions, find_discs};
+use spivcal::detect::{DetectOptions, Smoke, find_discs};
 use spivcal::image::{GrayView, Samples};
 use spivcal::simulate::Scene;
 
@@ -222,7 +222,7 @@ fn smoke_behind_a_blur_is_asked_for() {
 /// centres and axes had been 4.2 and 5.3. Where it is known to be there it is 1.5 and 1.1, and sigmas are not far too large where it is not.
 #[test]
 fn weak_smoke_behind_a_blur_is_reckoned_with() {
-    let known = DetectOptions { full_of_smoke: true, ..DetectOptions::default() };
+    let known = DetectOptions { smoke: Smoke::Full, ..DetectOptions::default() };
     for (options, light, heights, [least, most]) in [
         (&DetectOptions::default(), Light::Smoke, 0.3, [0.0, 3.0]),
         (&DetectOptions::default(), Light::Smoke, 0.15, [0.0, 3.0]),
@@ -240,7 +240,7 @@ fn weak_smoke_behind_a_blur_is_reckoned_with() {
         };
         let all: Vec<f64> = (80..85).into_par_iter().flat_map_iter(of_seed).collect();
         let mean = all.iter().sum::<f64>() / all.len() as f64;
-        let known = options.full_of_smoke;
+        let known = options.smoke == Smoke::Full;
         println!("{heights} of the smoke, known {known}: {} found, mean z^2 {mean:.2}", all.len());
         assert!(all.len() > 57 && (least..most).contains(&mean), "sigmas are not true, z^2 {all:.1?}");
     }
@@ -382,7 +382,7 @@ fn bright_smoke_draws_no_contour_outwards() {
 
 /// Errors and mean z^2 of discs whose smoke nobody tells of, and of the same where it is known.
 fn smoke_untold_and_known(scene: &Scene) -> [(f64, f64); 2] {
-    let known = DetectOptions { full_of_smoke: true, ..DetectOptions::default() };
+    let known = DetectOptions { smoke: Smoke::Full, ..DetectOptions::default() };
     [DetectOptions::default(), known].map(|options| {
         let errors = errors_of_discs_found(scene, 0, &options);
         let mean =
@@ -390,7 +390,7 @@ fn smoke_untold_and_known(scene: &Scene) -> [(f64, f64); 2] {
         let [rms, z2] = [mean(&|(error, _)| error * error).sqrt(), mean(&|(error, sigma)| (error / sigma).powi(2))];
         println!(
             "smoke known: {}; {} discs, rms {:.1} mpx, mean z^2 {z2:.2}",
-            options.full_of_smoke,
+            options.smoke == Smoke::Full,
             errors.len(),
             1e3 * rms
         );

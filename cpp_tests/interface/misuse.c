@@ -311,6 +311,8 @@ static void numbers_without_meaning(uint64_t context, uint64_t calibration) {
     CHECK(spivcal_detection_set_number(detection, SPIVCAL_DETECT_MIN_COVERAGE, NAN) == SPIVCAL_ERROR_ARGUMENT);
     CHECK(spivcal_detection_set_number(detection, SPIVCAL_DETECT_POLARITY, 3) == SPIVCAL_ERROR_ARGUMENT);
     CHECK(spivcal_detection_set_number(detection, SPIVCAL_DETECT_FULL_OF_SMOKE, 0.5) == SPIVCAL_ERROR_ARGUMENT);
+    CHECK(spivcal_detection_set_number(detection, SPIVCAL_DETECT_FULL_OF_SMOKE, 3) == SPIVCAL_ERROR_ARGUMENT);
+    CHECK(spivcal_detection_set_number(detection, SPIVCAL_DETECT_FULL_OF_SMOKE, 2) == SPIVCAL_OK);
     CHECK(spivcal_detection_set_number(detection, SPIVCAL_DETECT_FULL_OF_SMOKE, 1) == SPIVCAL_OK);
     CHECK(spivcal_detection_set_number(detection, 99, 3) == SPIVCAL_ERROR_ARGUMENT);
     CHECK(spivcal_detection_unset(detection, 99) == SPIVCAL_ERROR_ARGUMENT);

@@ -1,5 +1,6 @@
 //! Commands and options.
 
+use crate::detect::Smoke;
 use crate::dewarp::Kernel;
 use crate::reconstruct::{FieldUnit, OVERLAP, Reference};
 use crate::target::Polarity;
@@ -97,8 +98,22 @@ pub(super) struct Detect {
     #[arg(long, value_enum, default_value_t = PolarityWord::Auto)]
     pub(super) polarity: PolarityWord,
     /// Bright discs are known to be full of smoke (bubbles cut by the sheet, up to 24 in an image): sigmas hold for weak smoke behind a blur and for fast or slow smoke in large discs, too
-    #[arg(long)]
+    #[arg(long, conflicts_with = "printed")]
     pub(super) smoke: bool,
+    /// Bright discs are known to be printed, without any smoke: few of them, or one, tell a blur that is no Gaussian's (a lens out of focus)
+    #[arg(long)]
+    pub(super) printed: bool,
+}
+
+impl Detect {
+    /// What is known of the light of bright discs.
+    pub(super) fn light(&self) -> Smoke {
+        match (self.smoke, self.printed) {
+            (true, _) => Smoke::Full,
+            (_, true) => Smoke::None,
+            _ => Smoke::Maybe,
+        }
+    }
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]

@@ -5,7 +5,9 @@ use super::arguments::Detect;
 use super::files::{Output, can_write, fault, tell_further_pages};
 use super::progress::Bar;
 use super::threads;
-use crate::detect::{DetectMemory, DetectOptions, Detection, counted, counted_words, find_discs_with, missing_words};
+use crate::detect::{
+    DetectMemory, DetectOptions, Detection, Smoke, counted, counted_words, find_discs_with, missing_words,
+};
 use crate::error::{Insufficient, Invalid, Result};
 use crate::image::GrayImage;
 use crate::pipeline::{cut_at_zero, load_image, saturated_about};
@@ -49,8 +51,8 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
     let stems = stems(&command.images)?;
     stems.iter().try_for_each(|stem| spare_other_json(&command.output.join(format!("{stem}.json"))))?;
     can_write(&command.output)?;
-    let (polarity, full_of_smoke) = (command.polarity.into(), command.smoke);
-    let options = DetectOptions { polarity, full_of_smoke, ..DetectOptions::default() };
+    let options =
+        DetectOptions { polarity: command.polarity.into(), smoke: command.light(), ..DetectOptions::default() };
     progress.stage("finding discs", command.images.len());
     let memory = DetectMemory::default();
     let one = |(path, stem): (&PathBuf, &String)| -> Result<Found> {
@@ -92,7 +94,7 @@ pub(super) fn run(command: &Detect, threads: Option<NonZeroUsize>, progress: &Ba
     }
     out.commit_beside(&command.output, &command.images.iter().map(AsRef::as_ref).collect::<Vec<&Path>>())?;
     tell_further_pages(progress, &command.images);
-    if !full_of_smoke {
+    if options.smoke == Smoke::Maybe {
         tell_of_smoke(progress, bubbles);
     }
     tell_of_saturation(progress, &saturated);
@@ -172,7 +174,7 @@ fn other_polarity(image: &GrayImage, options: &DetectOptions, memory: &DetectMem
 fn tell_of_smoke(to: &Bar, bubbles: usize) {
     if bubbles > 0 {
         to.note(format_args!(
-            "{bubbles} bright disc(s): if they are bubbles full of smoke, detect them with --smoke; weak or slow smoke looks like even light, and sigmas would be too small"
+            "{bubbles} bright disc(s): if they are bubbles full of smoke, detect them with --smoke (weak or slow smoke looks like even light, and sigmas would be too small), if they are printed with --printed"
         ));
     }
 }

@@ -94,12 +94,14 @@ pub(crate) struct Start<'a> {
     pub(crate) smoke: bool,
     /// Whether it is known to have one.
     pub(crate) full_of_smoke: bool,
+    /// Whether it is known to be printed, without any.
+    pub(crate) printed: bool,
     /// The shape of the blur, as all discs tell it, by what part it is wider along the image than across, and how well they know both.
     pub(crate) shape: Shape,
     pub(crate) stretch: [f64; 2],
     pub(crate) shape_covariance: Matrix4<f64>,
-    /// Whether it is fitted for what it says of these alone, or where to put that by the way.
-    pub(crate) asked_for_shape: bool,
+    /// Whether it is fitted for what it says of these, or of noise, alone; or where to put what it says of the blur by the way.
+    pub(crate) asked: bool,
     pub(crate) tells: Option<&'a OnceLock<Box<Told>>>,
 }
 
@@ -119,9 +121,14 @@ impl Start<'_> {
         Self { shape: Shape::GAUSSIAN, ..*self }.contour().1
     }
 
-    /// Whether the short way of clean discs is not for it: it may be full of smoke that looks like a slope.
+    /// Whether it may be full of smoke, which shines.
+    pub(crate) fn may_be_full_of_smoke(&self) -> bool {
+        self.smoke && self.bright && !self.printed
+    }
+
+    /// Whether the short way of clean discs is not for it: it may be full of smoke that looks like a slope, or is asked what that does not tell.
     pub(crate) fn goes_the_longer_way(&self) -> bool {
-        self.full_of_smoke || self.smoke && !is_large(&self.ellipse)
+        self.full_of_smoke || (self.smoke || self.asked) && !is_large(&self.ellipse)
     }
 
     /// The ellipse and the blur that the line followed is that of.
@@ -555,10 +562,11 @@ impl Start<'static> {
             shot_noise: None,
             smoke: false,
             full_of_smoke: false,
+            printed: false,
             shape: Shape::GAUSSIAN,
             stretch: [0.0; 2],
             shape_covariance: Matrix4::zeros(),
-            asked_for_shape: false,
+            asked: false,
             tells: None,
         }
     }

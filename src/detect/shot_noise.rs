@@ -27,7 +27,8 @@
 //! Light of neighbours would pass for noise: discs that are close and told nothing are asked again without it ([`crate::detect::beside`]). In bright discs what light adds grows with their contrast.
 //!
 //! Few bright discs may be full of smoke, which passes for noise. They are asked besides what they say of fields of smoke that all of them have in common,
-//! under the noise that they told or less, and are believed where each field is clearly less likely than noise alone.
+//! under the noise that they told or less, and are believed where each field is clearly less likely than noise alone. Dark discs, and those that are
+//! known to be printed, have none: few of them, or one, are believed, as far as what is lighter is what is louder.
 
 use crate::detect::refine::Start;
 use std::f64::consts::SQRT_2;
@@ -37,11 +38,15 @@ const STEPS: usize = 19;
 const QUIETER: i32 = 8;
 /// Roughness that is tried.
 const ROUGH: [f64; 6] = [0.0, 0.25, 0.5, 1.0, 2.0, 4.0];
-/// How much more unlikely than its best one disc may call a ratio.
+/// What edges are expected to add where few discs are asked: the mean of an exponential distribution.
+const EXPECTED_ROUGH: f64 = 0.25;
+/// How much more unlikely than its best one disc of many may call a ratio.
 const FURTHEST: f64 = 9.0;
 /// Discs that are asked, at most and at least.
 const ASKED: usize = 32;
-const LEAST: usize = 8;
+pub(crate) const LEAST: usize = 8;
+/// At least, where they are printed, or dark.
+const LEAST_PRINTED: usize = 1;
 /// Loss in all of what the discs say by which one ratio must surpass no difference.
 const SURE: f64 = 9.0;
 /// Discs that are asked for smoke, at most.
@@ -92,12 +97,14 @@ impl ShotNoise {
     pub(crate) fn of<'a>(starts: &[Start<'a>], ask: impl FnOnce(&[Start<'a>]) -> Vec<Option<Told>>) -> Option<Self> {
         let bright = 2 * starts.iter().filter(|s| s.bright).count() > starts.len();
         let mut told: Vec<Told> = ask(&some_of(starts, bright, ASKED)?).into_iter().flatten().collect();
-        if told.len() < LEAST {
+        if told.len() < least(starts) {
             return None;
         }
-        // Smoke may be as loud as any noise, but no quieter than its ground.
-        let smoke = starts.iter().any(|s| s.smoke);
-        let ratio = likeliest(&told).filter(|ratio| bright || !smoke || *ratio < 1.0)?;
+        // Smoke may be as loud as any noise, but no quieter than its ground. Dirt on few discs is neither.
+        let smoke = starts.iter().any(|s| s.smoke && !s.printed);
+        let few = told.len() < LEAST;
+        let may_be = |ratio: f64| (bright || !smoke || ratio < 1.0) && (!few || (ratio > 1.0) == bright);
+        let ratio = likeliest(&told).filter(|ratio| may_be(*ratio))?;
         let middle = told.len() / 2;
         let step = told.select_nth_unstable_by(middle, |a, b| a.step.total_cmp(&b.step)).1.step;
         Some(Self { ratio, bright, step })
@@ -109,7 +116,7 @@ impl ShotNoise {
         starts: &[Start<'a>],
         ask: impl FnOnce(&[Start<'a>]) -> Vec<Option<Vec<f64>>>,
     ) -> bool {
-        if !self.bright || starts.iter().all(|s| !s.smoke) {
+        if !self.bright || !starts.iter().any(Start::may_be_full_of_smoke) {
             return true;
         }
         let Some(asked) = some_of(starts, self.bright, ASKED_FOR_SMOKE) else { return false };
@@ -141,12 +148,20 @@ impl ShotNoise {
     }
 }
 
+fn least(starts: &[Start]) -> usize {
+    if starts.iter().all(|s| s.printed || !s.bright) { LEAST_PRINTED } else { LEAST }
+}
+
 /// Some of the small discs that have the light of most, asked as if there were no smoke in bright ones; none where they are few.
 fn some_of<'a>(starts: &[Start<'a>], bright: bool, most: usize) -> Option<Vec<Start<'a>>> {
     let untold = starts.iter().filter(|s| is_untold(s, bright));
-    let small: Vec<Start> = untold.map(|s| Start { smoke: s.smoke && !bright, ..*s }).collect();
+    let mut small: Vec<Start> = untold.map(|s| Start { smoke: s.smoke && !bright, ..*s }).collect();
+    if small.len() < LEAST {
+        // None of them is to be spared.
+        small.iter_mut().for_each(|s| s.asked = s.printed);
+    }
     let every = small.len().div_ceil(most);
-    (small.len() >= LEAST).then(|| small.into_iter().step_by(every).collect())
+    (small.len() >= least(starts)).then(|| small.into_iter().step_by(every).collect())
 }
 
 /// Whether all fields of smoke that discs are asked for are clearly less likely than none.
@@ -159,8 +174,14 @@ fn no_smoke(told: &[Vec<f64>]) -> bool {
 fn likeliest(told: &[Told]) -> Option<f64> {
     let mut sums = vec![0.0; STEPS * ROUGH.len()];
     let least_of = |of: &[f64]| of.iter().copied().fold(f64::INFINITY, f64::min);
+    // Few have the say of many, and do not tell noise that comes with light from a rough edge.
+    let few = told.len() < LEAST;
+    let furthest = FURTHEST * f64::max(LEAST as f64 / told.len() as f64, 1.0);
+    if few {
+        sums.iter_mut().zip(asked()).for_each(|(sum, (_, rough))| *sum += 2.0 * rough / EXPECTED_ROUGH);
+    }
     for disc in told {
-        let limit = least_of(&disc.unlikely) + FURTHEST;
+        let limit = least_of(&disc.unlikely) + furthest;
         sums.iter_mut().zip(&disc.unlikely).for_each(|(sum, x)| *sum += x.min(limit));
     }
     let of_ratio: Vec<f64> = sums.chunks(ROUGH.len()).map(least_of).collect();
@@ -209,6 +230,18 @@ mod tests {
         assert_eq!(likeliest(&vec![preferring(12.0, 9.0); 9]), None, "an edge rougher than all that was tried");
         // A clipped side has no noise at all.
         assert_eq!(likeliest(&vec![preferring(-3.0, 0.0); 9]), Some(LEAST_RATIO));
+    }
+
+    /// One printed disc is believed where it is sure, unless its edge is rougher than all that was tried.
+    #[test]
+    fn few_are_believed_but_for_their_edges() {
+        let sure = |rough: f64| {
+            let of = |(ratio, c): (f64, f64)| 20.0 * (2.0 * ratio.log2() - 6.3).powi(2) + 40.0 * (c - rough).powi(2);
+            likeliest(&[Told { unlikely: asked().map(of).collect(), step: 80.0 }])
+        };
+        assert!((sure(0.0).expect("a ratio") / 8.9 - 1.0).abs() < 0.1);
+        assert_eq!(sure(9.0), None);
+        assert_eq!(likeliest(&[preferring(9.0, 0.0)]), None, "hardly louder");
     }
 
     /// One disc that calls smoke unlikely is not enough, and one that is dirty does not change what eleven say.

@@ -6,7 +6,7 @@ use super::door::{Fault, Outcome, destroy, enter, lock};
 use super::keys::*;
 use super::memory::{Out, give, give_text, text_of};
 use super::table::{self, Body, Kind, Object};
-use crate::detect::{DetectOptions, Detection, Disc, find_discs_with};
+use crate::detect::{DetectOptions, Detection, Disc, Smoke, find_discs_with};
 use crate::pipeline::Workers;
 use crate::report::detection_json;
 use crate::target::Polarity;
@@ -57,10 +57,11 @@ pub extern "C" fn spivcal_detection_set_number(detection: u64, key: i32, value: 
                 }
             }
             SPIVCAL_DETECT_FULL_OF_SMOKE => {
-                o.full_of_smoke = match value {
-                    0.0 => false,
-                    1.0 => true,
-                    _ => return refused("0 (not known) or 1 (full of smoke)"),
+                o.smoke = match value {
+                    0.0 => Smoke::Maybe,
+                    1.0 => Smoke::Full,
+                    2.0 => Smoke::None,
+                    _ => return refused("0 (not known), 1 (full of smoke) or 2 (printed, without any)"),
                 }
             }
             SPIVCAL_DETECT_MIN_SEMI_MINOR_PX | SPIVCAL_DETECT_MAX_SEMI_MAJOR_PX if !positive => {
@@ -90,7 +91,7 @@ pub extern "C" fn spivcal_detection_unset(detection: u64, key: i32) -> i32 {
         let (o, default) = (&mut state.options, DetectOptions::default());
         match key {
             SPIVCAL_DETECT_POLARITY => o.polarity = default.polarity,
-            SPIVCAL_DETECT_FULL_OF_SMOKE => o.full_of_smoke = default.full_of_smoke,
+            SPIVCAL_DETECT_FULL_OF_SMOKE => o.smoke = default.smoke,
             SPIVCAL_DETECT_MIN_SEMI_MINOR_PX => o.min_semi_minor_px = default.min_semi_minor_px,
             SPIVCAL_DETECT_MAX_SEMI_MAJOR_PX => o.max_semi_major_px = default.max_semi_major_px,
             SPIVCAL_DETECT_MIN_AXIS_RATIO => o.min_axis_ratio = default.min_axis_ratio,

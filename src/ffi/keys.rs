@@ -15,7 +15,8 @@ pub const SPIVCAL_DETECT_MIN_CONTRAST_TO_NOISE: i32 = 5;
 /// Smallest part of the contour that must be seen, above 0 to 1; default 0.7.
 pub const SPIVCAL_DETECT_MIN_COVERAGE: i32 = 6;
 /// 1: bright discs are known to be full of smoke (bubbles cut by the sheet, up to 24 in an image), so that sigmas hold for weak smoke behind a blur
-/// and for fast or slow smoke in large discs; 0: each disc is asked (default).
+/// and for fast or slow smoke in large discs; 2: they are known to be printed, without any, so that few of them tell a blur that is no Gaussian's;
+/// 0: each disc is asked (default).
 pub const SPIVCAL_DETECT_FULL_OF_SMOKE: i32 = 7;
 
 // Keys of spivcal_detection_array_copy.

@@ -4,7 +4,7 @@ use super::blacks::cut_at_zero;
 use super::exposure::{explained, saturated_about};
 use super::{Progress, Source};
 use crate::detect::pattern::{Labelling, label_discs};
-use crate::detect::{DetectMemory, DetectOptions, Detection, LabelledDisc, find_discs_while};
+use crate::detect::{DetectMemory, DetectOptions, Detection, LabelledDisc, Smoke, find_discs_while};
 use crate::error::{Error, Insufficient, Invalid, Result, Unusable};
 use crate::image::GrayImage;
 use crate::record::ImageFile;
@@ -156,8 +156,8 @@ fn with_others(e: Error, failed: &[&str], without: &str) -> Error {
 
 /// What is known of the discs of a target.
 fn options_for(target: &TargetDescription) -> DetectOptions {
-    let full_of_smoke = matches!(target.target, Target::Bubbles(_));
-    DetectOptions { polarity: target.polarity, full_of_smoke, ..DetectOptions::default() }
+    let smoke = if matches!(target.target, Target::Bubbles(_)) { Smoke::Full } else { Smoke::None };
+    DetectOptions { polarity: target.polarity, smoke, ..DetectOptions::default() }
 }
 
 fn see(
@@ -236,7 +236,7 @@ mod tests {
         let (polarity, adjust, point_sigma_mm) = (Polarity::Bright, Adjust::Shape, None);
         let of = |target| options_for(&TargetDescription { target, polarity, adjust, point_sigma_mm });
         let bubbles = of(Target::Bubbles(Pair::default()));
-        assert!(bubbles.full_of_smoke && bubbles.polarity == Polarity::Bright);
-        assert!(!of(Target::TwoDiscs(Pair::default())).full_of_smoke);
+        assert!(bubbles.smoke == Smoke::Full && bubbles.polarity == Polarity::Bright);
+        assert_eq!(of(Target::TwoDiscs(Pair::default())).smoke, Smoke::None);
     }
 }

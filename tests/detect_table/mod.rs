@@ -3,7 +3,7 @@
 
 use crate::render::{Clean, Random, Spot, draw};
 use nalgebra::{DMatrix, SVector};
-use spivcal::detect::{DetectOptions, Disc, find_discs};
+use spivcal::detect::{DetectOptions, Disc, Smoke, find_discs};
 use spivcal::image::{GrayView, Samples};
 use std::f64::consts::{PI, TAU};
 
@@ -86,6 +86,12 @@ impl Condition {
     pub fn size(&self) -> usize {
         let spread_px = if self.light == Light::Defocus { self.spread_px() } else { 0.0 };
         (2.0 * (self.semi_minor_px * self.ratio + 5.0 * self.blur_px + spread_px) + 24.0) as usize
+    }
+
+    /// What detection is told: that discs are printed, where it is the light that is loud, or the lens that spreads it, and smoke could look alike.
+    fn told(&self) -> DetectOptions {
+        let smoke = if matches!(self.light, Light::Shot | Light::Defocus) { Smoke::None } else { Smoke::Maybe };
+        DetectOptions { smoke, ..DetectOptions::default() }
     }
 
     /// Of the smoke, px.
@@ -388,7 +394,7 @@ impl Condition {
                 (0..4).for_each(|k| bound[k] += b[k] * b[k] / bounds as f64);
             }
             for _ in 0..shots {
-                let (levels, discs) = self.expose(&clean, &DetectOptions::default(), &mut random);
+                let (levels, discs) = self.expose(&clean, &self.told(), &mut random);
                 each(&spot, &levels, self.at(&spot, &discs));
             }
         }

@@ -13,9 +13,9 @@ use crate::detect::shape::Shape;
 use crate::detect::shape::of_image::Question;
 use crate::detect::shape::told::Told;
 use crate::detect::shared_light::SharedLight;
-use crate::detect::shot_noise::ShotNoise;
+use crate::detect::shot_noise::{LEAST, ShotNoise};
 use crate::detect::slim::turn_down_slim;
-use crate::detect::{DetectOptions, Disc, RejectionReason};
+use crate::detect::{DetectOptions, Disc, RejectionReason, Smoke};
 use crate::image::GrayView;
 use crate::threads::{self, OwnMemory};
 use nalgebra::Matrix4;
@@ -69,11 +69,12 @@ pub(super) fn refine_all<'a>(
             clear: candidate.ellipse.is_longer_than((sigma / (CLEAR * candidate.contrast)).powi(2)),
             shot_noise: None,
             smoke,
-            full_of_smoke: smoke && options.full_of_smoke && candidate.bright,
+            full_of_smoke: smoke && options.smoke == Smoke::Full && candidate.bright,
+            printed: options.smoke == Smoke::None,
             shape: Shape::GAUSSIAN,
             stretch: [0.0; 2],
             shape_covariance: Matrix4::zeros(),
-            asked_for_shape: false,
+            asked: false,
             tells: None,
         }
     });
@@ -99,6 +100,11 @@ fn fit_shaped<'a>(
         if go_on() { memory.with(|scratch| shape_told(view, start, options, scratch)) } else { None }
     };
     let ask_all = |asked: &[Start<'a>]| threads::side_by_side(asked, ask);
+    if starts.len() < LEAST {
+        // What makes noise louder inside would look like a shape.
+        let noise = noise_inside(view, starts, options, go_on);
+        starts.iter_mut().for_each(|start| start.shot_noise = noise);
+    }
     let question = Question::new(starts);
     let first = |starts: &[Start<'a>]| question.first.iter().map(|i| starts[*i]).collect::<Vec<_>>();
     if first(starts).iter().any(Start::goes_the_longer_way) {
@@ -122,6 +128,27 @@ fn fit_shaped<'a>(
     if question.settle(starts, told, ask_all) { fit_all(view, starts, levels, options, go_on) } else { refined }
 }
 
+/// The noise inside that all discs tell together; none where they know it themselves, do not tell, or may be full of smoke.
+fn noise_inside(
+    view: &GrayView,
+    starts: &[Start],
+    options: &DetectOptions,
+    go_on: &(dyn Fn() -> bool + Sync),
+) -> Option<ShotNoise> {
+    let memory = OwnMemory::<Scratch>::new();
+    let ask = |start: &Start| {
+        if go_on() { memory.with(|scratch| noise_told(view, start, options, scratch)) } else { None }
+    };
+    let told = ShotNoise::of(starts, |asked| threads::side_by_side(asked, ask));
+    told.filter(|noise| {
+        let ask = |start: &Start| {
+            if go_on() { memory.with(|scratch| smoke_told(view, start, noise, options, scratch)) } else { None }
+        };
+        !starts.iter().any(|start| start.full_of_smoke)
+            && noise.without_smoke(starts, |asked| threads::side_by_side(asked, ask))
+    })
+}
+
 /// Fits all discs: alone, then those that are close without each other's light, with the noise that all of them tell together.
 fn fit_all(
     view: &GrayView,
@@ -132,9 +159,6 @@ fn fit_all(
 ) -> Vec<Refined> {
     let sigma = f64::from(noise_grey);
     let memory = OwnMemory::<Scratch>::new();
-    let ask = |view: &GrayView, start: &Start| {
-        if go_on() { memory.with(|scratch| noise_told(view, start, options, scratch)) } else { None }
-    };
     // Of a search that was stopped nothing is used, whatever is said of its discs.
     let stopped = Err(RejectionReason::NoGreyLevels);
     let refine = |view: &GrayView, start: &Start| {
@@ -147,22 +171,21 @@ fn fit_all(
         let line = seen_again(patch, start, [noise_grey, range], options);
         refine(patch, &line.as_ref().map_or(*start, |line| start.by(line)))
     };
-    let shot_noise = ShotNoise::of(starts, |asked| threads::side_by_side(asked, |start| ask(view, start)));
-    let shot_noise = shot_noise.filter(|noise| {
-        let ask = |start: &Start| {
-            if go_on() { memory.with(|scratch| smoke_told(view, start, noise, options, scratch)) } else { None }
-        };
-        !starts.iter().any(|start| start.full_of_smoke)
-            && noise.without_smoke(starts, |asked| threads::side_by_side(asked, ask))
-    });
+    let shot_noise = noise_inside(view, starts, options, go_on);
+    let few = starts.len() < LEAST;
     for start in starts.iter_mut() {
-        start.smoke &= !(start.bright && shot_noise.is_some_and(|noise| noise.is_all_of(start)));
+        let known = start.bright && shot_noise.is_some_and(|noise| noise.is_all_of(start));
+        // Of few discs that are printed each takes the longer way.
+        start.smoke &= !known || few && start.printed;
         start.shot_noise = shot_noise;
     }
     let (mut refined, dust) = refined_but_dust(starts, |start| refine(view, start));
     let close = refine_beside(view, starts, &mut refined, sigma, again);
-    if shot_noise.is_none() && close.contains(&true) && !starts.iter().any(|start| start.smoke && start.bright) {
+    if shot_noise.is_none() && close.contains(&true) && !starts.iter().any(Start::may_be_full_of_smoke) {
         // Light of neighbours may have passed for noise.
+        let ask = |view: &GrayView, start: &Start| {
+            if go_on() { memory.with(|scratch| noise_told(view, start, options, scratch)) } else { None }
+        };
         let told = ShotNoise::of(starts, |asked| ask_beside(view, asked, (starts, &refined), sigma, ask));
         if told.is_some() {
             starts.iter_mut().for_each(|start| start.shot_noise = told);

@@ -207,7 +207,7 @@ fn light_to_fit(model: &EdgeModel, start: &Start, large: bool) -> Option<([Side;
     Some(match &model.light {
         Light::Surface(sides) => (*sides, false),
         // An edge of another profile may look like light that changes along it.
-        Light::Nodes(..) if start.asked_for_shape && !large => ([Side::plain(0, model.step.abs()); 2], false),
+        Light::Nodes(..) if start.asked && !large => ([Side::plain(0, model.step.abs()); 2], false),
         Light::Nodes(..) if !start.smoke => return None,
         // Nodes along a long contour do as well as a field where the light changes fast, and for less.
         Light::Nodes(..) if large => (model.light.beside_slow_waves().filter(|_| short)?, true),
@@ -239,10 +239,10 @@ pub(super) fn fit_exactly(view: &GrayView, model: &EdgeModel, start: &Start, s: 
     let mut kept = s.exact.settle(view, &mut state, &mut s.fine, &keep, start, floor)?;
     // Nothing that lies in the light or upon it explains an edge that is no Gaussian's all around.
     let edge_alone = !(nodes && large) && s.exact.edge_alone(&state);
-    let seen = !edge_alone && (nodes || looks_smoky(&state, &s.exact, large));
+    let seen = !edge_alone && (nodes || looks_smoky(&state, start, &s.exact));
     let explained = large || s.exact.misfit() < UNEXPLAINED;
     // Light that only fields explain is not to pass for something hidden; nor that which a slope explains, but for a few pixels.
-    let ask = !edge_alone && !large && start.smoke && start.bright && (!seen || explained);
+    let ask = !edge_alone && !large && start.may_be_full_of_smoke() && (!seen || explained);
     let answer = match (state.full_of_smoke && !edge_alone, ask) {
         (true, _) => Answer::Likely,
         (false, true) => s.exact.ask_for_smoke(&state),
@@ -323,9 +323,14 @@ fn of_other_profile(e: &Ellipse, blur_px: f64) -> SMatrix<f64, 5, 5> {
 
 /// Whether what polynomials leave looks like smoke. A small disc hardly shows that: there light that rises inside alone is enough to ask; of the
 /// others a few fields are asked.
-fn looks_smoky(state: &State, exact: &Exact, large: bool) -> bool {
+fn looks_smoky(state: &State, start: &Start, exact: &Exact) -> bool {
     let [inside, outside] = state.sides.map(|side| side.degree > 0);
-    exact.smoke_left(state) || exact.louder_inside(state) || !large && inside && !outside
+    exact.smoke_left(state) || too_loud(state, start, exact) || !is_large(&state.ellipse) && inside && !outside
+}
+
+/// Whether noise inside is louder than outside without being the light's own.
+fn too_loud(state: &State, start: &Start, exact: &Exact) -> bool {
+    !start.printed && exact.louder_inside(state)
 }
 
 /// The disc without the pixels that something hides.
@@ -361,7 +366,7 @@ fn uncover(
 ) -> Option<Uncovered> {
     let mut state = plain.clone();
     let kept = s.exact.uncover(view, &mut state, &mut s.fine, kept, start, floor)?;
-    let quiet = s.exact.misfit() < MOST_NOISE && !s.exact.louder_inside(&state);
+    let quiet = s.exact.misfit() < MOST_NOISE && !too_loud(&state, start, &s.exact);
     let (glare, smoke) = (quiet && s.exact.hides_little(), s.exact.smoke_left(&state));
     Some(Uncovered { state, kept, hidden: s.exact.hidden().clone(), quiet, glare, smoke })
 }
@@ -378,7 +383,7 @@ fn smoke_or_hidden(
     (keep, floor): (&[bool], f64),
     s: &mut Scratch,
 ) -> Option<Option<(State, Vec<bool>)>> {
-    let mut found = if start.bright {
+    let mut found = if start.bright && !start.printed {
         let Some((smoky, kept)) = fit_smoke(view, before, plain, start, (keep, floor), s)? else { return Some(None) };
         let louder = |x: &Uncovered| smoky.variance[0] > louder_by(&smoky, &s.exact) * x.state.variance[0];
         let Some(found) = hidden.filter(|x| x.quiet && louder(x)) else { return Some(Some((smoky, kept))) };
@@ -414,7 +419,8 @@ fn leave_a_stretch(
         let rest: Vec<bool> = (0..count).map(|k| !within(k)).collect();
         let mut state = before.clone();
         s.exact.uncovered();
-        if s.exact.settle(view, &mut state, &mut s.fine, &rest, start, floor).is_none() || s.exact.louder_inside(&state)
+        if s.exact.settle(view, &mut state, &mut s.fine, &rest, start, floor).is_none()
+            || too_loud(&state, start, &s.exact)
         {
             continue;
         }

@@ -36,7 +36,7 @@ pub(crate) fn shape_told(
     if let Some(told) = pixels::shape_told(view, start, s) {
         return Some(told);
     }
-    let unasked = Start { smoke: false, full_of_smoke: false, asked_for_shape: true, ..*start };
+    let unasked = Start { smoke: false, full_of_smoke: false, asked: true, ..*start };
     let (state, _) = plain_but_for_edge(view, &unasked, options, s)?;
     s.exact.shape_told(&state)
 }
@@ -111,13 +111,7 @@ mod tests {
     fn a_disc_tells_the_blur_that_it_is_seen_through() {
         let grey = image();
         let view = GrayView::new(Samples::F32(&grey), SIZE, SIZE, SIZE).expect("an image");
-        let start = Start {
-            blur_px: 1.5,
-            contrast: STEP,
-            variance: NOISE * NOISE,
-            asked_for_shape: true,
-            ..Start::alone(TRUTH)
-        };
+        let start = Start { blur_px: 1.5, contrast: STEP, variance: NOISE * NOISE, asked: true, ..Start::alone(TRUTH) };
         let (options, mut s) = (DetectOptions::default(), Scratch::default());
         let clean = pixels::fit_quickly(&view, &start, &mut s).expect("a clean disc");
         let quick = s.quick.shape_told(&clean).expect("equations");

@@ -177,7 +177,7 @@ impl Question {
         sorted.sort_by(f64::total_cmp);
         let sharpest_px = sorted.get(sorted.len() / SHARPEST).copied().unwrap_or(0.0);
         // Smoke that the blur hides may look like a shape, but hardly like one and the same in several discs.
-        let smoky = starts.iter().any(|start| start.bright && start.goes_the_longer_way());
+        let smoky = starts.iter().any(|start| start.may_be_full_of_smoke() && start.goes_the_longer_way());
         let mut out = Self { blurs_px, sharpest_px, first: vec![], least: if smoky { LEAST_SMOKY } else { 1 } };
         out.first = out.some(starts, FIRST);
         out
