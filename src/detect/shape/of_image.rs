@@ -16,7 +16,8 @@
 //! ```
 //!
 //! t0 being what the discs were fitted with and f by how much discs differ more than noise makes them. Discs that lie far off have dirt on them and no say, nor
-//! have those that are known to be full of smoke or feel a neighbour's light. Of small bright ones that may be full of smoke four must say the same.
+//! have those that are known to be full of smoke or feel a neighbour's light. Of small bright ones that may be full of smoke four must say the same; of
+//! dark and printed ones one is enough.
 //! A few are asked first, half of them of the widest blurs: where these show nothing for sure, or what would move no contour, it is a Gaussian. Fits have the shape;
 //! what p and q do to the geometry is added to what they find.
 //!
