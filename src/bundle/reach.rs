@@ -119,12 +119,8 @@ impl<'a> Reach<'a> {
 
     /// How much the standard deviation of each number changes within that of all unknowns; `None` where nothing can be said.
     pub fn bend(&self) -> Option<Vec<f64>> {
-        self.bend_by(&part::with_few_observations(&self.adjustment.model)?)
-    }
-
-    /// The same by the observations of a model.
-    fn bend_by(&self, model: &Model) -> Option<Vec<f64>> {
-        let near = Near::of(model, &self.adjustment.state, &self.numbers)?;
+        let model = part::with_few_observations(&self.adjustment.model)?;
+        let near = Near::of(&model, &self.adjustment.state, &self.numbers)?;
         let sides: Vec<(usize, f64)> = (0..PATTERNS).flat_map(|p| [(p, 1.0), (p, -1.0)]).collect();
         let all: Option<Vec<Vec<f64>>> = threads::gathered(true, &sides, |(p, side)| near.logarithms(*p, *side));
         let all = all?;

@@ -22,13 +22,19 @@
 //! |---|---|---|---|
 //! | r | `ratios`, `ShotNoise::ratio` | 1 | variance inside over that outside |
 //! | c | `ROUGH` | 1 | variance that a rough edge adds where it is steepest, over that outside |
+//! | c_0 | `EXPECTED_ROUGH` | 1 | what c is expected to be where few tell |
 //! | D_d | `Told::unlikely` | 1 | what one disc says of each r and c |
 //!
 //! Light of neighbours would pass for noise: discs that are close and told nothing are asked again without it ([`crate::detect::beside`]). In bright discs what light adds grows with their contrast.
 //!
 //! Few bright discs may be full of smoke, which passes for noise. They are asked besides what they say of fields of smoke that all of them have in common,
 //! under the noise that they told or less, and are believed where each field is clearly less likely than noise alone. Dark discs, and those that are
-//! known to be printed, have none: few of them, or one, are believed, as far as what is lighter is what is louder.
+//! known to be printed, have none: few of them (n below eight), or one, are believed, as far as what is lighter is what is louder. On so few pixels a rough edge
+//! looks alike, so that it has an exponential prior of the mean c_0, and few may say as much as eight:
+//!
+//! ```text
+//! r = arg min  2 c / c_0 + sum_d min(D_d(r, c), least of D_d + FURTHEST 8 / n)
+//! ```
 
 use crate::detect::refine::Start;
 use std::f64::consts::SQRT_2;
@@ -42,9 +48,10 @@ const ROUGH: [f64; 6] = [0.0, 0.25, 0.5, 1.0, 2.0, 4.0];
 const EXPECTED_ROUGH: f64 = 0.25;
 /// How much more unlikely than its best one disc of many may call a ratio.
 const FURTHEST: f64 = 9.0;
-/// Discs that are asked, at most and at least.
+/// Discs that are asked, at most.
 const ASKED: usize = 32;
-pub(crate) const LEAST: usize = 8;
+/// From so many on discs are believed whatever they are.
+pub(crate) const MANY: usize = 8;
 /// At least, where they are printed, or dark.
 const LEAST_PRINTED: usize = 1;
 /// Loss in all of what the discs say by which one ratio must surpass no difference.
@@ -102,7 +109,7 @@ impl ShotNoise {
         }
         // Smoke may be as loud as any noise, but no quieter than its ground. Dirt on few discs is neither.
         let smoke = starts.iter().any(|s| s.smoke && !s.printed);
-        let few = told.len() < LEAST;
+        let few = told.len() < MANY;
         let may_be = |ratio: f64| (bright || !smoke || ratio < 1.0) && (!few || (ratio > 1.0) == bright);
         let ratio = likeliest(&told).filter(|ratio| may_be(*ratio))?;
         let middle = told.len() / 2;
@@ -121,7 +128,7 @@ impl ShotNoise {
         }
         let Some(asked) = some_of(starts, self.bright, ASKED_FOR_SMOKE) else { return false };
         let told: Vec<Vec<f64>> = ask(&asked).into_iter().flatten().collect();
-        told.len() >= LEAST && no_smoke(&told)
+        told.len() >= MANY && no_smoke(&told)
     }
 
     /// Whether it is all that makes a disc louder than its ground, where smoke has no part in it.
@@ -149,14 +156,14 @@ impl ShotNoise {
 }
 
 fn least(starts: &[Start]) -> usize {
-    if starts.iter().all(|s| s.printed || !s.bright) { LEAST_PRINTED } else { LEAST }
+    if starts.iter().all(|s| s.printed || !s.bright) { LEAST_PRINTED } else { MANY }
 }
 
 /// Some of the small discs that have the light of most, asked as if there were no smoke in bright ones; none where they are few.
 fn some_of<'a>(starts: &[Start<'a>], bright: bool, most: usize) -> Option<Vec<Start<'a>>> {
     let untold = starts.iter().filter(|s| is_untold(s, bright));
     let mut small: Vec<Start> = untold.map(|s| Start { smoke: s.smoke && !bright, ..*s }).collect();
-    if small.len() < LEAST {
+    if small.len() < MANY {
         // None of them is to be spared.
         small.iter_mut().for_each(|s| s.asked = s.printed);
     }
@@ -175,8 +182,8 @@ fn likeliest(told: &[Told]) -> Option<f64> {
     let mut sums = vec![0.0; STEPS * ROUGH.len()];
     let least_of = |of: &[f64]| of.iter().copied().fold(f64::INFINITY, f64::min);
     // Few have the say of many, and do not tell noise that comes with light from a rough edge.
-    let few = told.len() < LEAST;
-    let furthest = FURTHEST * f64::max(LEAST as f64 / told.len() as f64, 1.0);
+    let few = told.len() < MANY;
+    let furthest = FURTHEST * f64::max(MANY as f64 / told.len() as f64, 1.0);
     if few {
         sums.iter_mut().zip(asked()).for_each(|(sum, (_, rough))| *sum += 2.0 * rough / EXPECTED_ROUGH);
     }

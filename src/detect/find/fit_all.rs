@@ -13,7 +13,7 @@ use crate::detect::shape::Shape;
 use crate::detect::shape::of_image::Question;
 use crate::detect::shape::told::Told;
 use crate::detect::shared_light::SharedLight;
-use crate::detect::shot_noise::{LEAST, ShotNoise};
+use crate::detect::shot_noise::{MANY, ShotNoise};
 use crate::detect::slim::turn_down_slim;
 use crate::detect::{DetectOptions, Disc, RejectionReason, Smoke};
 use crate::image::GrayView;
@@ -100,7 +100,7 @@ fn fit_shaped<'a>(
         if go_on() { memory.with(|scratch| shape_told(view, start, options, scratch)) } else { None }
     };
     let ask_all = |asked: &[Start<'a>]| threads::side_by_side(asked, ask);
-    if starts.len() < LEAST {
+    if starts.len() < MANY {
         // What makes noise louder inside would look like a shape.
         let noise = noise_inside(view, starts, options, go_on);
         starts.iter_mut().for_each(|start| start.shot_noise = noise);
@@ -172,7 +172,7 @@ fn fit_all(
         refine(patch, &line.as_ref().map_or(*start, |line| start.by(line)))
     };
     let shot_noise = noise_inside(view, starts, options, go_on);
-    let few = starts.len() < LEAST;
+    let few = starts.len() < MANY;
     for start in starts.iter_mut() {
         let known = start.bright && shot_noise.is_some_and(|noise| noise.is_all_of(start));
         // Of few discs that are printed each takes the longer way.
